@@ -6,8 +6,8 @@
 #![expect(clippy::expect_used, reason = "a bench has nobody to answer to")]
 
 use divan::{Bencher, black_box, counter::ItemsCount};
-use vn100d::noise::allan::{FixedPoint, LiveAllan, Overlapping, TauGrid};
-use vn100d::sample::Channel;
+use imu_core::sample::Channel;
+use imu_noise::allan::{FixedPoint, LiveAllan, Overlapping, TauGrid};
 
 const SAMPLES: usize = 720_000;
 
@@ -137,5 +137,5 @@ fn parameters_from_sums(bencher: Bencher) {
     let mut estimator = Overlapping::new(FixedPoint::for_channel(Channel::GyroX), hundred());
     estimator.push(&gyro(SAMPLES));
     let points = estimator.into_sums().points();
-    bencher.bench(|| vn100d::noise::fit::fit(black_box(&points), 40.0, Channel::GyroX));
+    bencher.bench(|| imu_noise::fit::fit(black_box(&points), 40.0, Channel::GyroX));
 }

@@ -7,16 +7,12 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
-#[path = "../tests/world/bag.rs"]
-mod bag;
-#[path = "../tests/world/ros2.rs"]
-mod ros2;
-
+use imu_files::recording::{Item, Options, Recording, RecordingAccountant};
 use peak_alloc::PeakAlloc;
 use rustix::time::{ClockId, clock_gettime};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use vn100d::recording::{Item, Options, Recording, RecordingAccountant};
+use vn100_testkit::{bag, ros2};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;

@@ -3,7 +3,7 @@
 
 use divan::counter::BytesCount;
 use divan::{Bencher, black_box};
-use vn100d::protocol::{
+use vn100_proto::{
     AsciiType, BinaryAcceptance, BinaryHeader, ChecksumKind, Decoder, DecoderOptions, Event, Measurement,
     MeasurementKind, Quantity, checksum, encode,
 };

@@ -4,18 +4,18 @@
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
+use imu_core::sample::{Channel, Triad};
+use imu_diagnosis::calibration::{Nulls, RECORDS};
+use imu_diagnosis::transform::Cosines;
+use imu_diagnosis::{Options, Outcome, Recording, Reference, diagnose, diagnose_moved};
+use imu_model::effects::Tone;
+use imu_model::effects::triad::ScaleFactor;
+use imu_model::motion::{Course, Kind, Site};
+use imu_model::simulator::{Motion, SensorModel, Simulator, default_model};
 use peak_alloc::PeakAlloc;
 use std::sync::Arc;
 use std::time::Instant;
-use vn100d::diagnosis::calibration::{Nulls, RECORDS};
-use vn100d::diagnosis::transform::Cosines;
-use vn100d::diagnosis::{Options, Outcome, Recording, Reference, diagnose, diagnose_moved};
-use vn100d::effects::Tone;
-use vn100d::effects::triad::ScaleFactor;
 use vn100d::jobs::TwoThreads;
-use vn100d::motion::{Course, Kind, Site};
-use vn100d::sample::{Channel, Triad};
-use vn100d::simulator::{Motion, SensorModel, Simulator, default_model};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;

@@ -9,10 +9,10 @@
 
 mod made;
 
+use imu_core::sample::Channel;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Instant;
-use vn100d::sample::Channel;
 use vn100d::store::{CaptureState, NewCapture, Reader, Store, StoreOptions};
 
 const RATE_HZ: f64 = 40.0;

@@ -7,13 +7,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
+use imu_files::recording::{Options, Recording};
 use rustix::time::{ClockId, clock_gettime};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use vn100d::clock::SystemClock;
 use vn100d::daemon::import::{Source, import};
-use vn100d::recording::{Options, Recording};
 use vn100d::store::{Store, StoreOptions};
 
 /// What a row has behind its stamp: a column, its decimals, the size of its values.

@@ -3,7 +3,7 @@
 
     python3 benches/peers.py
 
-runs `cargo bench --bench peers` (this crate, the crates allan-tools and allan, and floors), then allantools from PyPI on
+runs `cargo bench --bench peers` (this program, the crates allan-tools and allan, and floors), then allantools from PyPI on
 the samples and averaging times that the bench left, and prints one table. allantools goes into a virtual environment of
 its own, target/peers, which is made when it is missing.
 """

@@ -11,11 +11,11 @@
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
 use fearless_simd::{Level, Simd as _};
+use imu_core::sample::Channel;
+use imu_noise::allan::{FixedPoint, Overlapping, TauGrid};
 use rustix::time::{ClockId, clock_gettime};
 use std::hint::black_box;
 use std::path::Path;
-use vn100d::noise::allan::{FixedPoint, Overlapping, TauGrid};
-use vn100d::sample::Channel;
 
 /// Who computes, in how many rounds, and the deviations of one of them.
 type Contender<'a> = (&'static str, usize, Box<dyn Fn() -> Vec<f64> + 'a>);

@@ -8,11 +8,11 @@
 
 mod made;
 
+use imu_core::sample::Channel;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use vn100d::jobs::{JobKind, Jobs, JobsOptions};
-use vn100d::sample::Channel;
 use vn100d::store::{CaptureState, JobState, NewCapture, Store, StoreOptions};
 
 fn main() {

@@ -49,8 +49,8 @@ def main():
             words = told([PYTHON, __file__, "--measure", str(rate_hz)], {**os.environ, **one}).split()
             runs.setdefault((f"5 h at {rate_hz} Hz", f"NumPy {words[3]}"), []).append(tuple(map(float, words[:3])))
     middle = {key: sorted(runs)[len(runs) // 2] for key, runs in runs.items()}
-    print(f"{CHANNELS} channels with N, B and K; medians of {ROUNDS} runs by processor time; × one thread of this crate")
-    print("memory: the heap of this crate, all of NumPy's process")
+    print(f"{CHANNELS} channels with N, B and K; medians of {ROUNDS} runs by processor time; × one thread of this program")
+    print("memory: the heap of this program, all of NumPy's process")
     for (name, who), (work_s, time_s, memory_mb) in sorted(middle.items()):
         times = work_s / middle[name, "1 thread(s)"][0]
         print(f"{name:<31} {who:<13} {time_s:>6.2f} s, processor {work_s:>6.2f} s {times:>5.2f} × {memory_mb:>6.1f} MB")

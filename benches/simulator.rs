@@ -4,10 +4,10 @@
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
+use imu_core::sample::Channel;
+use imu_model::simulator::{Sampling, SensorModel, Simulator, default_model};
 use peak_alloc::PeakAlloc;
 use std::time::Instant;
-use vn100d::sample::Channel;
-use vn100d::simulator::{Sampling, SensorModel, Simulator, default_model};
 
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;

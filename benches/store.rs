@@ -4,9 +4,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
+use imu_core::sample::{Channel, Record, Sample, Segment, Timebase};
 use std::time::{Duration, Instant};
 use vn100d::jobs::{JobKind, Jobs, JobsOptions};
-use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
 use vn100d::store::{CaptureState, JobState, NewCapture, Reader, Store, StoreOptions};
 
 const PERIOD_NS: u64 = 1_250_000;

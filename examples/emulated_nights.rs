@@ -7,6 +7,7 @@
 //! The sensor samples at 800 Hz, sends means of 4 samples (register 85), and its own densities are those of `MODEL`. N is the plateau as sampled: with d = 800 Hz / rate
 //! it is the sensor's own times √(d/4), and the sensor's own up to d = 4. docs/validation.md has the table.
 
+use imu_model::simulator::SensorModel;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -18,7 +19,6 @@ use vn100d::daemon::{self, Options};
 use vn100d::emulator::source::Source;
 use vn100d::emulator::terminal::{Terminal, TerminalOptions};
 use vn100d::emulator::{SensorOptions, VirtualSensor};
-use vn100d::simulator::SensorModel;
 
 /// The densities of a VN-100 in front of its filter, with a walk that an hour shows.
 const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "emulated", "rate_hz": 800,

@@ -4,11 +4,11 @@
 //! cargo run --release --example gap_picture -- accel_y 40 real=desk.txt.gz "N, B, K=plain.csv" corrected=better.csv > docs/gap-desk.svg
 //! ```
 
+use imu_core::sample::Channel;
+use imu_files::recording::{Options, load_columns};
 use realfft::RealFftPlanner;
 use std::fmt::Write as _;
 use std::path::Path;
-use vn100d::recording::{Options, load_columns};
-use vn100d::sample::Channel;
 
 const WIDTH: f64 = 760.0;
 const HEIGHT: f64 = 400.0;

@@ -13,15 +13,15 @@
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
+use imu_core::sample::Channel;
+use imu_model::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
+use imu_noise::allan::FixedPoint;
+use imu_noise::fit::{Estimate, NoiseParameters};
+use imu_noise::whittle::{DstEstimator, Transform, fit};
 use nalgebra::{DMatrix, DVector};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-use vn100d::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
-use vn100d::noise::allan::FixedPoint;
-use vn100d::noise::fit::{Estimate, NoiseParameters};
-use vn100d::noise::whittle::{DstEstimator, Transform, fit};
-use vn100d::sample::Channel;
 
 const RATE_HZ: f64 = 40.0;
 const DT_S: f64 = 1.0 / RATE_HZ;

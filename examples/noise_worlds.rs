@@ -11,6 +11,11 @@
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
+use imu_core::sample::Channel;
+use imu_noise::allan::{FixedPoint, LiveAllan};
+use imu_noise::fit::{Estimate, NoiseParameters};
+use imu_noise::hold_against;
+use imu_noise::whittle::{DstEstimator, Transform, fit};
 use nalgebra::DMatrix;
 use rand::SeedableRng;
 use rand_chacha::ChaCha20Rng;
@@ -21,11 +26,6 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use vn100d::noise::allan::{FixedPoint, LiveAllan};
-use vn100d::noise::fit::{Estimate, NoiseParameters};
-use vn100d::noise::hold_against;
-use vn100d::noise::whittle::{DstEstimator, Transform, fit};
-use vn100d::sample::Channel;
 
 const RATE_HZ: f64 = 40.0;
 /// Scenarios A and D, with K such that an hour shows it.

@@ -1,13 +1,13 @@
-//! What a diagnosis finds by chance in records of noise alone: the table of `src/diagnosis/prices.rs`.
+//! What a diagnosis finds by chance in records of noise alone: the table of `crates/imu-diagnosis/src/prices.rs`.
 //!
 //! `cargo run --release --example null_tails -- 65536 240` prints for each effect and statistic quantiles and the tail.
 //! Records: white noise, flicker and random walk between half and twice a VN-100's at 40 Hz, a warm-up's temperature in steps
 //! of 0.1 °C, models whose N, B and K are off by up to 5, 25 and 40 %. The seed is 1.
 
+use imu_diagnosis::calibration::{Chance, Nulls};
+use imu_diagnosis::prices::Tail;
+use imu_model::effects::{Stream, StreamId};
 use std::collections::BTreeMap;
-use vn100d::diagnosis::calibration::{Chance, Nulls};
-use vn100d::diagnosis::prices::Tail;
-use vn100d::effects::{Stream, StreamId};
 use vn100d::jobs::TwoThreads;
 
 const RATE_HZ: f64 = 40.0;

@@ -12,14 +12,14 @@
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
+use imu_core::sample::Channel;
+use imu_model::simulator::{SensorModel, plateau};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha20Rng;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use vn100d::sample::Channel;
-use vn100d::simulator::{SensorModel, plateau};
 
 const RATE_HZ: f64 = 40.0;
 const CHANNELS: [&str; 3] = ["gyro_x", "gyro_y", "gyro_z"];
@@ -139,7 +139,7 @@ impl Bench {
         };
         let mut wrong = fit.clone();
         wrong.channels.values_mut().for_each(|of| {
-            *of = vn100d::simulator::ChannelModel {
+            *of = imu_model::simulator::ChannelModel {
                 n: WRONG[0] * of.n,
                 b: WRONG[1] * of.b.max(0.1 * of.n),
                 k: WRONG[2] * of.k.max(1e-2 * of.n),

@@ -5,11 +5,11 @@
 //! Each recording is written as CSV text, without any part of the program, and read as a user's file is. The table in
 //! docs/validation.md is this one's output.
 
+use imu_files::recording::{Input, Options, Recording, columns};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Exp1, StandardNormal};
 use std::fmt::Write as _;
-use vn100d::recording::{Input, Options, Recording, columns};
 
 const RATES_HZ: [f64; 8] = [25.0, 40.0, 50.0, 100.0, 128.0, 200.0, 400.0, 800.0];
 const LOSSES: [f64; 3] = [0.0, 0.01, 0.05];

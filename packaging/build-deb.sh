@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-profile=release
+profile=dist
 if [ "${1:-}" = --profile ]; then profile=$2; fi
 case $profile in
   dev) folder=debug ;;

@@ -1,9 +1,6 @@
 //! The systemd units, the plain one and that of instances, judged by systemd itself: `systemd-analyze verify` has nothing to say and `security` scores it 1.6
 //! or better. Skipped, with a note, where there is no `systemd-analyze`.
 
-#[path = "world/skip.rs"]
-mod skip;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -20,7 +17,7 @@ fn analyze(arguments: &[&str], unit: &Path) -> Option<Output> {
     match Command::new("systemd-analyze").args(arguments).arg(unit).output() {
         Ok(output) => Some(output),
         Err(error) => {
-            skip::tool(false, "systemd-analyze", &error.to_string());
+            vn100_testkit::tool(false, "systemd-analyze", &error.to_string());
             None
         }
     }

@@ -1,7 +1,7 @@
 //! A capture of the demonstration's sensor, for the benches that read one.
 
-use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
-use vn100d::simulator::{Simulator, default_model};
+use imu_core::sample::{Channel, Record, Sample, Segment, Timebase};
+use imu_model::simulator::{Simulator, default_model};
 use vn100d::store::{NewCapture, Store};
 
 const START_NS: i64 = 1_800_000_000_000_000_000;

@@ -5,14 +5,14 @@ use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::control::CaptureRequest;
-use crate::sample::audit::Report;
 use crate::store::{CaptureFilter, CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
-use crate::units::{format_duration, parse_duration};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use chrono::{DateTime, Utc};
+use imu_core::sample::audit::Report;
+use imu_core::units::{format_duration, parse_duration};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 

@@ -5,12 +5,12 @@ use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::jobs::JobError;
-use crate::simulator::SensorModel;
 use crate::store::{ModelHead, ModelRow, StoreError, UtcNs};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use imu_model::simulator::SensorModel;
 use serde::Serialize;
 use serde_json::Value;
 

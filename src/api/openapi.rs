@@ -76,7 +76,7 @@ pub(super) fn route(document: &Document) -> Router<ApiState> {
 mod tests {
     use super::*;
 
-    /// Renew with `VN100D_BLESS=1 cargo test --lib openapi`.
+    /// Renew with `VN100D_BLESS=1 cargo test -p vn100d --lib openapi`.
     #[test]
     fn the_kept_document_is_the_one_served() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/openapi.json");
@@ -86,7 +86,7 @@ mod tests {
         let kept = std::fs::read_to_string(path).unwrap_or_default();
         assert!(
             kept == document(),
-            "docs/openapi.json is not current: VN100D_BLESS=1 cargo test --lib openapi renews it"
+            "docs/openapi.json is not current: VN100D_BLESS=1 cargo test -p vn100d --lib openapi renews it"
         );
     }
 

@@ -9,17 +9,17 @@ use super::problem::{ApiError, ProblemType};
 use super::samples;
 use super::state::ApiState;
 use super::status::StatusBody;
-use crate::export::paste::NoiseDocument;
 use crate::gallery::{Documents, Facts, Picture};
 use crate::jobs::{JobError, JobKind};
-use crate::noise::NoiseReport;
 use crate::observe::Trace;
 use crate::page::{self, CaptureView, DashboardView, Figure, Minute, SeriesView, Stored};
 use crate::store::{JobRow, JobState, PageRequest, SOFTWARE, SampleRange};
-use crate::units::format_duration;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
+use imu_core::units::format_duration;
+use imu_files::export::paste::NoiseDocument;
+use imu_noise::NoiseReport;
 use serde::Deserialize;
 
 /// Nothing from elsewhere, and no script but the daemon's own file.

@@ -6,13 +6,13 @@ use super::layers::Streamed;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
 use super::stream::{self, Pieces};
-use crate::export::samples::{Bucket, TextFormat, TextHead, TextWriter};
-use crate::sample::Channel;
 use crate::store::{Chunk, Moment, PooledReader, Reader, SampleRange, StoreError, TimeAxis};
 use axum::Extension;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
+use imu_core::sample::Channel;
+use imu_files::export::samples::{Bucket, TextFormat, TextHead, TextWriter};
 use serde::Deserialize;
 use std::io;
 

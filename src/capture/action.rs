@@ -2,9 +2,9 @@
 
 use super::description::Registers;
 use super::port::{Latency, OpenError};
-use crate::protocol::{DeviceError, MeasurementKind, Reply};
-use crate::sample::{EventKind, GapCause, RateDoubt};
+use imu_core::sample::{EventKind, GapCause, RateDoubt};
 use std::path::PathBuf;
+use vn100_proto::{DeviceError, MeasurementKind, Reply};
 
 /// A serial port that was found.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use super::port::Latency;
 use crate::observe::SensorStatus;
-use crate::protocol::MeasurementKind;
 use std::collections::BTreeMap;
+use vn100_proto::MeasurementKind;
 
 /// Register contents by number.
 pub type Registers = BTreeMap<u16, String>;

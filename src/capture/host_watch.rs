@@ -4,7 +4,7 @@
 //! (`CLOCK_BOOTTIME`), one that does not (`CLOCK_MONOTONIC`), and civil time. NTP slews all of them alike, so that a
 //! change between civil and monotonic time is a step.
 
-use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
+use imu_core::sample::accounting::UTC_UNSET_BEFORE_NS;
 
 /// The host stood still if the loop did not run for this long beyond its tick, ns.
 const STALL_NS: u64 = 1_000_000_000;

@@ -1,4 +1,4 @@
-//! Capture: from a serial port to [`crate::sample::Record`]s, unattended.
+//! Capture: from a serial port to [`imu_core::sample::Record`]s, unattended.
 //!
 //! [`session`] (with [`action`], [`script`], [`output`] and [`backoff`]) makes the decisions about the connection,
 //! [`recorder`] those about the capture; both are pure. [`port`] is the serial port, and [`task`] applies the decisions

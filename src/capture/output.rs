@@ -1,8 +1,8 @@
 //! Output: the requested output of the sensor, the output that its registers state, and whether that fits the line.
 //! Pure.
 
-use crate::protocol::register::{BinaryOutput, CommunicationControl, SyncControl};
-use crate::protocol::{AsciiType, FrameOptions, MeasurementKind, frame_bytes, link, max_rate_hz};
+use vn100_proto::register::{BinaryOutput, CommunicationControl, SyncControl};
+use vn100_proto::{AsciiType, FrameOptions, MeasurementKind, frame_bytes, link, max_rate_hz};
 
 /// The requested output of the sensor.
 #[derive(Debug, Clone, PartialEq)]

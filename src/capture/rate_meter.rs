@@ -1,7 +1,7 @@
 //! Rate meter: determines what a sensor sends and how often, if its registers do not state it. Pure.
 
 use super::output::is_binary;
-use crate::protocol::{MeasurementKind, link};
+use vn100_proto::{MeasurementKind, link};
 
 /// The maximum deviation of a measured rate from one that the sensor supports.
 const NEAR: f64 = 0.02;

@@ -5,12 +5,12 @@
 //! capture.
 
 use crate::observe::Tally;
-use crate::sample::accounting::{Position, host_elapsed_ns};
-use crate::sample::record::CaptureEnd;
-use crate::sample::{
+use imu_core::sample::accounting::{Position, host_elapsed_ns};
+use imu_core::sample::record::CaptureEnd;
+use imu_core::sample::{
     Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, RateDoubt, Record, Sample, Timebase,
 };
-use crate::units::period_ns;
+use imu_core::units::period_ns;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Silence that counts as an outage when the capture is stopped by hand: this long, ns, and this many periods.
@@ -526,7 +526,7 @@ fn timebase_of(last: &Position) -> Timebase {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::Channel;
+    use imu_core::sample::Channel;
 
     const PERIOD_NS: u64 = 25_000_000;
 

@@ -1,8 +1,8 @@
 //! Script: sends commands to the sensor, one after the other. Each is answered, refused or abandoned. Pure.
 
 use super::action::Action;
-use crate::protocol::{ChecksumKind, Command, DeviceError, Reply, Verb};
 use std::collections::{BTreeMap, VecDeque};
+use vn100_proto::{ChecksumKind, Command, DeviceError, Reply, Verb};
 
 /// The time limit for an answer, ns. A reply of 100 characters at 9600 baud behind a full output buffer of the sensor
 /// takes 2.2 s; at common rates it arrives within 20 ms.

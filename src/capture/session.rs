@@ -19,9 +19,9 @@ use super::port::Latency;
 use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
-use crate::protocol::{Command, MeasurementKind};
-use crate::sample::{EventKind, GapCause, RateDoubt};
+use imu_core::sample::{EventKind, GapCause, RateDoubt};
 use rand_chacha::ChaCha8Rng;
+use vn100_proto::{Command, MeasurementKind};
 
 mod configure;
 mod connect;

@@ -7,9 +7,10 @@ use super::recorder::{Counts, Plan, Recorder, ResumePoint};
 use super::session::{Session, SessionOptions};
 use crate::clock::Clock;
 use crate::observe::{SensorState, SensorStatus, Tally};
-use crate::protocol::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
-use crate::sample::device_clock::{ClockEstimate, DeviceClock};
-use crate::sample::{Accountant, DiscardCause, EventKind, EventRecord, GapCause, RateDoubt, Record, Sample, Timebase};
+use imu_core::sample::device_clock::{ClockEstimate, DeviceClock};
+use imu_core::sample::{
+    Accountant, DiscardCause, EventKind, EventRecord, GapCause, RateDoubt, Record, Sample, Timebase,
+};
 use rand::SeedableRng;
 use std::collections::VecDeque;
 use std::path::PathBuf;
@@ -19,6 +20,7 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_serial::SerialStream;
+use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, Event, MeasurementKind};
 
 /// The interval at which time-outs, discards and progress are examined, in real time.
 const TICK: Duration = Duration::from_millis(200);

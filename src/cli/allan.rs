@@ -4,7 +4,7 @@ use super::analysis;
 use super::args::{AllanArgs, Estimator as Named, Format, Taus};
 use super::{Context, Outcome, print_json, table};
 use crate::jobs::{JobParameters, direct};
-use crate::noise::allan::{AllanReport, Estimator, TauSpacing};
+use imu_noise::allan::{AllanReport, Estimator, TauSpacing};
 use std::io::Write as _;
 
 /// Prints the curves.

@@ -2,12 +2,12 @@
 
 use super::{CliError, Context, Failure};
 use crate::clock::{Clock as _, SystemClock};
-use crate::datasheet::FilterWindows;
 use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor};
-use crate::recording::{Kind, LoadedRecording, Options, load_columns};
-use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, Missing, Reader, StoreError};
-use crate::units::NANOS_PER_SECOND;
+use imu_core::sample::{Channel, Triad};
+use imu_core::units::NANOS_PER_SECOND;
+use imu_files::recording::{Kind, LoadedRecording, Options, load_columns};
+use imu_noise::datasheet::FilterWindows;
 use std::ops::Range;
 use std::path::Path;
 

@@ -1,13 +1,12 @@
 //! Arguments: the command line as `clap` reads it.
 
-use crate::datasheet::{Datasheet, DatasheetError};
-use crate::diagnosis;
-use crate::export::Target;
 use crate::jobs::StatedSampling;
-use crate::model_fit::effects_named;
-use crate::units::parse_duration;
-use clap::builder::PossibleValue;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use imu_core::units::parse_duration;
+use imu_diagnosis::model_fit::effects_named;
+use imu_files::export::Target;
+use imu_noise::datasheet::{Datasheet, DatasheetError};
 use std::path::PathBuf;
 use std::sync::LazyLock;
 use std::time::Duration;
@@ -276,19 +275,20 @@ impl ValueEnum for NoiseFormat {
             Self::Table => Some(PossibleValue::new("table")),
             Self::Json => Some(PossibleValue::new("json")),
             Self::Csv => Some(PossibleValue::new("csv")),
-            Self::For(target) => target.to_possible_value(),
+            Self::For(target) => Some(possible(*target)),
         }
     }
 }
 
-impl ValueEnum for Target {
-    fn value_variants<'a>() -> &'a [Self] {
-        &Self::ALL
-    }
+/// A program's name as a value of an argument.
+fn possible(target: Target) -> PossibleValue {
+    PossibleValue::new(target.name()).help(target.about())
+}
 
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.name()).help(self.about()))
-    }
+/// Parses the name of a program.
+fn target() -> impl TypedValueParser<Value = Target> {
+    PossibleValuesParser::new(Target::ALL.map(possible))
+        .try_map(|name| Target::from_name(&name).ok_or("expected one of the programs"))
 }
 
 /// Forms of a table.
@@ -438,7 +438,7 @@ pub struct DiagnoseArgs {
     #[arg(long)]
     pub calibrate: bool,
     /// Part of the gap above which what remains without a name makes the verdict `unknown_effect`, from 0 to 1
-    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = diagnosis::MATERIAL)]
+    #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = imu_diagnosis::MATERIAL)]
     pub unknown_above: f64,
     /// Write the model here with its parameters corrected and what it lacked added
     #[arg(long, value_name = "OUT.json")]
@@ -667,7 +667,7 @@ pub enum ModelCommand {
         /// The model
         file: PathBuf,
         /// For which program
-        #[arg(long, value_enum)]
+        #[arg(long, value_parser = target())]
         format: Target,
     },
 }

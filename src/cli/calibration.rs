@@ -1,14 +1,14 @@
 //! Calibration on the command line: what chance finds in records like this one, found once and kept.
 
 use super::progress::bar;
-use crate::diagnosis::Recording;
-use crate::diagnosis::calibration::{Nulls, RECORDS};
-use crate::diagnosis::prepare;
-use crate::diagnosis::prices::Tails;
 use crate::jobs::TwoThreads;
-use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
+use imu_diagnosis::Recording;
+use imu_diagnosis::calibration::{Nulls, RECORDS};
+use imu_diagnosis::prepare;
+use imu_diagnosis::prices::Tails;
+use imu_model::simulator::SensorModel;
 use sha2::{Digest as _, Sha256};
 use std::io::Write as _;
 use std::path::PathBuf;

@@ -3,14 +3,14 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
-use crate::diagnosis::report::{Cause, Driver, Hint, Of, Offset, Place, Sense};
-use crate::diagnosis::{self, Diagnosis, DiagnosisError, Drawings, Options, Reference};
 use crate::jobs::{TwoThreads, gridded};
-use crate::motion::file::Rows;
 use crate::page;
-use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
+use imu_diagnosis::report::{Cause, Driver, Hint, Of, Offset, Place, Sense};
+use imu_diagnosis::{Diagnosis, DiagnosisError, Drawings, Options, Reference};
+use imu_model::motion::file::Rows;
+use imu_model::simulator::SensorModel;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -46,7 +46,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         tails: tails.as_ref(),
         ..Options::default()
     };
-    let outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options);
+    let outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options);
     let mut outcome = outcome.map_err(|error| refused(&error))?;
     if let Some(path) = &args.reference {
         outcome.diagnosis.inputs.insert("reference", path.display().to_string());
@@ -83,7 +83,7 @@ fn reference(path: &Path) -> anyhow::Result<Reference> {
 fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<(SensorModel, Option<String>)> {
     let path = Path::new(&args.sim);
     let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
-    let same_rate = |sim_hz| diagnosis::same_rate(real_hz, sim_hz).map_err(|error| refused(&error));
+    let same_rate = |sim_hz| imu_diagnosis::same_rate(real_hz, sim_hz).map_err(|error| refused(&error));
     if is_model {
         let sim = model::load(path)?;
         same_rate(sim.rate_hz)?;
@@ -91,7 +91,7 @@ fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Re
     }
     let together = analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?;
     same_rate(together.plan.rate_hz)?;
-    Ok(model::fitted(together, &diagnosis::effect_names(), None)?.fitted.as_law()?)
+    Ok(model::fitted(together, &imu_diagnosis::effect_names(), None)?.fitted.as_law()?)
 }
 
 fn refused(error: &DiagnosisError) -> anyhow::Error {

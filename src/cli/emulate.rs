@@ -9,14 +9,14 @@ use crate::emulator::replay::Replay;
 use crate::emulator::source::Source;
 use crate::emulator::terminal::{EmulatorError, Terminal, TerminalOptions};
 use crate::emulator::{SensorOptions, VirtualSensor};
-use crate::protocol::register::{ASYNC_RATE, BAUD_RATE};
-use crate::simulator::{SensorModel, default_model};
 use anyhow::Context as _;
+use imu_model::simulator::{SensorModel, default_model};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use tokio::signal::unix::{SignalKind, signal};
+use vn100_proto::register::{ASYNC_RATE, BAUD_RATE};
 
 /// Runs until Ctrl-C, SIGTERM or the end of `--duration`.
 pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {

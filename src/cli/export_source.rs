@@ -2,10 +2,10 @@
 
 use super::Context;
 use crate::clock::{Clock as _, SystemClock};
-use crate::export::samples::{About, Rows, Tally};
-use crate::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
-use crate::sample::{Channel, Gap, Record, Sample};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
+use imu_core::sample::{Channel, Gap, Record, Sample};
+use imu_files::export::samples::{About, Rows, Tally};
+use imu_files::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
 use std::path::Path;
 
 /// Samples of a block: one short query, some 1 MB.

@@ -7,11 +7,11 @@ use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::SystemClock;
 use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
-use crate::recording::{
-    ColumnMap, DefinitionError, Input, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
-};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
+use imu_files::recording::{
+    ColumnMap, DefinitionError, Input, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
+};
 use std::io::{Read as _, Write as _};
 use std::path::Path;
 

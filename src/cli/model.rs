@@ -5,11 +5,11 @@ use super::args::{EffectNames, ModelArgs, ModelCommand};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
-use crate::export::ImuNoise;
 use crate::jobs::{self, Fitted, TwoThreads};
-use crate::model_fit::{Difference, differences};
-use crate::simulator::SensorModel;
 use anyhow::Context as _;
+use imu_diagnosis::model_fit::{Difference, differences};
+use imu_files::export::ImuNoise;
+use imu_model::simulator::SensorModel;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -233,7 +233,7 @@ fn show_differences(found: &[Difference]) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::Channel;
+    use imu_core::sample::Channel;
     use serde_json::json;
 
     /// The first quarter of the record is a turn: it is in no level, and no effect explains it.

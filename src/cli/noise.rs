@@ -3,12 +3,12 @@
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat, SheetChoice};
 use super::{CliError, Context, Failure, Outcome, print_json, table};
-use crate::datasheet::{Comparison, Datasheet, Verdict, compare_report};
-use crate::export::paste::{NoiseDocument, Paste};
 use crate::jobs::direct;
-use crate::noise::fit::{Estimate, NoiseReport};
-use crate::simulator::SensorModel;
 use anyhow::Context as _;
+use imu_files::export::paste::{NoiseDocument, Paste};
+use imu_model::simulator::SensorModel;
+use imu_noise::datasheet::{Comparison, Datasheet, Verdict, compare_report};
+use imu_noise::fit::{Estimate, NoiseReport};
 use serde_json::Value;
 use std::io::Write as _;
 
@@ -288,8 +288,8 @@ mod tests {
     use super::super::analysis::Together;
     use super::*;
     use crate::jobs::StatedSampling;
-    use crate::noise::fit::{Flag, GaussMarkov};
-    use crate::sample::Channel;
+    use imu_core::sample::Channel;
+    use imu_noise::fit::{Flag, GaussMarkov};
 
     const FAR: f64 = 1e9;
 
@@ -354,7 +354,7 @@ mod tests {
         assert_eq!((found.at_rest_s, found.moving_s, count(&found, "not_at_rest")), (Some(0.0), Some(100.0), 1));
         let channel = of(&found);
         assert!(channel.n.value.is_none() && channel.n.upper_limit95.is_none(), "{channel:?}");
-        let compared = compare_report(&crate::datasheet::vn_100(), &found, None).unwrap();
+        let compared = compare_report(&imu_noise::datasheet::vn_100(), &found, None).unwrap();
         assert_eq!(compared.channels[&Channel::GyroX].verdict, Verdict::NotAtRest);
         let together = opened(path);
         let parameters = crate::jobs::JobKind::Allan.parameters(&Value::Null).unwrap();
@@ -377,7 +377,7 @@ mod tests {
             ("repoimu/TStick_Test01_Static.csv.gz", 0.0..=0.0),
             ("broad/26_disturbed_phone_vibration_A.csv.gz", 0.5..=0.7),
         ] {
-            let Some(path) = crate::skip::real_data(file) else { return };
+            let Some(path) = vn100_testkit::real_data(file) else { return };
             let found = report(opened(path.to_str().unwrap().to_owned()));
             let (at_rest_s, moving_s) = (found.at_rest_s.unwrap(), found.moving_s.unwrap());
             let share = moving_s / (at_rest_s + moving_s);

@@ -7,7 +7,7 @@ use crate::capture::session::SessionOptions;
 use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
 use crate::clock::{Clock, SystemClock};
 use crate::config::Overrides;
-use crate::sample::Record;
+use imu_core::sample::Record;
 use std::io::Write as _;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;

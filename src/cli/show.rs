@@ -2,10 +2,10 @@
 
 use super::{Context, Outcome, print_json, table};
 use crate::clock::{Clock as _, SystemClock};
-use crate::recording::{Options, load_columns};
-use crate::sample::GapCause;
-use crate::sample::audit::{Report, Unchecked};
 use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow, StoreError};
+use imu_core::sample::GapCause;
+use imu_core::sample::audit::{Report, Unchecked};
+use imu_files::recording::{Options, load_columns};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;

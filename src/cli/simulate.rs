@@ -6,13 +6,13 @@ use super::output::{Output, is_same, refuse_without_room};
 use super::progress::{SAMPLES, bar};
 use super::{CliError, Context, Failure, Outcome, print_json};
 use crate::clock::{Clock as _, SystemClock};
-use crate::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
-use crate::motion::{Course, Kind, Site, Temperatures, gravity};
-use crate::sample::Channel;
-use crate::simulator::records::Records;
-use crate::simulator::{Block, Motion, SensorModel, Simulator};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
+use imu_core::sample::Channel;
+use imu_model::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
+use imu_model::motion::{Course, Kind, Site, Temperatures, gravity};
+use imu_model::simulator::records::Records;
+use imu_model::simulator::{Block, Motion, SensorModel, Simulator};
 use indicatif::ProgressBar;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
@@ -113,7 +113,7 @@ struct Made {
 }
 
 /// A motion's rows that failed are told here: an iterator cannot.
-type Failed = Arc<Mutex<Option<crate::motion::file::MotionError>>>;
+type Failed = Arc<Mutex<Option<imu_model::motion::file::MotionError>>>;
 
 /// A motion that broke off has been simulated in part only.
 fn whole(failed: &Failed) -> anyhow::Result<()> {

@@ -1,8 +1,8 @@
 //! `vn100d status`: what the running daemon says of itself.
 
 use super::client::{self, ClientError, shown};
-use crate::units::format_duration;
 use comfy_table::{Table, presets};
+use imu_core::units::format_duration;
 use serde_json::Value;
 use std::time::Duration;
 

@@ -9,10 +9,10 @@ use super::sealed::{Sealed, Shape, Threshold, read, usage, words, write};
 use super::trial_on::Ground;
 use super::{Context, Outcome, print_json, trial_show};
 use crate::store::SOFTWARE;
-use crate::trial::again::{Again, Diagnoses, closed_under};
-use crate::trial::impose::SAMPLES_MIN;
-use crate::trial::page::page;
-use crate::trial::{Answer, Key, Rates, Report, Score, Suite, Wanted, judge};
+use imu_trial::again::{Again, Diagnoses, closed_under};
+use imu_trial::impose::SAMPLES_MIN;
+use imu_trial::page::page;
+use imu_trial::{Answer, Key, Rates, Report, Score, Suite, Wanted, judge};
 
 /// Runs a trial and says what it came to.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
@@ -89,6 +89,6 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
 }
 
 fn unknown(name: &str) -> anyhow::Error {
-    let names: Vec<&str> = crate::trial::suite::SUITES.iter().map(|suite| suite.name).collect();
+    let names: Vec<&str> = imu_trial::suite::SUITES.iter().map(|suite| suite.name).collect();
     usage(format!("--suite {name}: there is none of this name; expected {}", names.join(", ")))
 }

@@ -6,15 +6,15 @@
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
 use super::sealed::{Sealed, Shape, Threshold, discrepancy, usage, words};
 use super::{Context, Outcome, print_json, table};
-use crate::diagnosis::{self, Options};
-use crate::sample::Triad;
 use crate::store::SOFTWARE;
-use crate::trial::Manifest;
-use crate::trial::motion::case::{SAMPLES_MIN, pack, unpack};
-use crate::trial::motion::score::RATES;
-use crate::trial::motion::{Case, Key, Score, judge, plan};
-use crate::trial::page::{self, percent};
 use anyhow::Context as _;
+use imu_core::sample::Triad;
+use imu_diagnosis::Options;
+use imu_trial::Manifest;
+use imu_trial::motion::case::{SAMPLES_MIN, pack, unpack};
+use imu_trial::motion::score::RATES;
+use imu_trial::motion::{Case, Key, Score, judge, plan};
+use imu_trial::page::{self, percent};
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
 
@@ -77,7 +77,7 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         let (recording, model, reference) = unpack(&bytes)?;
         drop(bytes);
         let options = Options { software: SOFTWARE, real: "sealed case", sim: "its model", ..Options::default() };
-        let outcome = diagnosis::diagnose_moved(&recording, &reference, &model, &options)?;
+        let outcome = imu_diagnosis::diagnose_moved(&recording, &reference, &model, &options)?;
         serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
         return Ok(Outcome::Done);
     }
@@ -100,9 +100,9 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         TrialPart::Truth => {
             let case = draw(args.case)?;
             let (recording, rows) = case.record();
-            let reference = diagnosis::Reference::new(rows)?;
+            let reference = imu_diagnosis::Reference::new(rows)?;
             let options = Options::default();
-            let outcome = diagnosis::diagnose_moved(&recording, &reference, &case.model(true)?, &options)?;
+            let outcome = imu_diagnosis::diagnose_moved(&recording, &reference, &case.model(true)?, &options)?;
             serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
         }
         TrialPart::Again | TrialPart::Own | TrialPart::Diagnose => {}
@@ -122,7 +122,7 @@ fn show(score: &Score) -> std::io::Result<()> {
     writeln!(stdout, "{rows}")?;
     let mut rows = table(&["alone", "right", "from 3 limits", "unknown", "spurious", "intervals", "closed", "90 % at"]);
     for of in &score.kinds {
-        let share = |rate: crate::trial::interval::Rate| format!("{}/{}", rate.count, rate.of);
+        let share = |rate: imu_trial::interval::Rate| format!("{}/{}", rate.count, rate.of);
         rows.add_row([
             of.kind.name().to_owned(),
             share(of.right_first),

@@ -4,13 +4,13 @@
 use super::args::TrialArgs;
 use super::sealed::each;
 use super::{CliError, Context, Failure, analysis};
-use crate::diagnosis::{self, Options, Recording};
 use crate::jobs::gridded;
-use crate::simulator::SensorModel;
-use crate::trial::limit::STUDY;
-use crate::trial::parcel::Parcel;
-use crate::trial::{Kind, Report, Stretch, Survey, parcel, recorded};
 use anyhow::Context as _;
+use imu_diagnosis::{Options, Recording};
+use imu_model::simulator::SensorModel;
+use imu_trial::limit::STUDY;
+use imu_trial::parcel::Parcel;
+use imu_trial::{Kind, Report, Stretch, Survey, parcel, recorded};
 use std::path::{Path, PathBuf};
 
 /// Samples that half a stretch has at least to be diagnosed under the model of the other.
@@ -84,7 +84,7 @@ fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
     for round in 0..ROUNDS {
         // Of a device that nobody described nothing is believed; of a model that was fitted it is.
         let options = Options { believed: round > 0, ..Options::default() };
-        let outcome = diagnosis::diagnose(recording, &model, &options)?;
+        let outcome = imu_diagnosis::diagnose(recording, &model, &options)?;
         let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
         named = report.causes.into_iter().map(|cause| (cause.effect, cause.channels)).collect();
         if named.is_empty() && round > 0 {
@@ -103,7 +103,7 @@ fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
     let Ok(halves) = recorded::cut_in(stretch, stretch.len() / 2, HALF_MIN) else { return Ok(None) };
     let [first, second, ..] = halves.as_slice() else { return Ok(None) };
     let model = of_itself(first)?.model;
-    let outcome = diagnosis::diagnose(second, &model, &Options::default())?;
+    let outcome = imu_diagnosis::diagnose(second, &model, &Options::default())?;
     let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
     Ok(Some((report.verdict, report.causes.len())))
 }

@@ -3,14 +3,14 @@
 use super::args::{TrialPart, TrialPartArgs};
 use super::sealed::words;
 use super::{Context, Outcome, analysis, trial_on};
-use crate::diagnosis::{self, Diagnosis, Options, Recording};
 use crate::jobs::gridded;
-use crate::simulator::SensorModel;
 use crate::store::SOFTWARE;
-use crate::trial::again::{Diagnoses, simulated};
-use crate::trial::parcel::Parcel;
-use crate::trial::{Case, Key, Manifest, Wanted, case, parcel, plan};
 use anyhow::Context as _;
+use imu_diagnosis::{Diagnosis, Options, Recording};
+use imu_model::simulator::SensorModel;
+use imu_trial::again::{Diagnoses, simulated};
+use imu_trial::parcel::Parcel;
+use imu_trial::{Case, Key, Manifest, Wanted, case, parcel, plan};
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
 
@@ -81,7 +81,7 @@ pub(super) fn run(context: &Context, args: &TrialPartArgs) -> anyhow::Result<Out
 fn diagnosed(context: &Context, parcel: &Parcel) -> anyhow::Result<(Diagnosis, SensorModel)> {
     let options = Options { software: SOFTWARE, real: "sealed case", sim: "its model", ..Options::default() };
     if !parcel.table {
-        let outcome = diagnosis::diagnose(&parcel.recording, &parcel.model, &options)?;
+        let outcome = imu_diagnosis::diagnose(&parcel.recording, &parcel.model, &options)?;
         return Ok((outcome.diagnosis, outcome.augmented));
     }
     let folder = tempfile::tempdir().context("no temporary folder can be made")?;
@@ -89,7 +89,7 @@ fn diagnosed(context: &Context, parcel: &Parcel) -> anyhow::Result<(Diagnosis, S
     super::sealed::write(&file, parcel::table(&parcel.recording).as_bytes())?;
     let together = analysis::open(context, &[file.display().to_string()], None)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
-    let mut outcome = diagnosis::diagnose(&gridded.recording, &parcel.model, &options)?;
+    let mut outcome = imu_diagnosis::diagnose(&gridded.recording, &parcel.model, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     Ok((outcome.diagnosis, outcome.augmented))
 }

@@ -1,9 +1,9 @@
 //! What a trial came to, on a terminal.
 
 use super::table;
-use crate::trial::page::{limit, percent, size};
-use crate::trial::score::Miss;
-use crate::trial::{Score, Sense, Suite};
+use imu_trial::page::{limit, percent, size};
+use imu_trial::score::Miss;
+use imu_trial::{Score, Sense, Suite};
 use std::io::Write as _;
 
 /// Misses that are listed on a terminal; JSON and page have all.
@@ -63,7 +63,7 @@ pub(super) fn show(score: &Score) -> std::io::Result<()> {
 
 /// A case that went wrong, in a line.
 fn missed(miss: &Miss) -> String {
-    let has = |(kind, sense): (&crate::trial::Kind, &Sense)| match sense {
+    let has = |(kind, sense): (&imu_trial::Kind, &Sense)| match sense {
         Sense::Missing => kind.name().to_owned(),
         Sense::Superfluous => format!("{kind} superfluous"),
         Sense::Size => format!("{kind} of another size"),

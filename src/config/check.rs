@@ -3,7 +3,7 @@
 
 use super::sections::{Config, ScheduleConfig};
 use super::values::{Baud, Output};
-use crate::units::{IMU_RATE_HZ, format_duration};
+use imu_core::units::{IMU_RATE_HZ, format_duration};
 use std::time::Duration;
 
 /// Baud rates of register 5 that Linux supports too (termios has no 128000).

@@ -3,7 +3,7 @@
 
 use super::values::{Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook};
 use crate::observe::NotifyEvent;
-use crate::units::{IMU_RATE_HZ, duration_text};
+use imu_core::units::{IMU_RATE_HZ, duration_text};
 use serde::{Deserialize, Serialize};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;

@@ -1,8 +1,8 @@
 //! Values of the configuration beyond plain numbers and texts. Each is read with an error that states the allowed
 //! values, and written in the form in which it is read.
 
-use crate::units::{format_duration, parse_duration};
 use chrono::{NaiveTime, Weekday};
+use imu_core::units::{format_duration, parse_duration};
 use serde::de::{self, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;

@@ -3,9 +3,9 @@
 
 use super::resume_point;
 use crate::capture::recorder::{Plan, Recorder};
-use crate::sample::audit::Report;
-use crate::sample::{Channel, DiscardCause, GapCause, Record, Sample, Timebase};
 use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
+use imu_core::sample::audit::Report;
+use imu_core::sample::{Channel, DiscardCause, GapCause, Record, Sample, Timebase};
 use proptest::prelude::*;
 use std::path::Path;
 

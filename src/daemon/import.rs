@@ -3,11 +3,11 @@
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
 use crate::jobs::{Jobs, SAMPLING_KEY, SamplingError, StatedSampling};
-use crate::recording::{
+use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
+use imu_files::recording::{
     ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
     RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
 };
-use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Read;

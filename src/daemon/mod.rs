@@ -28,8 +28,8 @@ use crate::control::{CaptureControl, CaptureRequest};
 use crate::jobs::{JobError, Jobs, JobsOptions, Live, Place};
 use crate::notify::{Notifier, Tap};
 use crate::observe::{Metrics, RetentionStatus, SharedRecent, Status, Tally};
-use crate::sample::{DiscardCause, Record, Sample};
 use crate::store::{RecordSender, Refused, Store, StoreError, StoreOptions};
+use imu_core::sample::{DiscardCause, Record, Sample};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -354,8 +354,8 @@ pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
             })?,
         },
         crate::config::Output::Ascii(message) => Output::Ascii {
-            number: crate::protocol::AsciiType::from_header(message.as_bytes())
-                .map(crate::protocol::AsciiType::id)
+            number: vn100_proto::AsciiType::from_header(message.as_bytes())
+                .map(vn100_proto::AsciiType::id)
                 .ok_or_else(|| refuse(format!("`{message}` is no ASCII message of a VN-100")))?,
             rate_hz: sensor.rate_hz as u32,
         },
@@ -388,11 +388,13 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
         missing: unfinished.missing,
         gaps: unfinished.gaps,
         elapsed_ns: unfinished.sample_time_ns,
-        last: unfinished.last.map(|(device_time_ns, host_mono_ns, host_utc_ns)| crate::sample::accounting::Position {
-            device_time_ns,
-            sync_count: unfinished.last_sync_count,
-            host_mono_ns: if same_boot && host_mono_ns <= mono_ns { host_mono_ns } else { 0 },
-            host_utc_ns,
+        last: unfinished.last.map(|(device_time_ns, host_mono_ns, host_utc_ns)| {
+            imu_core::sample::accounting::Position {
+                device_time_ns,
+                sync_count: unfinished.last_sync_count,
+                host_mono_ns: if same_boot && host_mono_ns <= mono_ns { host_mono_ns } else { 0 },
+                host_utc_ns,
+            }
         }),
         rate_hz: unfinished.stream.map(|(rate_hz, _)| rate_hz),
         serial_number: unfinished

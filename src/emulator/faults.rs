@@ -4,11 +4,11 @@
 //! unplug 10s`. On standard input the time is omitted, and the fault occurs at once.
 
 use super::sensor::TICK_NS;
-use crate::protocol::link::{BAUD_RATES, INTERNAL_RATE_HZ};
-use crate::protocol::register::{BINARY_OUTPUT_1, BinaryOutput};
-use crate::protocol::{AsciiType, BinaryHeader};
-use crate::units::{format_duration, parse_duration};
+use imu_core::units::{format_duration, parse_duration};
 use std::time::Duration;
+use vn100_proto::link::{BAUD_RATES, INTERNAL_RATE_HZ};
+use vn100_proto::register::{BINARY_OUTPUT_1, BinaryOutput};
+use vn100_proto::{AsciiType, BinaryHeader};
 
 /// A fault of a sensor or its line.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -5,9 +5,9 @@
 //! down, delta theta and velocity (rate × interval). Heave and the uncertainty of the angles are not modelled and are
 //! 0.
 
-use crate::protocol::{Measurement, MeasurementKind, Quantity};
-use crate::sample::Channel;
-use crate::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
+use imu_core::sample::Channel;
+use imu_core::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
+use vn100_proto::{Measurement, MeasurementKind, Quantity};
 
 /// One value per channel, in the order of [`Channel::ALL`] and in the units that the sensor sends.
 pub type Values = [f64; Channel::COUNT];
@@ -94,7 +94,7 @@ pub fn measure(kind: MeasurementKind, values: &Values, interval_s: f64) -> Measu
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::protocol::{AsciiType, BinaryHeader};
+    use vn100_proto::{AsciiType, BinaryHeader};
 
     fn close(found: &[f64], expected: &[f64]) {
         assert_eq!(found.len(), expected.len());

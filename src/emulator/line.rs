@@ -1,8 +1,8 @@
 //! Line: determines what happens to each frame between the sensor and the terminal. Pure.
 
-use crate::protocol::binary::SYNC;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use vn100_proto::binary::SYNC;
 
 /// The maximum number of random bytes before one frame: more would delay the stream by more than a frame at 115200
 /// baud.

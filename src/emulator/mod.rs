@@ -1,7 +1,7 @@
 //! Emulator: a VN-100 that accepts commands, on a pseudo-terminal.
 //!
 //! [`sensor`] is the sensor itself, pure: bytes and ticks in, bytes out. [`registers`] is its memory, and [`instant`]
-//! converts channel values to the content of its messages. The encoder is the protocol room's, tested against published
+//! converts channel values to the content of its messages. The encoder is that of `vn100-proto`, tested against published
 //! vectors and recordings, so that decoder and emulator cannot share an error. [`replay`] replaces the stream by a
 //! recording; [`source`] is either a recording or simulated noise. [`terminal`] is the shell around either. [`faults`]
 //! describes faults, and [`line`] and [`uart`] apply them; [`outbox`] tracks the fate of each frame.

@@ -7,14 +7,14 @@
 //! Source: user manual UM001 rev 2.45, chapters 5–7; defaults of firmware 3.1 if recordings show them.
 
 use super::faults::Format;
-use crate::protocol::link::{self, ASCII_RATES_HZ, BAUD_RATES, BITS_PER_BYTE, DEFAULT_BAUD, INTERNAL_RATE_HZ};
-use crate::protocol::register::{
+use std::collections::BTreeMap;
+use vn100_proto::link::{self, ASCII_RATES_HZ, BAUD_RATES, BITS_PER_BYTE, DEFAULT_BAUD, INTERNAL_RATE_HZ};
+use vn100_proto::register::{
     ASYNC_RATE, ASYNC_TYPE, BAUD_RATE, BINARY_OUTPUT_1, BINARY_OUTPUT_3, BinaryOutput, COMMUNICATION,
     CommunicationControl, FIRMWARE, HARDWARE_REVISION, IMU_FILTER, ImuFilter, MODEL, SERIAL_NUMBER, SYNCHRONIZATION,
     SyncControl, USER_TAG,
 };
-use crate::protocol::{AsciiType, DeviceError, MeasurementKind, frame_bytes};
-use std::collections::BTreeMap;
+use vn100_proto::{AsciiType, DeviceError, MeasurementKind, frame_bytes};
 
 /// Longest user tag (register 0).
 const USER_TAG_BYTES: usize = 20;

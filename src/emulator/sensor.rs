@@ -10,13 +10,13 @@
 
 use super::instant::{Values, measure};
 use super::registers::{Change, RegisterFile};
-use crate::protocol::ascii::{Trailer, split_line};
-use crate::protocol::link::INTERNAL_RATE_HZ;
-use crate::protocol::register::{BINARY_OUTPUT_1, SYNCHRONIZATION_STATUS, SyncStatus};
-use crate::protocol::{AsciiType, ChecksumKind, DeviceError, MeasurementKind, Verb, encode};
-use crate::units::NANOS_PER_SECOND;
+use imu_core::units::NANOS_PER_SECOND;
 use std::collections::VecDeque;
 use std::ops::Range;
+use vn100_proto::ascii::{Trailer, split_line};
+use vn100_proto::link::INTERNAL_RATE_HZ;
+use vn100_proto::register::{BINARY_OUTPUT_1, SYNCHRONIZATION_STATUS, SyncStatus};
+use vn100_proto::{AsciiType, ChecksumKind, DeviceError, MeasurementKind, Verb, encode};
 
 /// Nanoseconds of one tick: 1/800 s, a whole number of microseconds, as a real TimeStartup is.
 pub const TICK_NS: u64 = NANOS_PER_SECOND / INTERNAL_RATE_HZ as u64;
@@ -545,7 +545,7 @@ impl VirtualSensor {
 
     /// The binary output of the port in use with the lowest register number: the one that a logger configured.
     #[must_use]
-    pub fn binary_output(&self) -> Option<(u16, crate::protocol::register::BinaryOutput)> {
+    pub fn binary_output(&self) -> Option<(u16, vn100_proto::register::BinaryOutput)> {
         let port = self.registers.port();
         (BINARY_OUTPUT_1..).zip(self.registers.settings().outputs).find(|(_, output)| output.is_sent_on(port))
     }

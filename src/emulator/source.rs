@@ -3,10 +3,10 @@
 use super::Values;
 use super::replay::Replay;
 use super::sensor::VirtualSensor;
-use crate::protocol::link::INTERNAL_RATE_HZ;
-use crate::protocol::register::{ASYNC_RATE, ASYNC_TYPE, BinaryOutput};
-use crate::sample::Channel;
-use crate::simulator::{SensorModel, Simulator, SimulatorError};
+use imu_core::sample::Channel;
+use imu_model::simulator::{SensorModel, Simulator, SimulatorError};
+use vn100_proto::link::INTERNAL_RATE_HZ;
+use vn100_proto::register::{ASYNC_RATE, ASYNC_TYPE, BinaryOutput};
 
 /// Length of the records for which the simulated spectra hold at the low end, s.
 const RECORD_LENGTH_S: f64 = 86_400.0;

@@ -12,9 +12,8 @@ use super::sensor::{TICK_NS, VirtualSensor};
 use super::source::{Source, Stream};
 use super::uart;
 use crate::clock::{Clock, ScaledClock};
-use crate::protocol::register::ASYNC_RATE;
-use crate::sample::Channel;
-use crate::simulator::SimulatorError;
+use imu_core::sample::Channel;
+use imu_model::simulator::SimulatorError;
 use rustix::event::{PollFd, PollFlags};
 use rustix::fs::OFlags;
 use rustix::io::Errno;
@@ -27,6 +26,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
+use vn100_proto::register::ASYNC_RATE;
 
 /// The longest sleep of the loop: the delay of an answer when nothing is sent.
 const NAP: Duration = Duration::from_millis(20);

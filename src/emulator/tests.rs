@@ -1,11 +1,9 @@
 //! Conversations with the virtual sensor, byte for byte.
 
 use super::{Notice, SensorOptions, Values, VirtualSensor};
-use crate::protocol::register::BinaryOutput;
-use crate::protocol::{
-    ChecksumKind, Command, Decoder, DecoderOptions, DeviceError, Event, Measurement, Quantity, encode,
-};
-use crate::sample::Channel;
+use imu_core::sample::Channel;
+use vn100_proto::register::BinaryOutput;
+use vn100_proto::{ChecksumKind, Command, Decoder, DecoderOptions, DeviceError, Event, Measurement, Quantity, encode};
 
 /// The first line of the manual's chapter on registers, for a sensor at rest on a desk.
 fn values() -> Values {
@@ -213,7 +211,7 @@ fn several_outputs_share_the_line_each_at_its_rate() {
 
 #[test]
 fn every_message_it_can_be_told_to_send_is_decoded() {
-    for ascii in crate::protocol::AsciiType::ALL {
+    for ascii in vn100_proto::AsciiType::ALL {
         let options = SensorOptions { firmware: "3.0.0.0".to_owned(), ..SensorOptions::default() };
         let mut sensor = VirtualSensor::new(&options);
         let write = format!("VNWRG,06,{}", ascii.id());
@@ -408,7 +406,7 @@ fn a_sensor_changes_rate_format_clock_and_identity_by_itself() {
     assert_eq!(found[0].kind.output_name(), "binary 01,0009");
     // 48 is 7 ticks of 1250 µs after the jump
     assert_eq!(found[0].device_time_ns, Some(4_294_967_290_000 + 7 * 1_250_000));
-    sensor.registers_mut().set_format(super::faults::Format::Ascii(crate::protocol::AsciiType::Ymr));
+    sensor.registers_mut().set_format(super::faults::Format::Ascii(vn100_proto::AsciiType::Ymr));
     let (_, bytes) = run(&mut sensor, 80);
     assert_eq!(measurements(&bytes)[0].kind.output_name(), "VNYMR");
     sensor.set_clock(80, u64::MAX / 1000);

@@ -1,10 +1,10 @@
 //! Facts: the contents of a capture's page apart from its pictures, from the database, as the interfaces' documents.
 
 use super::{Documents, Picture, samples};
-use crate::datasheet::{Datasheet, FilterWindows, compare_report};
-use crate::noise::NoiseReport;
-use crate::sample::Channel;
 use crate::store::{CaptureRow, EventRow, GapRow, Page, PageRequest, Reader, StoreError};
+use imu_core::sample::Channel;
+use imu_noise::NoiseReport;
+use imu_noise::datasheet::{Datasheet, FilterWindows, compare_report};
 use serde_json::Value;
 use std::collections::BTreeMap;
 

@@ -10,8 +10,8 @@ mod samples;
 pub use facts::{Facts, causes};
 
 use crate::plot::{self, Deviations};
-use crate::sample::{Channel, Triad};
 use crate::store::{Moment, Reader, StoreError};
+use imu_core::sample::{Channel, Triad};
 use serde_json::Value;
 
 /// Triads that have pictures.

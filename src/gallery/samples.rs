@@ -1,11 +1,11 @@
 //! Pictures drawn from the samples and gaps themselves.
 
 use super::Window;
-use crate::export::samples::Bucket;
-use crate::noise::welch::Welch;
 use crate::plot::{Course, Density, Gap, Gaps, NamedLine};
-use crate::sample::{Channel, Triad};
 use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError};
+use imu_core::sample::{Channel, Triad};
+use imu_files::export::samples::Bucket;
+use imu_noise::welch::Welch;
 
 /// The number of stretches in a course: about as many as a picture has columns.
 const STRETCHES: u64 = 1000;

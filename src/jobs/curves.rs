@@ -9,9 +9,9 @@ use super::fold::{join, split};
 use super::plan::{Plan, feed};
 use super::runner::CHUNK;
 use super::{JobError, JobParameters, SampleSource};
-use crate::noise::allan::{AllanCurve, Estimator, Phases, TauGrid, TauSpacing};
-use crate::sample::Channel;
 use crate::store::Chunk;
+use imu_core::sample::Channel;
+use imu_noise::allan::{AllanCurve, Estimator, Phases, TauGrid, TauSpacing};
 use std::collections::VecDeque;
 
 /// The maximum number of samples of a channel that is held in memory: 32 MB, and as much again for its phases.

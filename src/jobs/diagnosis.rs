@@ -6,12 +6,12 @@
 use super::plan::Plan;
 use super::runner::Keeper;
 use super::{GivenReference, Gridded, JobError, JobKind, fitted, gridded};
-use crate::diagnosis::{self, Diagnosis, Drawings, Options, Reference, Workers};
-use crate::motion::file::Rows;
-use crate::motion::{Course, Kind, Site};
-use crate::sample::Channel;
-use crate::simulator::SensorModel;
 use crate::store::{JobRow, Reader, SOFTWARE};
+use imu_core::sample::Channel;
+use imu_diagnosis::{Diagnosis, Drawings, Options, Reference, Workers};
+use imu_model::motion::file::Rows;
+use imu_model::motion::{Course, Kind, Site};
+use imu_model::simulator::SensorModel;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
@@ -206,7 +206,7 @@ fn document_of(
 ) -> Result<String, JobError> {
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
     // Another rate is refused before any work.
-    let same_rate = |sim_hz| diagnosis::same_rate(plan.rate_hz, sim_hz);
+    let same_rate = |sim_hz| imu_diagnosis::same_rate(plan.rate_hz, sim_hz);
     let ((sim, doubt), begun) = match &parameters.sim {
         Simulator::Model(value) => {
             let sim = SensorModel::from_value(value, "sim")?;
@@ -218,7 +218,7 @@ fn document_of(
             let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
             same_rate(plan.rate_hz)?;
             let (workers, room) = (OneByOne { step, from: 0.05, to: 0.5 }, room(&plan));
-            let fitted = fitted(reader, plan, &diagnosis::effect_names(), &capture.name, room, &workers)?;
+            let fitted = fitted(reader, plan, &imu_diagnosis::effect_names(), &capture.name, room, &workers)?;
             (fitted.as_law()?, 0.5)
         }
     };
@@ -230,7 +230,7 @@ fn document_of(
     let workers = OneByOne { step, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
     let reference = parameters.reference.as_ref().map(|given| reference_of(reader, given, &gridded)).transpose()?;
-    let mut outcome = diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
+    let mut outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.tell(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
     let Gridded { recording, from_s, .. } = gridded;

@@ -9,10 +9,10 @@ use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
 use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatedSampling, StatisticsReport};
-use crate::noise::NoiseReport;
-use crate::noise::allan::{AllanReport, Estimator};
-use crate::sample::Channel;
 use crate::store::{CaptureRow, JobState, Reader};
+use imu_core::sample::Channel;
+use imu_noise::NoiseReport;
+use imu_noise::allan::{AllanReport, Estimator};
 use serde_json::Value;
 
 /// The noise parameters of a plan's samples, computed on two threads; memory is bounded as a job's is.

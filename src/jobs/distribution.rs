@@ -2,9 +2,9 @@
 //! here.
 
 use super::fold::{join, split};
-use crate::noise::statistics::{Accumulator, Statistics};
-use crate::sample::Channel;
 use crate::store::Chunk;
+use imu_core::sample::Channel;
+use imu_noise::statistics::{Accumulator, Statistics};
 use std::collections::BTreeMap;
 
 /// Version of the checkpoint.

@@ -1,10 +1,10 @@
 //! The reasons why a job was not accepted or could not be done.
 
 use super::SamplingError;
-use crate::diagnosis::DiagnosisError;
-use crate::noise::allan::AllanError;
-use crate::simulator::ModelError;
 use crate::store::StoreError;
+use imu_diagnosis::DiagnosisError;
+use imu_model::simulator::ModelError;
+use imu_noise::allan::AllanError;
 
 /// Errors of jobs.
 #[derive(Debug, thiserror::Error)]

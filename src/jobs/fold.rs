@@ -8,9 +8,9 @@ use super::runner::{FOLDED, FOLDED_SHORT};
 use super::spectra::Spectra;
 use super::sums::Summation;
 use super::{JobError, JobKind, JobParameters, SampleSource, together};
-use crate::noise::allan::Estimator;
-use crate::sample::Channel;
 use crate::store::{Chunk, JobRow, Reader, StoreError};
+use imu_core::sample::Channel;
+use imu_noise::allan::Estimator;
 
 /// A computation in progress.
 #[derive(Debug)]

@@ -1,8 +1,8 @@
 //! Gridded: a plan's samples in the form that a diagnosis takes, on a regular grid with the missing ones marked.
 
 use super::{JobError, Plan, SampleSource};
-use crate::diagnosis::{Diagnosis, Recording};
-use crate::sample::Channel;
+use imu_core::sample::Channel;
+use imu_diagnosis::{Diagnosis, Recording};
 
 /// Gaps longer than this end a record, s: noise cannot be determined across them.
 const LONGEST_GAP_S: f64 = 60.0;

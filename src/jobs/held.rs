@@ -1,9 +1,9 @@
 //! Held: the samples of a short plan, kept when they are first read, so that they are not read again.
 
 use super::plan::Plan;
-use crate::noise::robust::BLOCK;
-use crate::sample::Channel;
 use crate::store::Chunk;
+use imu_core::sample::Channel;
+use imu_noise::robust::BLOCK;
 
 /// The maximum memory of held samples in bytes: those of nine channels and temperature of five hours at 40 Hz.
 const MEMORY: u64 = 64 << 20;

@@ -1,8 +1,8 @@
 //! Kinds of jobs and their parameters.
 
 use super::{CAPTURES_MAX, JobError};
-use crate::noise::allan::{Estimator, TauSpacing};
-use crate::sample::Channel;
+use imu_core::sample::Channel;
+use imu_noise::allan::{Estimator, TauSpacing};
 use serde::{Deserialize, Serialize};
 
 /// What a job computes.

@@ -2,14 +2,14 @@
 
 use super::motion::at_rest;
 use super::{JobError, Plan, SampleSource, direct, gridded};
-use crate::diagnosis::report::{Of, Place};
-use crate::diagnosis::{self, Diagnosis, Verdict, Workers};
-use crate::model_fit::{model_of, with_effects};
-use crate::noise::NoiseReport;
-use crate::noise::statistics::Moments;
-use crate::sample::Channel;
-use crate::simulator::SensorModel;
 use crate::store::{SOFTWARE, StoreError};
+use imu_core::sample::Channel;
+use imu_diagnosis::model_fit::{model_of, with_effects};
+use imu_diagnosis::report::{Of, Place};
+use imu_diagnosis::{Diagnosis, Verdict, Workers};
+use imu_model::simulator::SensorModel;
+use imu_noise::NoiseReport;
+use imu_noise::statistics::Moments;
 use std::collections::BTreeMap;
 
 /// Samples read at a time.
@@ -67,8 +67,8 @@ pub fn fitted(
         return Ok(Fitted { model: plain, refusal: report.refusal(|_| true) });
     };
     let options =
-        diagnosis::Options { workers, effects: Some(wanted), believed: false, ..diagnosis::Options::default() };
-    let found = diagnosis::diagnose(&gridded.recording, &plain, &options)?;
+        imu_diagnosis::Options { workers, effects: Some(wanted), believed: false, ..imu_diagnosis::Options::default() };
+    let found = imu_diagnosis::diagnose(&gridded.recording, &plain, &options)?;
     let temperature_c = levels.get(&Channel::Temperature).copied();
     let model = with_effects(&plain, &found.augmented, wanted, gridded.recording.length_s(), temperature_c);
     let refusal = refusal(&report, &plain, &model, &found.diagnosis);
@@ -81,7 +81,7 @@ pub fn fitted(
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
     let remains = |channel: Channel| {
-        let of_rest = |place: &Place| place.of == Of::Remainder && place.share > diagnosis::MATERIAL;
+        let of_rest = |place: &Place| place.of == Of::Remainder && place.share > imu_diagnosis::MATERIAL;
         found.verdict == Verdict::UnknownEffect
             && found.r#where.iter().any(|place| of_rest(place) && place.channel == channel.name())
     };
@@ -111,8 +111,8 @@ fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f6
 mod tests {
     use super::*;
     use crate::jobs::TwoThreads;
-    use crate::noise::fit::Estimate;
-    use crate::simulator::ChannelModel;
+    use imu_model::simulator::ChannelModel;
+    use imu_noise::fit::Estimate;
 
     fn model(n: f64) -> SensorModel {
         let channels = [(Channel::GyroX, ChannelModel { n, ..ChannelModel::default() })].into();
@@ -138,18 +138,21 @@ mod tests {
             1e-3 * (state as f64 / 2_147_483_647.0 - 0.5)
         };
         let values = (0..2000).map(|_| noise()).collect();
-        let recording = diagnosis::Recording {
+        let recording = imu_diagnosis::Recording {
             rate_hz: 40.0,
             missing: vec![false; 2000],
             channels: vec![(Channel::GyroX, values)],
-            ..diagnosis::Recording::default()
+            ..imu_diagnosis::Recording::default()
         };
         let plain = model(4.6e-5);
-        let mut found =
-            diagnosis::diagnose(&recording, &plain, &diagnosis::Options { workers: &TwoThreads, ..Default::default() })
-                .unwrap()
-                .diagnosis;
-        let mut own = crate::noise::fit::fit(&[], 40.0, Channel::GyroX);
+        let mut found = imu_diagnosis::diagnose(
+            &recording,
+            &plain,
+            &imu_diagnosis::Options { workers: &TwoThreads, ..Default::default() },
+        )
+        .unwrap()
+        .diagnosis;
+        let mut own = imu_noise::fit::fit(&[], 40.0, Channel::GyroX);
         own.n = Estimate::of("rad/s/√Hz", 4.6e-5, [4e-5, 5e-5]);
         own.refuse("it contradicts the curve".to_owned());
         let mut report: NoiseReport = serde_json::from_value(
@@ -168,10 +171,11 @@ mod tests {
         model.channels.clone_from(&tone.unwrap().channels);
         // Even noise is not normal: that is handled elsewhere.
         assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
-        found.r#where.clear();
+        let remainder = std::mem::take(&mut found.r#where);
+        assert!(remainder.iter().any(|place| place.of == Of::Remainder));
         assert_eq!(refusal(&report, &plain, &model, &found), None);
         found.verdict = Verdict::UnknownEffect;
-        found.r#where = vec![Place::in_tests(Of::Remainder, 1.0)];
+        found.r#where = remainder;
         assert!(refusal(&report, &plain, &model, &found).is_some(), "something remains");
     }
 }

@@ -9,9 +9,9 @@ use super::held::Held;
 use super::raw_counts::RawCounts;
 use super::runner::CHUNK;
 use super::{JobError, Plan, SampleSource};
-use crate::noise::robust::BLOCK;
-use crate::noise::stillness::{Stillness, TELLING};
 use crate::store::Missing;
+use imu_noise::robust::BLOCK;
+use imu_noise::stillness::{Stillness, TELLING};
 use std::ops::Range;
 
 /// A plan without the samples in motion, and its samples if there is room for all.
@@ -99,8 +99,8 @@ fn first_at(place: u64, samples: u64, missing: &Missing) -> u64 {
 mod tests {
     use super::*;
     use crate::jobs::Extent;
-    use crate::sample::Channel;
     use crate::store::{Chunk, StoreError};
+    use imu_core::sample::Channel;
 
     /// Recordings of gyro_x at 40 Hz, by their ids.
     struct Made(Vec<Vec<f64>>);

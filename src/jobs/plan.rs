@@ -8,9 +8,9 @@
 use super::raw_counts::RawCounts;
 use super::sampling::{SamplingError, StatedSampling, of_configuration};
 use super::{JobError, SampleSource};
-use crate::noise::whittle::Sampling;
-use crate::sample::{Channel, Triad};
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
+use imu_core::sample::{Channel, Triad};
+use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
 use std::ops::Range;
 

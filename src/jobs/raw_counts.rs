@@ -1,7 +1,7 @@
 //! Raw counts: a recording whose values were never scaled. It is recognised by values that no sensor measures in the
 //! channel's unit.
 
-use crate::sample::Channel;
+use imu_core::sample::Channel;
 
 /// A channel whose values mostly exceed its measuring range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

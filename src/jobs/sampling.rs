@@ -1,9 +1,9 @@
 //! Sampling: how the samples of gyroscope and accelerometer are formed, according to register 85 or to the user. No
 //! document states at which rate the magnetometer samples.
 
-use crate::noise::whittle::Sampling;
-use crate::sample::Triad;
-use crate::units::IMU_RATE_HZ;
+use imu_core::sample::Triad;
+use imu_core::units::IMU_RATE_HZ;
+use imu_noise::whittle::Sampling;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;

@@ -1,9 +1,9 @@
 //! Source: provides a computation's samples. The database is one; callers with samples elsewhere implement another.
 
 use super::report::Extent;
-use crate::sample::{Channel, Timebase};
 use crate::store::{Chunk, Missing, Reader, StoreError};
-use crate::units::NANOS_PER_SECOND;
+use imu_core::sample::{Channel, Timebase};
+use imu_core::units::NANOS_PER_SECOND;
 use std::collections::BTreeMap;
 
 /// Samples of captures, by the captures' ids.

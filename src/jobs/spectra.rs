@@ -11,11 +11,11 @@ use super::plan::{Plan, feed};
 use super::runner::CHUNK;
 use super::threads::side_by_side;
 use super::{JobError, SampleSource};
-use crate::noise::allan::FixedPoint;
-use crate::noise::robust::blocks_of;
-use crate::noise::whittle::{DstEstimator, DstSums, Transform};
-use crate::sample::Channel;
 use crate::store::Chunk;
+use imu_core::sample::Channel;
+use imu_noise::allan::FixedPoint;
+use imu_noise::robust::blocks_of;
+use imu_noise::whittle::{DstEstimator, DstSums, Transform};
 
 /// The maximum memory of the samples of one pass in bytes: those of nine channels of five hours at 40 Hz.
 const MEMORY: usize = 64 << 20;

@@ -7,9 +7,9 @@
 use super::fold::{join, split};
 use super::plan::{Plan, feed};
 use super::{JobError, JobParameters, SampleSource};
-use crate::noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
-use crate::sample::Channel;
 use crate::store::Chunk;
+use imu_core::sample::Channel;
+use imu_noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
 
 /// The maximum memory of the phases of one pass in bytes.
 pub const MEMORY: usize = 48 << 20;

@@ -2,12 +2,12 @@
 
 use super::runner::{Outcome, run};
 use super::*;
-use crate::noise::NoiseReport;
-use crate::noise::allan::{AllanCurve, AllanReport, FixedPoint, Phases, TauGrid};
-use crate::noise::robust::{Part, spectral_sums};
-use crate::noise::whittle::{self, DstSums};
-use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::store::{CaptureState, JobState, NewCapture, NewJob, Reader, Store, StoreOptions};
+use imu_core::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
+use imu_noise::NoiseReport;
+use imu_noise::allan::{AllanCurve, AllanReport, FixedPoint, Phases, TauGrid};
+use imu_noise::robust::{Part, spectral_sums};
+use imu_noise::whittle::{self, DstSums};
 use std::time::{Duration, Instant};
 
 /// Samples of the capture: two segments at 40 Hz with a gap between them, one at 100 Hz, one at 40 Hz in which values of
@@ -414,7 +414,7 @@ fn spectra_by_groups_and_through_kills_are_the_same_bits() {
 fn the_curve_is_that_of_the_estimator_on_each_stretch_by_itself() {
     let world = World::new();
     let job = world.queue(JobKind::Allan, serde_json::json!({"taus": "octave"}));
-    let report: crate::noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    let report: imu_noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
     assert_eq!((report.rate_hz, report.complete), (40.0, true));
     assert_eq!(report.channels.keys().copied().collect::<Vec<_>>(), [Channel::AccelX, Channel::GyroX, Channel::GyroY]);
     let stretches: [std::ops::Range<u64>; 4] = [0..1500, 1500..3700, 4400..4600, 4610..5500];
@@ -449,7 +449,7 @@ fn a_job_sees_the_samples_that_were_there_when_it_was_submitted() {
     let more = (TOTAL..TOTAL + 900).map(|seq| sample(4, seq)).collect();
     world.send(more);
     let body = world.work(before, 1000, [usize::MAX]);
-    let report: crate::noise::allan::AllanReport = serde_json::from_str(&body).unwrap();
+    let report: imu_noise::allan::AllanReport = serde_json::from_str(&body).unwrap();
     assert!(!report.complete);
     // accel_x at m = 1: every segment of n samples gives n − 1 terms.
     assert_eq!(report.channels[&Channel::AccelX].n[0], 1499 + 2199 + 1099);
@@ -549,7 +549,7 @@ fn while_a_capture_runs_its_curve_grows_with_it() {
     let early = live.points(&reader, world.capture).unwrap();
     assert_eq!((early.rate_hz, early.samples, early.next_seq, early.caught_up), (40.0, 4800, TOTAL, true));
     let job = world.queue(JobKind::Allan, serde_json::json!({"taus": "octave"}));
-    let exact: crate::noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    let exact: imu_noise::allan::AllanReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
     let report = live.allan(&reader, world.capture).unwrap();
     assert!(!report.complete);
     for (channel, curve) in &report.channels {
@@ -596,7 +596,7 @@ fn while_a_capture_runs_a_sensor_that_moved_has_no_usable_parameters() {
 fn noise_parameters_and_statistics_say_what_they_are_made_of() {
     let world = World::new();
     let job = world.queue(JobKind::Noise, serde_json::Value::Null);
-    let noise: crate::noise::NoiseReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
+    let noise: imu_noise::NoiseReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();
     assert_eq!((noise.format.as_str(), noise.rate_hz, noise.complete), ("vn100d-noise-1", 40.0, true));
     assert_eq!((noise.samples, noise.missing), (TOTAL, 7));
     // Uniform over 0.01: σ/√rate.

@@ -36,7 +36,7 @@ pub(super) fn side_by_side<A, S, T: Send>(
 #[expect(clippy::exhaustive_structs, reason = "nothing to it")]
 pub struct TwoThreads;
 
-impl crate::diagnosis::Workers for TwoThreads {
+impl imu_diagnosis::Workers for TwoThreads {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
         side_by_side(0..count, || (), |_: &mut (), index| work(index));
     }

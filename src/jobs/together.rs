@@ -3,10 +3,10 @@
 use super::JobError;
 use super::plan::Plan;
 use super::sampling::of_configuration;
-use crate::diagnosis::is_same_rate;
-use crate::noise::whittle::Sampling;
-use crate::sample::{Channel, Triad};
 use crate::store::{CaptureRow, Reader};
+use imu_core::sample::{Channel, Triad};
+use imu_diagnosis::is_same_rate;
+use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
 
 /// The maximum number of captures in one computation.

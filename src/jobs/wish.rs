@@ -5,9 +5,9 @@
 
 use super::diagnosis::of_csv;
 use super::{DiagnosisParameters, JobError, JobKind, Simulator};
-use crate::motion::Kind;
 use crate::process::{Child, Frame, FrameError, Heard, write_frame};
 use crate::store::{REFERENCE_PART_BYTES, Store};
+use imu_model::motion::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;

@@ -18,9 +18,9 @@ pub use notice::{CaptureFacts, NightFacts, Notice};
 
 use crate::clock::Clock;
 use crate::observe::{NotifyEvent, NotifyStatus, PlannedDeletion, Status};
-use crate::sample::Gap;
 use coalesce::Coalescer;
 use deliver::Receiver;
+use imu_core::sample::Gap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{mpsc, watch as channel};

@@ -2,7 +2,7 @@
 
 use crate::clock::rfc3339;
 use crate::observe::{NotifyEvent, PlannedDeletion, SensorStatus, StorageStatus};
-use crate::sample::Gap;
+use imu_core::sample::Gap;
 use serde::Serialize;
 
 /// Name and version of the JSON's form.

@@ -8,7 +8,7 @@ use super::worker::{Effort, QUEUE, Worker};
 use super::*;
 use crate::clock::SystemClock;
 use crate::observe::{CaptureStatus, SensorState, StorageState};
-use crate::sample::GapCause;
+use imu_core::sample::GapCause;
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpListener;

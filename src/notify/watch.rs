@@ -2,7 +2,7 @@
 
 use super::notice::{CaptureFacts, DELETIONS_NAMED, GapFacts, NightFacts, Notice};
 use crate::observe::{CaptureStatus, NotifyEvent, PlannedDeletion, SensorState, Status, StorageState, StorageStatus};
-use crate::sample::Gap;
+use imu_core::sample::Gap;
 use std::time::Duration;
 
 /// A disk that refuses writes is reported when it has done so for this long: a checkpoint's or a backup's lock passes.

@@ -5,7 +5,7 @@
 //! scrape reads memory alone and answers while the disk hangs.
 
 use super::{SensorState, Status, StorageState};
-use crate::sample::{DiscardCause, GapCause, Record};
+use imu_core::sample::{DiscardCause, GapCause, Record};
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
@@ -364,7 +364,7 @@ impl EncodeLabelSet for Label {
 mod tests {
     use super::*;
     use crate::observe::{CaptureStatus, JobsStatus};
-    use crate::sample::{Gap, Sample};
+    use imu_core::sample::{Gap, Sample};
 
     fn render(metrics: &Metrics, status: &Status) -> String {
         metrics.render(status, &WriterFigures { commits: 12, samples_per_s: 40.0, ..Default::default() }, 1.5).unwrap()

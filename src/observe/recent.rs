@@ -3,7 +3,7 @@
 //! In: samples as they come. Out: least and greatest value of each quarter of a second, so that the picture of a minute
 //! costs the same at 40 and at 800 Hz and no peak is lost.
 
-use crate::sample::{Channel, ChannelSet, Sample};
+use imu_core::sample::{Channel, ChannelSet, Sample};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 

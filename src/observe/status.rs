@@ -2,8 +2,8 @@
 //! touching the disk (docs/formats.md).
 
 use super::notify::NotifyStatus;
-use crate::sample::device_clock::ClockEstimate;
-use crate::sample::{DiscardCause, Timebase};
+use imu_core::sample::device_clock::ClockEstimate;
+use imu_core::sample::{DiscardCause, Timebase};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

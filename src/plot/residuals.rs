@@ -5,7 +5,7 @@ use super::drawing::{Drawing, Frame};
 use super::json::numbers;
 use serde::Deserialize;
 
-/// Means of one channel against one quantity, as [`crate::diagnosis::Residuals`] has them.
+/// Means of one channel against one quantity, as [`imu_diagnosis::Residuals`] has them.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Residuals {
     channel: String,

@@ -6,7 +6,7 @@ use super::json::numbers;
 use super::number::plain;
 use serde::Deserialize;
 
-/// The timeline of one channel, as [`crate::diagnosis::ChannelTimeline`] contains it.
+/// The timeline of one channel, as [`imu_diagnosis::ChannelTimeline`] contains it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Timeline {
     channel: String,

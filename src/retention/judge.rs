@@ -1,7 +1,7 @@
 //! The judge of the clock: determines whether the clock can show the ages of captures, and whether it has stepped.
 
 use super::Candidate;
-use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
+use imu_core::sample::accounting::UTC_UNSET_BEFORE_NS;
 use std::time::Duration;
 
 /// The reason why the clock does not determine ages, so that nothing is announced or deleted for its age.

@@ -9,7 +9,7 @@
 
 mod judge;
 
-use crate::sample::accounting::UTC_UNSET_BEFORE_NS;
+use imu_core::sample::accounting::UTC_UNSET_BEFORE_NS;
 use std::time::Duration;
 
 pub use judge::{Distrust, Judge, Moment, Verdict};

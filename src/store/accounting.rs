@@ -1,11 +1,11 @@
-//! Accounting: a capture's numbers, read in one snapshot and passed to [`crate::sample::audit`], which defines what
+//! Accounting: a capture's numbers, read in one snapshot and passed to [`imu_core::sample::audit`], which defines what
 //! must hold.
 
 use super::insert::timebase_from_name;
 use super::{Reader, StoreError};
-use crate::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit_in_order};
-use crate::sample::device_clock::ClockEstimate;
-use crate::sample::{DiscardCause, Timebase};
+use imu_core::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit_in_order};
+use imu_core::sample::device_clock::ClockEstimate;
+use imu_core::sample::{DiscardCause, Timebase};
 use rusqlite::{CachedStatement, Connection, OptionalExtension, Row, params};
 use serde::Serialize;
 use std::collections::BTreeMap;

@@ -6,7 +6,7 @@
 //! counts as 0, and −0 as 0 (SQLite does not keep its sign).
 
 use super::StoreError;
-use crate::sample::{Channel, Sample};
+use imu_core::sample::{Channel, Sample};
 use rusqlite::{Connection, params};
 
 const ROW_BYTES: usize = 4 + 6 * 8 + Channel::COUNT * 8;

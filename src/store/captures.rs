@@ -2,7 +2,7 @@
 
 use super::insert::timebase_from_name;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
-use crate::sample::{Channel, DiscardCause, Timebase};
+use imu_core::sample::{Channel, DiscardCause, Timebase};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
 use serde::{Deserialize, Serialize};

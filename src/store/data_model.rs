@@ -25,7 +25,7 @@ fn every_query_of_the_data_model_runs_and_finds_what_is_there() {
     let id = world.capturing();
     assert_eq!(id, 1);
     let registers = serde_json::json!({"serial_number": "0100012345"});
-    world.send(id, [crate::sample::Record::Configuration(registers)]);
+    world.send(id, [imu_core::sample::Record::Configuration(registers)]);
     world.send(id, super::tests::a_capture());
     world.store.flush_blocking().unwrap();
     let job = super::NewJob::new("noise", id, serde_json::json!({}));

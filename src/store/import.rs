@@ -11,7 +11,7 @@ use super::captures::{check_name, create, free_name, name_is_free};
 use super::insert::insert;
 use super::schema::Durability;
 use super::{Begun, NewCapture, Store, StoreError};
-use crate::sample::Record;
+use imu_core::sample::Record;
 use rusqlite::{Connection, OptionalExtension, Transaction, params};
 
 /// Records written in one transaction.

@@ -11,10 +11,10 @@
 use super::StoreError;
 use super::batch::{Run, StoredRow};
 use super::utc;
-use crate::sample::device_clock::ClockEstimate;
-use crate::sample::record::CaptureEnd;
-use crate::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
-use crate::units::NANOS_PER_SECOND;
+use imu_core::sample::device_clock::ClockEstimate;
+use imu_core::sample::record::CaptureEnd;
+use imu_core::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
+use imu_core::units::NANOS_PER_SECOND;
 use rusqlite::{CachedStatement, Connection, ErrorCode, params};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;

@@ -8,7 +8,7 @@
 use super::captures::name_is_free;
 use super::insert::{Inserted, timebase_from_name};
 use super::{SOFTWARE, StoreError};
-use crate::sample::{Channel, EventKind, Gap, Record, Segment};
+use imu_core::sample::{Channel, EventKind, Gap, Record, Segment};
 use rusqlite::{Connection, OptionalExtension, params};
 use std::collections::BTreeMap;
 

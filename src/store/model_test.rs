@@ -9,7 +9,7 @@
 mod model;
 
 use super::*;
-use crate::sample::{Channel, Record};
+use imu_core::sample::{Channel, Record};
 use model::{Content, Files, Instant};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;

@@ -1,4 +1,4 @@
-//! Models: stored sensor models, as text. The room `simulator` interprets their content.
+//! Models: stored sensor models, as text. The crate `imu-model` interprets their content.
 
 use super::{Page, PageRequest, Reader, Store, StoreError, UtcNs};
 use rusqlite::{OptionalExtension, Row, params};

@@ -1,7 +1,7 @@
 //! Queue: passes records to the writer.
 
 use crate::clock::{Clock as _, SystemClock};
-use crate::sample::Record;
+use imu_core::sample::Record;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::mpsc;

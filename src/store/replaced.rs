@@ -1,12 +1,12 @@
 //! The database deleted or replaced, open or closed: which captures continue, and which files stay untouched.
 
 use crate::observe::StorageState;
-use crate::sample::Record;
 use crate::store::file_id::{FileId, REFUSALS, id_of, kept_log, log_header};
 use crate::store::tests::{World, bare_writer, sample, segment};
 use crate::store::{
     CaptureFilter, CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress, schema, writer,
 };
+use imu_core::sample::Record;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

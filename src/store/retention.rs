@@ -108,8 +108,8 @@ impl Store {
 
 #[cfg(test)]
 mod tests {
-    use crate::sample::{Record, Sample};
     use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
+    use imu_core::sample::{Record, Sample};
     use std::time::{Duration, Instant};
 
     /// 100,000 samples (about 19 MB) are deleted in steps and given back; no step holds the writer for long.

@@ -2,7 +2,7 @@
 
 use super::tests::{World, a_capture, bare_writer, gap, sample, segment};
 use super::*;
-use crate::sample::Record;
+use imu_core::sample::Record;
 use std::time::Duration;
 
 const PERIOD_NS: u64 = 25_000_000;

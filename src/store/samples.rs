@@ -1,7 +1,7 @@
 //! Samples: read in chunks, column by column.
 
 use super::{Reader, StoreError};
-use crate::sample::Channel;
+use imu_core::sample::Channel;
 use rusqlite::types::ValueRef;
 use rusqlite::{OptionalExtension, Row, params};
 

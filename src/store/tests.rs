@@ -1,8 +1,10 @@
 //! The store's guarantees, on real files.
 
 use super::*;
-use crate::sample::record::CaptureEnd;
-use crate::sample::{Channel, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase};
+use imu_core::sample::record::CaptureEnd;
+use imu_core::sample::{
+    Channel, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase,
+};
 use std::time::{Duration, Instant};
 
 const START_NS: i64 = 1_800_000_000_000_000_000;

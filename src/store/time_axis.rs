@@ -5,8 +5,8 @@
 //! query.
 
 use super::{CaptureRow, Chunk, PageRequest, Reader, SegmentRow, StoreError};
-use crate::sample::Timebase;
-use crate::units::period_ns;
+use imu_core::sample::Timebase;
+use imu_core::units::period_ns;
 
 /// A requested time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 use super::captures::json_of;
 use super::insert::timebase_from_name;
 use super::{Page, PageRequest, Reader, StoreError, UtcNs};
-use crate::sample::{Channel, GapCause, Timebase};
+use imu_core::sample::{Channel, GapCause, Timebase};
 use rusqlite::{OptionalExtension, Row, params};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -61,7 +61,7 @@ pub struct GapRow {
 pub struct EventRow {
     /// When.
     pub at: UtcNs,
-    /// What kind ([`crate::sample::EventKind`]).
+    /// Its kind, one of those that docs/formats.md lists.
     pub kind: String,
     /// One sentence for a person.
     pub message: String,

@@ -1,6 +1,6 @@
 //! Corrections of civil times: the host's clock had not been set when a capture began.
 //!
-//! [`crate::sample::Record::UtcSet`] leaves one row in table `utc_correction`, in the transaction of its batch. The
+//! [`imu_core::sample::Record::UtcSet`] leaves one row in table `utc_correction`, in the transaction of its batch. The
 //! writer then moves the capture's times in steps of a few thousand rows ([`step`]). Each step is a separate
 //! transaction that also stores its progress and renews the checksums: a kill costs one step, and new data is committed
 //! in between. Tables are processed from the newest row to the oldest, so that civil time never runs back on the way.
@@ -295,9 +295,9 @@ fn move_times(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::{EventKind, EventRecord, Gap, Record, Segment};
     use crate::store::tests::{World, bare_writer, gap, sample, segment};
     use crate::store::{Store, StoreOptions, check, schema};
+    use imu_core::sample::{EventKind, EventRecord, Gap, Record, Segment};
     use std::path::Path;
     use std::time::{Duration, Instant};
 

@@ -6,12 +6,12 @@ mod multitude;
 use crate::jobs::{fill, noise, plain, settle};
 use crate::tools::{have, scaled};
 use crate::world::{Process, World, program};
+use imu_core::sample::Channel;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
-use vn100d::sample::Channel;
 
 const SIX: [Channel; 6] =
     [Channel::AccelX, Channel::AccelY, Channel::AccelZ, Channel::GyroX, Channel::GyroY, Channel::GyroZ];

@@ -8,6 +8,7 @@ use crate::http::{ask, memory, p99};
 use crate::jobs::{children, fill, model, noise, plain, settle, wakes};
 use crate::tools::{root, scaled};
 use crate::world::{Process, World, program};
+use imu_core::sample::Channel;
 use serde_json::json;
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -15,7 +16,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
-use vn100d::sample::Channel;
 
 const MIB: u64 = 1 << 20;
 /// The unit's `MemoryMax=`.
@@ -190,7 +190,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     let told = std::env::var("VN100D_ISOLATION").ok();
     let alone = told.is_some();
     let time = told.map_or(Duration::from_secs(15), |text| {
-        vn100d::units::parse_duration(&text).expect("VN100D_ISOLATION is a duration, such as 30m")
+        imu_core::units::parse_duration(&text).expect("VN100D_ISOLATION is a duration, such as 30m")
     });
     let long = time > Duration::from_secs(300);
     let world = World::new();

@@ -4,11 +4,11 @@ use crate::audit::lines_with;
 use crate::http::memory;
 use crate::tools::scaled;
 use crate::world::{Process, World};
+use imu_core::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use rusqlite::types::Value;
 use serde_json::json;
 use std::path::Path;
 use std::time::Duration;
-use vn100d::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
 
 const START_NS: i64 = 1_800_000_000_000_000_000;

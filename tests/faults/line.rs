@@ -400,13 +400,13 @@ fn frame() -> Vec<u8> {
     let mut out = Vec::new();
     sensor.on_bytes(0, b"$VNWRG,06,0*XX\r\n$VNWRG,75,1,20,01,0609*XX\r\n", &mut out);
     out.clear();
-    sensor.emit(20, &[0.5; vn100d::sample::Channel::COUNT], &mut out);
+    sensor.emit(20, &[0.5; imu_core::sample::Channel::COUNT], &mut out);
     out
 }
 
 /// A decoder that believes the default output alone, as a capture does.
-fn decoder() -> vn100d::protocol::Decoder {
-    use vn100d::protocol::{BinaryAcceptance, Decoder, DecoderOptions, MeasurementKind};
+fn decoder() -> vn100_proto::Decoder {
+    use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, MeasurementKind};
     let output = vn100d::capture::output::Output::Binary { fields: "01,0609".to_owned(), divisor: 20 };
     let Some((MeasurementKind::Binary(header), _)) = output.kind_and_rate() else { panic!() };
     let mut decoder = Decoder::new(DecoderOptions::default());
@@ -423,13 +423,13 @@ fn every_intact_frame_between_noise_is_decoded_and_noise_makes_no_frame() {
     let mut decoder = decoder();
     for part in bytes.chunks(4096) {
         decoder.push(part, &mut |event| match event {
-            vn100d::protocol::Event::Measurement(_) => decoded += 1,
-            vn100d::protocol::Event::Rejected { bytes, .. } => counted += bytes.len(),
+            vn100_proto::Event::Measurement(_) => decoded += 1,
+            vn100_proto::Event::Rejected { bytes, .. } => counted += bytes.len(),
             _ => {}
         });
     }
     decoder.flush(&mut |event| {
-        if let vn100d::protocol::Event::Rejected { bytes, .. } = event {
+        if let vn100_proto::Event::Rejected { bytes, .. } = event {
             counted += bytes.len();
         }
     });
@@ -443,7 +443,7 @@ fn every_intact_frame_between_noise_is_decoded_and_noise_makes_no_frame() {
     for _ in 0..megabytes {
         random.fill_bytes(&mut noise);
         decoder.push(&noise, &mut |event| {
-            false_frames += usize::from(matches!(event, vn100d::protocol::Event::Measurement(_)));
+            false_frames += usize::from(matches!(event, vn100_proto::Event::Measurement(_)));
         });
     }
     println!("B6: {false_frames} false frames in {megabytes} MiB");
@@ -458,11 +458,11 @@ fn however_the_bytes_are_split_the_samples_are_the_same() {
     bytes.extend_from_slice(b"$VNYMR,+100.949,-007.330,+000.715,-00.2501,-00.0264,+00.3939,-01.252,+00.123,-09.702,+00.000123,-00.000456,+00.000789*XX\r\n");
     let decode = |sizes: &mut dyn FnMut() -> usize| {
         let (mut decoder, mut events, mut rest) = (decoder(), Vec::new(), &bytes[..]);
-        let mut note = |event: vn100d::protocol::Event<'_>| {
+        let mut note = |event: vn100_proto::Event<'_>| {
             // Noise may come in other pieces; what it amounts to may not.
             match event {
-                vn100d::protocol::Event::Measurement(measurement) => events.push(format!("{measurement:?}")),
-                vn100d::protocol::Event::Rejected { .. } => {}
+                vn100_proto::Event::Measurement(measurement) => events.push(format!("{measurement:?}")),
+                vn100_proto::Event::Rejected { .. } => {}
                 other => events.push(format!("{other:?}")),
             }
         };

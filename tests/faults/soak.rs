@@ -10,13 +10,13 @@ use crate::jobs::model;
 use crate::storage::{Mount, full};
 use crate::tools::{self, Faketime};
 use crate::world::{Process, World, program, vn100d};
+use imu_core::sample::Channel;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-use vn100d::sample::Channel;
 
 /// What a sample takes in the database (docs/performance.md).
 const BYTES_PER_SAMPLE: u64 = 190;
@@ -40,7 +40,7 @@ fn rate_hz() -> u64 {
 /// How long, and from which seed.
 fn asked() -> (Duration, u64) {
     let duration = std::env::var("VN100D_SOAK").map_or(Duration::from_secs(30), |text| {
-        vn100d::units::parse_duration(&text).expect("VN100D_SOAK is a duration, such as 10m")
+        imu_core::units::parse_duration(&text).expect("VN100D_SOAK is a duration, such as 10m")
     });
     let seed = std::env::var("VN100D_SOAK_SEED").ok().map(|text| text.parse().expect("VN100D_SOAK_SEED is a number"));
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();

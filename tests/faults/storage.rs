@@ -9,12 +9,12 @@ mod large;
 mod replaced;
 
 use crate::world::{Process, World, program, vn100d};
+use imu_core::sample::{Channel, Record, Sample, Segment, Timebase};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use vn100d::sample::{Channel, Record, Sample, Segment, Timebase};
 use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
 
 const START: Duration = Duration::from_secs(20);

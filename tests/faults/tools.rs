@@ -2,9 +2,9 @@
 
 #![allow(dead_code, reason = "not every machine runs every row")]
 
-use crate::world::skip::tool;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use vn100_testkit::tool;
 
 /// True where this program can be run. Where it cannot, says that the test is skipped; with `VN100D_REQUIRE_TOOLS` set, as
 /// CI does, a missing tool fails the test instead.

@@ -1,11 +1,11 @@
 //! Corpora: small valid inputs, made by this project's own encoders.
 
-use crate::bag;
-use crate::ros2::{self, Cdr};
 use flate2::write::GzEncoder;
 use std::io::Write as _;
-use vn100d::protocol::encode::{ascii_message, binary_frame, text_line};
-use vn100d::protocol::{AsciiType, BinaryHeader, ChecksumKind, Measurement, MeasurementKind, Quantity};
+use vn100_proto::encode::{ascii_message, binary_frame, text_line};
+use vn100_proto::{AsciiType, BinaryHeader, ChecksumKind, Measurement, MeasurementKind, Quantity};
+use vn100_testkit::bag;
+use vn100_testkit::ros2::{self, Cdr};
 
 const ACCEL: [f64; 3] = [-0.077, 0.164, -9.965];
 

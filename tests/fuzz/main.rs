@@ -7,13 +7,9 @@
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 
-#[path = "../world/bag.rs"]
-mod bag;
 mod corpus;
 mod mutate;
 mod regressions;
-#[path = "../world/ros2.rs"]
-mod ros2;
 mod targets;
 
 use peak_alloc::PeakAlloc;
@@ -90,7 +86,7 @@ fn fuzz(name: &str) {
         check(name, target, input, &format!("corpus {index}"));
     }
     let patience = std::env::var("VN100D_FUZZ").map_or(Duration::from_secs(2), |text| {
-        vn100d::units::parse_duration(&text).expect("VN100D_FUZZ is a duration such as 20s")
+        imu_core::units::parse_duration(&text).expect("VN100D_FUZZ is a duration such as 20s")
     });
     let seed = std::env::var("VN100D_FUZZ_SEED").map_or_else(
         |_| std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs(),

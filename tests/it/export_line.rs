@@ -1,15 +1,15 @@
 //! Captures of a sensor's line on their way out: epochs of its clock, gaps, absent values, one that still grows.
 
 use crate::export::Place;
-use crate::world::skip::tool;
 use arrow_array::Array as _;
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{Int32Type, Int64Type, TimestampNanosecondType};
+use imu_core::sample::{Channel, ChannelSet, Gap, GapCause, Record, Sample, Segment, Timebase};
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vn100d::sample::{Channel, ChannelSet, Gap, GapCause, Record, Sample, Segment, Timebase};
+use vn100_testkit::tool;
 use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
 
 const START_NS: i64 = 1_795_291_200_000_000_000;

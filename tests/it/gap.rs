@@ -1,10 +1,10 @@
 //! The gap of real recordings: what N, B and K lack of them is found without being told (`docs/validation.md`).
 
-use crate::world::skip::real_data;
 use crate::world::{World, vn100d};
 use serde_json::Value;
 use std::io::Read as _;
 use std::path::Path;
+use vn100_testkit::real_data;
 
 /// What a program that ended well said.
 fn done(arguments: &[&str]) -> String {

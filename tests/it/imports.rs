@@ -1,11 +1,11 @@
 //! Imports through the daemon: who may, how they end, and what a user is told.
 
-use crate::ros2;
 use crate::world::{Process, World, program};
 use rusqlite::types::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
+use vn100_testkit::ros2;
 
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 

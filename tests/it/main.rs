@@ -3,8 +3,6 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod bad_input;
-#[path = "../world/bag.rs"]
-mod bag;
 mod demo;
 mod diagnoses;
 mod diagnosis;
@@ -22,8 +20,6 @@ mod recordings;
 mod replay;
 mod report;
 mod restart;
-#[path = "../world/ros2.rs"]
-mod ros2;
 mod schedule;
 mod simulation;
 mod tidy;

@@ -5,14 +5,14 @@
 //! before.
 //! The records are short, because a diagnosis of a long one takes minutes.
 
+use imu_diagnosis::{Options, Recording, Reference};
+use imu_model::simulator::{Motion, SensorModel};
+use imu_trial::{Case, Recipe, Wanted, motion, plan};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use std::panic::AssertUnwindSafe;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use vn100d::diagnosis::{self, Options, Recording, Reference};
-use vn100d::simulator::{Motion, SensorModel};
-use vn100d::trial::{Case, Recipe, Wanted, motion, plan};
 
 /// The test prints a case that takes longer.
 const SLOW: std::time::Duration = std::time::Duration::from_secs(10);
@@ -231,7 +231,7 @@ fn odd(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     if std::env::var("VN100D_ODD_TOLD").is_ok() {
         eprintln!("case {number}: {} samples, {told}", recording.len());
     }
-    match diagnosis::diagnose_any(&recording, reference.as_ref(), &model, &options) {
+    match imu_diagnosis::diagnose_any(&recording, reference.as_ref(), &model, &options) {
         Err(error) => (format!("{told}: {error}"), false),
         Ok(outcome) => {
             serde_json::to_string(&outcome.diagnosis).unwrap();

@@ -1,10 +1,10 @@
 //! The pages in a browser, as people use them: `tests/browser/pages.mjs` against the demonstration and a guarded daemon.
 
-use crate::world::skip::tool;
 use crate::world::{Process, World, program};
 use serde_json::Value;
 use std::path::Path;
 use std::process::Command;
+use vn100_testkit::tool;
 
 /// In the configuration, and typed into the page.
 const TOKEN: &str = "correct-horse-battery";

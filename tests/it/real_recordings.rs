@@ -2,10 +2,10 @@
 //!
 //! Where the recordings are at hand the page has to say what is found now, to the letter; `VN100D_BLESS=1` writes it.
 
-use crate::world::skip::real_data;
+use imu_files::recording::{LoadedRecording, Options, load_columns};
 use std::fmt::Write as _;
 use std::path::Path;
-use vn100d::recording::{LoadedRecording, Options, load_columns};
+use vn100_testkit::real_data;
 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/recordings.md");
 /// What the test writes stands between these two lines of the page.

@@ -1,14 +1,14 @@
 //! Recordings that others made: bags whose every value is known, damaged ones, and the real ones.
 
-use crate::bag;
-use crate::world::skip::real_data;
 use crate::world::{World, vn100d};
-use std::collections::BTreeMap;
-use std::path::Path;
-use vn100d::recording::{
+use imu_core::sample::{Channel, DiscardCause, GapCause};
+use imu_files::recording::{
     Input, Kind, LoadedRecording, Options, Recording, RecordingError, Stamps, columns, load_columns,
 };
-use vn100d::sample::{Channel, DiscardCause, GapCause};
+use std::collections::BTreeMap;
+use std::path::Path;
+use vn100_testkit::bag;
+use vn100_testkit::real_data;
 
 const MARCH_2024_NS: u64 = 1_710_358_267_000_000_000;
 const PERIOD_NS: u64 = 25_000_000;
@@ -444,4 +444,14 @@ fn recordings_of_one_sensor_are_analysed_together_and_others_are_refused() {
             assert_eq!(said.trim().lines().count(), 1, "{said}");
         }
     }
+}
+
+#[test]
+fn this_programs_own_database_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("vn100d.db");
+    let options = vn100d::store::StoreOptions::default();
+    vn100d::store::Store::open(&path, options).unwrap().close().unwrap();
+    let error = Recording::open(&path, Options::default()).unwrap_err().to_string();
+    assert!(error.contains("this program's own database") && error.contains("--data-dir"), "{error}");
 }

@@ -1,11 +1,11 @@
 //! A real recording through the terminal into the database.
 
 use crate::world::World;
-use crate::world::skip::real_data;
+use imu_core::sample::Channel;
+use imu_noise::allan::{FixedPoint, Overlapping, TauGrid};
 use std::io::Read;
 use std::time::Duration;
-use vn100d::noise::allan::{FixedPoint, Overlapping, TauGrid};
-use vn100d::sample::Channel;
+use vn100_testkit::real_data;
 
 fn unzip(path: &std::path::Path) -> String {
     let mut text = String::new();

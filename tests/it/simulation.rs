@@ -1,10 +1,10 @@
 //! Sensor models and their simulator, from the command line: what is simulated is found again, motions are followed, what is
 //! wrong is refused; and what a plain N-B-K model of a real record lacks.
 
-use crate::world::skip::real_data;
 use crate::world::vn100d;
 use serde_json::{Value, json};
 use std::path::Path;
+use vn100_testkit::real_data;
 
 /// Writes a model; answers its path.
 fn model(folder: &Path, channels: Value, more: Value) -> String {

@@ -2,51 +2,22 @@
 
 use std::path::{Path, PathBuf};
 
-/// Room, and the rooms it may use besides itself.
-const MAY_USE: [(&str, &[&str]); 31] = [
-    ("units", &[]),
+/// Room of the root package, and the rooms and crates it may use besides itself. What a crate may use stands in its `Cargo.toml`.
+const MAY_USE: [(&str, &[&str]); 16] = [
     ("clock", &[]),
     ("process", &[]),
-    ("sample", &["units"]),
-    ("protocol", &["sample", "units"]),
-    ("noise", &["sample", "units"]),
-    ("datasheet", &["noise", "sample", "units"]),
-    ("ros_messages", &[]),
-    ("export", &["noise", "ros_messages", "simulator", "sample", "units"]),
-    ("motion", &["simulator", "sample", "units"]),
-    ("model_fit", &["diagnosis", "effects", "noise", "simulator", "sample"]),
-    ("diagnosis", &["effects", "motion", "noise", "simulator", "sample", "units"]),
-    ("trial", &["diagnosis", "simulator", "sample", "units"]),
-    ("effects", &["sample", "units"]),
-    ("simulator", &["effects", "sample", "units"]),
-    ("observe", &["sample", "units", "clock"]),
+    ("observe", &["imu_core", "clock"]),
     ("control", &[]),
-    ("emulator", &["protocol", "simulator", "sample", "clock", "units"]),
-    ("capture", &["protocol", "sample", "clock", "observe", "units"]),
-    ("store", &["sample", "clock", "observe", "units"]),
-    ("recording", &["protocol", "ros_messages", "sample", "clock", "units"]),
-    ("page", &["export", "noise", "plot", "sample"]),
+    ("config", &["imu_core", "observe"]),
+    ("emulator", &["vn100_proto", "imu_model", "imu_core", "clock"]),
+    ("capture", &["vn100_proto", "imu_core", "clock", "observe"]),
+    ("store", &["imu_core", "clock", "observe"]),
+    ("page", &["imu_files", "imu_noise", "plot", "imu_core"]),
     ("plot", &[]),
-    ("gallery", &["process", "store", "plot", "datasheet", "export", "noise", "sample"]),
-    (
-        "jobs",
-        &[
-            "process",
-            "store",
-            "diagnosis",
-            "model_fit",
-            "motion",
-            "noise",
-            "simulator",
-            "sample",
-            "clock",
-            "observe",
-            "units",
-        ],
-    ),
-    ("config", &["units", "protocol", "observe"]),
-    ("notify", &["observe", "sample", "clock", "units"]),
-    ("retention", &["sample"]),
+    ("gallery", &["process", "store", "plot", "imu_files", "imu_noise", "imu_core"]),
+    ("jobs", &["process", "store", "imu_diagnosis", "imu_model", "imu_noise", "imu_core", "clock", "observe"]),
+    ("notify", &["observe", "imu_core", "clock"]),
+    ("retention", &["imu_core"]),
     ("schedule", &["retention", "clock"]),
     (
         "api",
@@ -56,38 +27,47 @@ const MAY_USE: [(&str, &[&str]); 31] = [
             "page",
             "plot",
             "gallery",
-            "simulator",
-            "datasheet",
-            "export",
+            "imu_model",
+            "imu_noise",
+            "imu_files",
+            "imu_core",
             "observe",
             "process",
             "control",
-            "noise",
-            "sample",
             "clock",
-            "units",
         ],
     ),
-    ("lib", &[]),
 ];
-/// Rooms that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 16] = [
-    "protocol",
-    "sample",
-    "noise",
-    "datasheet",
-    "diagnosis",
-    "export",
-    "motion",
-    "model_fit",
-    "ros_messages",
+/// Rooms that may use all others.
+const ALL: [&str; 4] = ["daemon", "cli", "lib", "main"];
+/// The crates beside the root package.
+const CRATES: [&str; 8] =
+    ["imu_core", "imu_noise", "imu_model", "imu_diagnosis", "imu_files", "imu_trial", "vn100_proto", "vn100_testkit"];
+/// What a part of a crate may not use, although the crate may.
+const MAY_NOT_USE: [(&str, &[&str]); 9] = [
+    ("imu-core/units", &["crate::sample", "crate::ros_messages"]),
+    ("imu-core/sample", &["crate::ros_messages"]),
+    ("imu-core/ros_messages", &["crate::"]),
+    ("imu-model/effects", &["crate::simulator", "crate::motion"]),
+    ("imu-model/simulator", &["crate::motion"]),
+    ("imu-files/recording", &["crate::export", "imu_noise", "imu_model"]),
+    ("imu-files/export", &["crate::recording", "vn100_proto"]),
+    // The trial has other forms than those that are fitted.
+    ("imu-trial", &["imu_model::effects", "imu_model::motion"]),
+    ("imu-noise", &["crate::datasheet"]),
+];
+/// Rooms and crates that take bytes, numbers, time and randomness as arguments.
+const PURE: [&str; 10] = [
+    "imu-core",
+    "imu-noise",
+    "imu-model",
+    "imu-diagnosis",
+    "imu-trial",
+    "vn100-proto",
     "page",
     "plot",
-    "effects",
-    "simulator",
     "retention",
     "schedule",
-    "trial",
 ];
 /// Files of shells that are pure all the same.
 const PURE_FILES: &[&str] = &[
@@ -111,26 +91,25 @@ const PURE_FILES: &[&str] = &[
     "notify/coalesce.rs",
     "notify/notice.rs",
     "notify/watch.rs",
-    "recording/account.rs",
-    "recording/between.rs",
-    "recording/choice.rs",
-    "recording/grid/mod.rs",
-    "recording/grid/period.rs",
-    "recording/grid/track.rs",
-    "recording/order.rs",
-    "recording/doubts.rs",
-    "recording/header.rs",
-    "recording/mapping.rs",
-    "recording/number.rs",
-    "recording/pairs.rs",
-    "recording/placing.rs",
-    "recording/quantum.rs",
-    "recording/turning.rs",
-    "recording/values.rs",
-    "recording/ros/definition.rs",
-    "recording/ros/given.rs",
-    "recording/ros/layout.rs",
-    "units.rs",
+    "imu-files/recording/account.rs",
+    "imu-files/recording/between.rs",
+    "imu-files/recording/choice.rs",
+    "imu-files/recording/grid/mod.rs",
+    "imu-files/recording/grid/period.rs",
+    "imu-files/recording/grid/track.rs",
+    "imu-files/recording/order.rs",
+    "imu-files/recording/doubts.rs",
+    "imu-files/recording/header.rs",
+    "imu-files/recording/mapping.rs",
+    "imu-files/recording/number.rs",
+    "imu-files/recording/pairs.rs",
+    "imu-files/recording/placing.rs",
+    "imu-files/recording/quantum.rs",
+    "imu-files/recording/turning.rs",
+    "imu-files/recording/values.rs",
+    "imu-files/recording/ros/definition.rs",
+    "imu-files/recording/ros/given.rs",
+    "imu-files/recording/ros/layout.rs",
 ];
 const IMPURE: [&str; 11] = [
     "tokio::",
@@ -147,6 +126,7 @@ const IMPURE: [&str; 11] = [
 ];
 const LINES_MAX: usize = 700;
 
+/// Sources of the root package as `room/file.rs`, those of the crates as `crate/file.rs`; without files of tests.
 fn sources() -> Vec<(String, String)> {
     fn walk(folder: &Path, found: &mut Vec<PathBuf>) {
         for entry in std::fs::read_dir(folder).unwrap().flatten() {
@@ -158,14 +138,18 @@ fn sources() -> Vec<(String, String)> {
             }
         }
     }
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
-    walk(&root, &mut found);
+    walk(&root.join("src"), &mut found);
+    walk(&root.join("crates"), &mut found);
     found.sort();
-    let all: Vec<(String, String)> = found
-        .into_iter()
-        .map(|path| (path.strip_prefix(&root).unwrap().display().to_string(), std::fs::read_to_string(&path).unwrap()))
-        .collect();
+    let name = |path: &Path| {
+        let path = path.strip_prefix(root).unwrap().display().to_string();
+        let inside = path.strip_prefix("src/").map(str::to_owned);
+        inside.unwrap_or_else(|| path.trim_start_matches("crates/").replacen("/src/", "/", 1))
+    };
+    let all: Vec<(String, String)> =
+        found.into_iter().map(|path| (name(&path), std::fs::read_to_string(&path).unwrap())).collect();
     all.iter().filter(|(file, _)| !is_tests(file, &all)).cloned().collect()
 }
 
@@ -179,7 +163,7 @@ fn is_tests(file: &str, sources: &[(String, String)]) -> bool {
     let name = path.file_stem().unwrap().to_string_lossy().into_owned();
     let parent = path.parent().unwrap();
     let declared = format!("#[cfg(test)]\nmod {name};");
-    let mut parents = vec![parent.join("mod.rs")];
+    let mut parents = vec![parent.join("mod.rs"), parent.join("lib.rs")];
     parents.extend(parent.file_name().map(|folder| parent.with_file_name(format!("{}.rs", folder.to_string_lossy()))));
     sources.iter().any(|(other, text)| parents.contains(&PathBuf::from(other)) && text.contains(&declared))
 }
@@ -194,22 +178,79 @@ fn code(text: &str) -> String {
 fn rooms_import_only_what_the_map_allows() {
     let mut wrong = Vec::new();
     for (file, text) in sources() {
-        let Some((_, allowed)) = MAY_USE.iter().find(|(name, _)| *name == room(&file)) else { continue };
-        for part in code(&text).split("crate::").skip(1) {
-            let used: String = part.chars().take_while(|c| c.is_ascii_alphanumeric() || *c == '_').collect();
-            if !used.is_empty() && used != room(&file) && !allowed.contains(&used.as_str()) {
-                wrong.push(format!("{file} uses crate::{used}"));
+        let code = code(&text);
+        for (_, forbidden) in MAY_NOT_USE.iter().filter(|(part, _)| is_part(&file, part)) {
+            wrong.extend(
+                forbidden.iter().filter(|word| code.contains(**word)).map(|word| format!("{file} uses {word}")),
+            );
+        }
+        if room(&file).contains('-') || ALL.contains(&room(&file)) {
+            continue;
+        }
+        let Some((_, allowed)) = MAY_USE.iter().find(|(name, _)| *name == room(&file)) else {
+            wrong.push(format!("{file} is in a room that the map does not have"));
+            continue;
+        };
+        let ends = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        let rooms = code.split("crate::").skip(1).filter_map(|part| part.split(ends).next());
+        let crates = code.split(ends).filter(|word| word.starts_with("imu_") || word.starts_with("vn100_"));
+        // A field or a function may have such a name too.
+        let crates = crates.filter(|word| CRATES.contains(word));
+        for used in rooms.chain(crates) {
+            if !used.is_empty() && used != room(&file) && !allowed.contains(&used) {
+                wrong.push(format!("{file} uses {used}"));
             }
         }
     }
     assert!(wrong.is_empty(), "forbidden imports:\n{}", wrong.join("\n"));
 }
 
+/// Whether a file belongs to a crate, or to a part of one.
+fn is_part(file: &str, part: &str) -> bool {
+    file.strip_prefix(part).is_some_and(|rest| rest.starts_with(['/', '.']))
+}
+
+/// The table of crates in docs/architecture.md against their manifests.
+#[test]
+fn the_table_of_crates_is_that_of_their_manifests() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let table = std::fs::read_to_string(root.join("docs/architecture.md")).unwrap();
+    let rows = table.lines().filter_map(|line| line.strip_prefix("| `")).filter_map(|row| {
+        let (name, rest) = row.split_once('`')?;
+        let uses = rest.trim_end_matches('|').rsplit('|').next()?;
+        name.contains('-')
+            .then(|| (name.to_owned(), uses.split(", ").map(|of| of.trim().to_owned()).collect::<Vec<_>>()))
+    });
+    let mut seen = 0;
+    for (name, mut uses) in rows {
+        let manifest = std::fs::read_to_string(root.join("crates").join(&name).join("Cargo.toml")).unwrap();
+        let manifest: toml::Table = manifest.parse().unwrap();
+        let dependencies = manifest["dependencies"].as_table().unwrap();
+        let mut own: Vec<String> = dependencies.keys().filter(|of| is_ours(of)).cloned().collect();
+        uses.retain(|of| !of.is_empty());
+        own.sort();
+        uses.sort();
+        assert_eq!(own, uses, "{name}: its manifest and docs/architecture.md");
+        if PURE.contains(&name.as_str()) {
+            let impure = ["tokio", "rusqlite", "axum", "hyper", "rustix", "tempfile", "ureq", "imu-files"];
+            let found: Vec<&&str> = impure.iter().filter(|of| dependencies.contains_key(**of)).collect();
+            assert!(found.is_empty(), "{name} is pure, and its manifest has {found:?}");
+        }
+        seen += 1;
+    }
+    assert_eq!(seen, CRATES.len());
+}
+
+fn is_ours(name: &str) -> bool {
+    CRATES.contains(&name.replace('-', "_").as_str())
+}
+
 #[test]
 fn pure_rooms_do_no_input_output_and_read_no_clock() {
     let mut wrong = Vec::new();
     for (file, text) in sources() {
-        if PURE.contains(&room(&file)) || PURE_FILES.contains(&file.as_str()) {
+        let is_pure = PURE.contains(&room(&file)) || PURE_FILES.contains(&file.as_str());
+        if is_pure || is_part(&file, "imu-files/export") {
             // Threads that end before the call does leave it pure.
             let code = code(&text).replace("std::thread::scope", "");
             wrong.extend(IMPURE.iter().filter(|word| code.contains(**word)).map(|word| format!("{file} says {word}")));
@@ -219,12 +260,12 @@ fn pure_rooms_do_no_input_output_and_read_no_clock() {
 }
 
 /// The one file beside the store that reads SQLite: others' bags.
-const OTHERS_DATABASES: (&str, &str) = ("rusqlite::", "recording/ros/db3.rs");
+const OTHERS_DATABASES: (&str, &str) = ("rusqlite::", "imu-files/recording/ros/db3.rs");
 
 #[test]
 fn each_thing_has_one_owner() {
     let owners: [(&str, &[&str]); 4] = [
-        ("rusqlite::", &["store"]),
+        ("rusqlite::", &["store", "vn100-testkit"]),
         ("StatusCode::", &["api"]),
         ("tokio_serial::", &["capture"]),
         ("PRAGMA ", &["store"]),

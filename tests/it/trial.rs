@@ -1,11 +1,11 @@
 //! The blind check of the diagnosis, from the command line: order, seals, thresholds, recordings. How well the diagnosis does is measured by
 //! longer trials (`docs/validation.md`); this short one fails where it no longer works.
 
-use crate::world::skip::real_data;
 use crate::world::vn100d;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 use std::path::Path;
+use vn100_testkit::real_data;
 
 fn hex(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
@@ -29,7 +29,7 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     assert_eq!(score["manifest_sha256"], hex(&manifest));
     assert!(said.contains(&hex(&manifest)), "{said}");
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
-    let keys: Vec<vn100d::trial::Key> = serde_json::from_slice(&read("key.json")).unwrap();
+    let keys: Vec<imu_trial::Key> = serde_json::from_slice(&read("key.json")).unwrap();
     for (key, digest) in keys.iter().zip(manifest["digests"].as_array().unwrap()) {
         assert_eq!(*digest, hex(serde_json::to_string(key).unwrap().as_bytes()));
         let report: Value = serde_json::from_slice(&read(&format!("reports/{:05}.json", key.case))).unwrap();
@@ -95,12 +95,12 @@ fn effects_on_a_recording_are_found_and_its_own_are_no_false_alarms() {
     // 48,000 samples are three stretches.
     assert_eq!((&score["on"]["stretches"], &score["on"]["recording"]), (&3.into(), &desk.into()));
     assert_eq!((&score["cases"], &score["rates"]["refused"]["count"]), (&8.into(), &0.into()), "{score}");
-    let keys: Vec<vn100d::trial::Key> = serde_json::from_slice(&std::fs::read(out.join("key.json")).unwrap()).unwrap();
+    let keys: Vec<imu_trial::Key> = serde_json::from_slice(&std::fs::read(out.join("key.json")).unwrap()).unwrap();
     for key in &keys {
         assert_eq!((key.samples, key.channels.len()), (16_000, 2));
         for effect in &key.effects {
             // The line of accel_y could not be told from another.
-            assert!(effect.kind != vn100d::trial::Kind::Tone || effect.channels == ["accel_z"], "{key:?}");
+            assert!(effect.kind != imu_trial::Kind::Tone || effect.channels == ["accel_z"], "{key:?}");
         }
         assert!(out.join(format!("reports/{:05}-own.json", key.case)).exists());
     }

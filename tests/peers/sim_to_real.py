@@ -59,7 +59,7 @@ NULL_EVERY = 3
 FACTORS = [1 << j for j in range(14)]
 WINDOW = 256
 FOLDS = 5
-# Kinds whose documented name is another (src/trial/kind.rs).
+# Kinds whose documented name is another (crates/imu-trial/src/kind.rs).
 NAMES = {kind: "variance_change" for kind in ("variance_interval", "variance_profile", "variance_per_c")}
 STAMPED, LIBRARY = {"timing", "wandering_clock"}, ["single", "pair", "several", "superfluous", "size"]
 
@@ -101,7 +101,7 @@ class Record:
 
     @classmethod
     def unpacked(cls, parcel):
-        """Of a parcel (src/trial/parcel.rs). Lost samples are the median of 16 neighbours and white noise."""
+        """Of a parcel (crates/imu-trial/src/parcel.rs). Lost samples are the median of 16 neighbours and white noise."""
         line, body = parcel.split(b"\n", 1)
         head = json.loads(line)
         columns = len(head["channels"]) + head["temperature"]

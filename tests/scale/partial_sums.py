@@ -1,8 +1,8 @@
 """Partial sums of the overlapping Allan variance in SQL, the same text for DuckDB, DataFusion and Spark.
 
-Values become whole steps of the scale that the daemon uses for the channel (src/noise/allan/fixed_point.rs), so that every
-sum is exact: sums of parts of a capture, of captures, of days add to the same integer in any order and on any number of
-machines. For averaging factor m a part contributes (terms, sum of squares of X[i] - 2 X[i-m] + X[i-2m]) for the i that lie
+Values become whole steps of the scale that the daemon uses for the channel (crates/imu-noise/src/allan/fixed_point.rs), so
+that every sum is exact: sums of parts of a capture, of captures, of days add to the same integer in any order and on any number
+of machines. For averaging factor m a part contributes (terms, sum of squares of X[i] - 2 X[i-m] + X[i-2m]) for the i that lie
 in it (NIST SP1065, equation 10); phases X run through a capture's segments, so that a part reads what lies before it, as a
 window does. Nothing is averaged across a gap: each segment, and each stretch of rows that have the value, stands alone.
 """

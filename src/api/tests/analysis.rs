@@ -217,7 +217,7 @@ fn what_is_not_usable_is_refused_and_written_if_it_is_forced() {
     assert_eq!(noise["channels"]["gyro_x"]["usable"], false, "{noise}");
     let number = &noise["paste"]["programs"][0]["values"][0];
     assert!(number["value"].is_null() && number["reason"].as_str().unwrap().starts_with("gyro_x: "), "{noise}");
-    for target in crate::export::Target::ALL {
+    for target in imu_files::export::Target::ALL {
         let path = format!("/v1/captures/a/noise?format={}", target.name());
         let refused = world.get(&path).problem(422, "analysis-failed");
         assert!(refused.contains("not at rest") && refused.contains("`force=true`"), "{refused}");

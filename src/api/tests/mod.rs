@@ -13,8 +13,8 @@ use crate::control::{
 };
 use crate::jobs::{Jobs, JobsOptions, Live};
 use crate::observe::{Metrics, SharedRecent, Status};
-use crate::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
+use imu_core::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};

@@ -3,7 +3,7 @@
 
 use super::super::output::{ascii_kind, binary_output, check_fit, counts_messages, is_binary, serial_count};
 use super::{Action, Command, Output, Phase, SensorState, Session, Step};
-use crate::protocol::{ChecksumKind, MeasurementKind};
+use vn100_proto::{ChecksumKind, MeasurementKind};
 
 /// Registers that describe the measurement; if a sensor refuses one, only the description suffers. 0 user tag, 2
 /// hardware, 5 baud, 6 and 7 ASCII output, 21 references, 23 magnetic, 25 acceleration, 26 frame rotation, 30

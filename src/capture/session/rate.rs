@@ -2,7 +2,7 @@
 
 use super::configure::COUNT_REGISTERS;
 use super::{Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, SensorState, Session, Step};
-use crate::units::period_ns;
+use imu_core::units::period_ns;
 
 /// The registers that select baud rate, message, rate and binary output, read again on a doubt, with the serial number.
 const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];

@@ -6,8 +6,8 @@ use super::super::output::is_binary;
 use super::super::rate_meter::RateMeter;
 use super::configure::COUNT_REGISTERS;
 use super::{Action, Command, EventKind, GapCause, Output, Phase, SensorState, Session, Step};
-use crate::protocol::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
-use crate::units::period_ns;
+use imu_core::units::period_ns;
+use vn100_proto::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 
 /// Silence that counts as `stalled`: this long, but at least [`STALL_PERIODS`] periods.
 const STALL_NS: f64 = 1e9;

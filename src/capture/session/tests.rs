@@ -3,10 +3,10 @@
 use super::*;
 use crate::capture::output::ascii_kind;
 use crate::capture::port::OpenError;
-use crate::protocol::{DeviceError, Measurement, Reply};
 use proptest::prelude::*;
 use rand::SeedableRng;
 use std::collections::BTreeMap;
+use vn100_proto::{DeviceError, Measurement, Reply};
 
 /// A sensor that answers commands from a register file, as far as the test lets it.
 struct Sensor {
@@ -113,14 +113,14 @@ impl World {
         let command = Reply::parse(&body).unwrap();
         let register = command.register.unwrap_or(0);
         match command.verb {
-            crate::protocol::Verb::ReadRegister => match self.sensor.registers.get(&register) {
+            vn100_proto::Verb::ReadRegister => match self.sensor.registers.get(&register) {
                 Some(text) => {
                     let answer = format!("{body},{text}");
                     self.give(Input::Reply(&Reply::parse(&answer).unwrap()));
                 }
                 None => self.give(Input::DeviceError(DeviceError::from_code(8))),
             },
-            crate::protocol::Verb::WriteRegister => {
+            vn100_proto::Verb::WriteRegister => {
                 self.sensor.registers.insert(register, command.values.to_owned());
                 self.give(Input::Reply(&command));
             }

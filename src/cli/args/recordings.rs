@@ -1,9 +1,9 @@
 //! Arguments of what brings recordings in and out: `import`, `export`.
 
 use super::{SamplingArgs, rate};
-use crate::sample::Channel;
 use crate::store::Moment;
 use clap::{Args, ValueEnum};
+use imu_core::sample::Channel;
 use std::path::PathBuf;
 
 /// Arguments of `import`.

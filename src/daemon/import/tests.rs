@@ -5,6 +5,7 @@ use crate::clock::SystemClock;
 use crate::jobs::JobsOptions;
 use crate::store::StoreOptions;
 use std::path::PathBuf;
+use vn100_testkit::ros2;
 
 /// An import that outlasts the daemon's patience finds the store closed; its client receives the answer that the daemon
 /// stops.
@@ -67,10 +68,6 @@ fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
         check_name(&name_of(Path::new(file))).unwrap_err();
     }
 }
-
-#[allow(clippy::duplicate_mod, reason = "the ROS readers' tests have it for themselves")]
-#[path = "../../../tests/world/ros2.rs"]
-mod ros2;
 
 /// A world of one database.
 struct World {
@@ -251,8 +248,8 @@ fn how_samples_came_about_is_kept_and_has_to_fit() {
     assert!(four != eight && matches!(told(4, Some(800.0)).unwrap(), ImportEnd::Known(id) if id == four));
     let reader = store.reader().unwrap();
     for (id, window, internal_hz) in [(four, 4, 800.0), (eight, 8, 1000.0)] {
-        let plan = crate::jobs::Plan::read(&reader, id, 400, &[crate::sample::Channel::GyroX]).unwrap();
-        let found = plan.sampling(crate::sample::Channel::GyroX).unwrap();
+        let plan = crate::jobs::Plan::read(&reader, id, 400, &[imu_core::sample::Channel::GyroX]).unwrap();
+        let found = plan.sampling(imu_core::sample::Channel::GyroX).unwrap();
         assert_eq!((found.window, found.internal_rate_hz, found.source.as_str()), (window, internal_hz, "option"));
     }
 }

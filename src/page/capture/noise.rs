@@ -1,10 +1,10 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
 use super::{Capture, CaptureView, TRIADS, escaped, figure, opened, wide};
-use crate::export::paste::Paste;
-use crate::noise::fit::{Estimate, GaussMarkov, NoiseParameters};
 use crate::page::figure::{parted, plain};
 use crate::plot::number::rounded;
+use imu_files::export::paste::Paste;
+use imu_noise::fit::{Estimate, GaussMarkov, NoiseParameters};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

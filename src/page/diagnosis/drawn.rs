@@ -6,7 +6,7 @@ use crate::plot::{self, Residuals, Spectra, Timeline};
 use serde::Deserialize;
 use std::fmt::Write as _;
 
-/// The parts of [`crate::diagnosis::Drawings`] that are shown; results of earlier versions have fewer.
+/// The parts of [`imu_diagnosis::Drawings`] that are shown; results of earlier versions have fewer.
 #[derive(Debug, Deserialize)]
 pub(super) struct Drawn {
     #[serde(default)]

@@ -4,7 +4,7 @@
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
 use super::{Cause, Driver, Hint, Offset, Parameter, Place, Remainder, Report, Sense};
-use crate::sample::Channel;
+use imu_core::sample::Channel;
 use serde::Deserialize as _;
 use serde_json::Value;
 use std::collections::BTreeMap;

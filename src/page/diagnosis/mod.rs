@@ -181,7 +181,7 @@ struct Gap {
 }
 
 /// The page of a diagnosis. `report` is the document `vn100d-diagnosis-1`. `drawings` is an object with the data of its
-/// pictures ([`crate::diagnosis::Drawings`]) among its keys, as in the daemon's results.
+/// pictures ([`imu_diagnosis::Drawings`]) among its keys, as in the daemon's results.
 ///
 /// # Errors
 /// What is missing in a text that is no such document.

@@ -1,9 +1,9 @@
 //! The model: what the store must hold, as plain lists, and what a power loss may leave of a file. It touches no disk.
 
-use crate::sample::record::CaptureEnd;
-use crate::sample::{DiscardCause, Record};
 use crate::store::JobState;
 use crate::store::tests::{gap, sample, segment};
+use imu_core::sample::record::CaptureEnd;
+use imu_core::sample::{DiscardCause, Record};
 use rand::RngExt;
 use std::collections::BTreeMap;
 

@@ -16,12 +16,12 @@ use super::check::{Finding, check};
 use super::insert::{insert, timebase_from_name};
 use super::{SOFTWARE, StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
-use crate::sample::{
-    Channel, ChannelSet, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Segment, Timebase,
-};
-use crate::units::NANOS_PER_SECOND;
 use cells::Value;
 use image::Image;
+use imu_core::sample::{
+    Channel, ChannelSet, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Segment, Timebase,
+};
+use imu_core::units::NANOS_PER_SECOND;
 use rusqlite::{Connection, params};
 use salvage::Salvage;
 use serde::Serialize;

@@ -6,7 +6,7 @@
 use super::super::batch::{BatchRow, StoredRow};
 use super::cells::{Kind, Page, Value, parse};
 use super::image::{Image, u32_at};
-use crate::sample::{Channel, DiscardCause, GapCause};
+use imu_core::sample::{Channel, DiscardCause, GapCause};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Pages whose rows are cached.

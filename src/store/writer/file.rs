@@ -3,7 +3,7 @@
 
 use super::super::insert::Inserted;
 use super::super::{StoreError, schema};
-use crate::sample::Record;
+use imu_core::sample::Record;
 use rusqlite::Connection;
 use std::path::Path;
 use std::time::Duration;

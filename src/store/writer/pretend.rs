@@ -3,7 +3,7 @@
 use super::super::progress::locked;
 use super::{Failure, Writer};
 use crate::observe::StorageState;
-use crate::sample::Record;
+use imu_core::sample::Record;
 use std::time::Duration;
 use tokio::time::Instant;
 

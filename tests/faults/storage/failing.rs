@@ -229,7 +229,7 @@ fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_g
     }
     let world = World::new();
     let Some(disk) = Ext4::new(&world) else {
-        crate::world::skip::skipped(
+        vn100_testkit::skipped(
             "no ext4 with errors on demand can be mounted here (a loop device, mkfs.ext4, trigger_fs_error)",
         );
         return;

@@ -1,7 +1,7 @@
 //! The decoder: the same events for any split, and every byte accounted for.
 
-use vn100d::protocol::{BinaryAcceptance, BinaryHeader, Decoder, DecoderOptions, DecoderStats, Event};
-use vn100d::sample::DiscardCause;
+use imu_core::sample::DiscardCause;
+use vn100_proto::{BinaryAcceptance, BinaryHeader, Decoder, DecoderOptions, DecoderStats, Event};
 
 /// What the decoder may keep back: the longest frame and a run of garbage, with room for a piece of input.
 const PENDING_MAX: usize = 8192;

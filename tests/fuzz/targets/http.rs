@@ -4,13 +4,13 @@ use axum::body::Body;
 use axum::http::{HeaderName, HeaderValue, Method, Request, StatusCode, header};
 use hyper::service::Service as _;
 use hyper_util::service::TowerToHyperService;
+use imu_core::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use std::sync::Arc;
 use std::time::Duration;
 use vn100d::api::{ApiParts, Limits, PROBLEM_JSON, router};
 use vn100d::control::{CaptureControl, ImportError, ImportReport, ImportRequest, Importer};
 use vn100d::jobs::{Jobs, JobsOptions, Live};
 use vn100d::observe::{Metrics, Status};
-use vn100d::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
 
 const START_NS: i64 = 1_800_000_000_000_000_000;

@@ -1,8 +1,8 @@
 //! Recordings: every entry becomes a sample or a rejected one, and the accounting's identities hold.
 
+use imu_core::sample::{DiscardCause, Record};
+use imu_files::recording::{Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
 use std::collections::{BTreeMap, BTreeSet};
-use vn100d::recording::{Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
-use vn100d::sample::{DiscardCause, Record};
 
 /// A line that is longer is read in pieces.
 const LINE_BYTES: usize = 4096;
@@ -69,7 +69,7 @@ fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
     let mut accountant = RecordingAccountant::new(info);
     let mut records = Vec::new();
     let (mut items, mut rejected) = (Vec::new(), BTreeMap::<DiscardCause, u64>::new());
-    let is_csv = info.kind == vn100d::recording::Kind::Csv;
+    let is_csv = info.kind == imu_files::recording::Kind::Csv;
     let (mut samples, mut missing) = (0_u64, None::<u64>);
     for item in recording.items().expect("it was read once") {
         let item = item.expect("it was read once");

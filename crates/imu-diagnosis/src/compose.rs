@@ -1,0 +1,434 @@
+//! Composition: the findings become a verdict, a report and a corrected model.
+
+use super::augmented::augmented;
+use super::confidence::Surroundings;
+use super::diagnose::{Findings, Found, Options, Outcome};
+use super::discrepancy::discrepancy;
+use super::evidence::Kind;
+use super::hints;
+use super::law::{Law, Shape, Term};
+use super::named::{self, Named, is_fact, stamps};
+use super::oddities::{self, Oddity};
+use super::omnibus::Statistic;
+use super::owned::{Known, Owned};
+use super::pairs;
+use super::places::{Remnant, places};
+use super::prepare::Prepared;
+use super::recording::Recording;
+use super::remainder;
+use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Remainder, Sense};
+use imu_core::sample::Channel;
+use imu_model::effects::Effect;
+use imu_model::simulator::{SensorModel, plateau};
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// If a statistic is this rare in noise alone, with all statistics counted, it is not attributed to chance.
+const REMAINS: f64 = 0.005;
+/// The same limit on a channel without a named effect, if other channels have named causes.
+const REMAINS_ELSEWHERE: f64 = 1e-4;
+/// A parameter is off if it differs by at least this many standard errors.
+const OFF: f64 = 4.0;
+/// And if it differs by at least this part of its value; for a rate, in parts of 10⁴.
+const RATE_OFF: f64 = 1e-4;
+
+pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Outcome {
+    let named = named::all(found, real, sim, options);
+    let mut notes = Vec::new();
+    if !found.further.is_empty() {
+        let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
+        notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
+    }
+    let mut remains = remains(found, &named);
+    let parameters = parameters(found, &named, real, sim);
+    let odd = odd(found, &named, real);
+    remains.channels.extend(odd.iter().map(|(channel, _)| *channel));
+    let outside = |(channel, of): &(Channel, Oddity)| {
+        format!("outside the library, on {channel}: {} ({:.0} nats)", of.what, of.nats)
+    };
+    let foreign: Vec<String> = odd.iter().map(outside).collect();
+    let discrepancy = discrepancy(found, &named, remains.p_value);
+    let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
+    let mut causes = causes(&named, total, discrepancy.closed);
+    let alternatives = alternatives(found, &named);
+    let remnants =
+        if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains, &odd) } else { Vec::new() };
+    let places = places(found, &named, &causes, &parameters, &remnants, real);
+    let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
+    let what = foreign.iter().cloned().chain(of_worst.clone()).collect();
+    let remainder = Remainder::of(&places, what, (found.samples * found.channels.len()) as f64);
+    let surroundings = Surroundings { places: &places, remains: &remains.channels, length_s: real.length_s() };
+    for (index, cause) in causes.iter_mut().enumerate() {
+        cause.confidence *= surroundings.right(index, cause);
+    }
+    let has_parameters = parameters.iter().any(|of| of.parameter != "bias");
+    let verdict = remainder::verdict(remainder.as_ref(), options.unknown_above, !named.is_empty(), has_parameters);
+    notes.extend(foreign);
+    notes.extend(of_worst.map(|what| format!("what remains {what}")));
+    notes.extend(pairs::notes(found, &named, real));
+    let augmented = augmented(found, sim, &named, &remains.channels);
+    let per_channel = found.channels.iter().map(|of| {
+        let samples = of.scores.samples as f64;
+        let sum = |blocks: &[f64]| blocks.iter().sum::<f64>();
+        let gap = |blocks: &[f64]| (sum(&of.scores.ceiling) - sum(blocks)) / samples;
+        let floor = 0.5 * of.scores.numbers as f64 / samples;
+        let gap = ChannelGap { before: gap(&of.scores.declared), after: gap(&of.scores.effects), floor };
+        (of.prepared.channel.name().to_owned(), gap)
+    });
+    let offsets = hints::offsets(found, sim);
+    let hints = hints::hints(found, sim, &parameters, &offsets);
+    let mut diagnosis = Diagnosis {
+        format: FORMAT,
+        verdict,
+        summary: String::new(),
+        discrepancy,
+        r#where: places,
+        parameters,
+        offsets,
+        hints,
+        causes,
+        remainder,
+        alternatives,
+        per_channel: per_channel.collect(),
+        notes,
+        software: options.software.to_owned(),
+        inputs: [("real", options.real.to_owned()), ("sim", options.sim.to_owned())].into(),
+    };
+    diagnosis.summary = super::sentence::summary(&diagnosis);
+    Outcome { diagnosis, augmented, residuals: Vec::new() }
+}
+
+/// The remainder.
+struct Remains {
+    worst: Option<(Channel, Statistic)>,
+    p_value: f64,
+    /// Where.
+    channels: BTreeSet<Channel>,
+    /// The rarest statistic of each channel on which something remains: its value and its chance.
+    rarest: BTreeMap<Channel, (f64, f64)>,
+}
+
+/// The places where something remains, and how much of it.
+fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
+    let of_odd =
+        odd.iter().map(|(channel, of)| Remnant { channel: *channel, nats: of.nats, p_value: (-of.nats).exp() });
+    let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
+        channel: *channel,
+        nats: remainder::bounded(*nats, found.samples as f64),
+        p_value: *p_value,
+    });
+    let mut remnants: Vec<Remnant> = of_odd.collect();
+    for of in of_statistics {
+        if remnants.iter().all(|other| other.channel != of.channel) {
+            remnants.push(of);
+        }
+    }
+    remnants
+}
+
+fn remains(found: &Found, named: &[Named]) -> Remains {
+    let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
+    let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
+    let mut channels = BTreeSet::new();
+    let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
+    for of in &found.channels {
+        let step = of.prepared.facts.step.or(of.prepared.step);
+        let own: Vec<&Named> = named.iter().filter(|one| one.channel == of.prepared.channel).collect();
+        let marginal = own.iter().any(|one| {
+            matches!(one.effect.name(), "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples")
+        }) || of
+            .prepared
+            .has
+            .iter()
+            .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
+            || step.is_some_and(|step| step > 0.6 * of.white);
+        // An effect of the model that comes and goes does so differently in every record; a band whose level changes
+        // does not move.
+        let changes = of.prepared.changes;
+        let swells = own.iter().any(|one| one.effect.name() == "modulated_band");
+        let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
+        for (statistic, value) in &of.statistics {
+            // On a lattice, the value in the middle is the most frequent.
+            let lattice = step.is_some() && *statistic == Statistic::Atom;
+            // Steps wider than the noise, and values that were cut on one side, are skewed without another effect.
+            let coarse = step.is_some_and(|step| step > 1.2 * of.white);
+            let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
+            let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
+            let expected = statistic.is_of_changes() && (changes || (swells && *statistic != Statistic::Sweep));
+            if lattice || skewed || expected || (marginal && statistic.is_marginal()) {
+                continue;
+            }
+            // The most conspicuous of all other channels.
+            let tries = if *statistic == Statistic::Crosstalk { (found.channels.len() - 1).max(1) as f64 } else { 1.0 };
+            let p = (count * tries * found.tails.chance(*statistic, *value)).min(1.0);
+            p_value = p_value.min(p);
+            if p < level {
+                channels.insert(of.prepared.channel);
+                let own = rarest.entry(of.prepared.channel).or_insert((*value, p));
+                if p < own.1 {
+                    *own = (*value, p);
+                }
+            }
+            if p < level && p / level < worst_excess {
+                (worst, worst_excess) = (Some((of.prepared.channel, *statistic)), p / level);
+            }
+        }
+    }
+    Remains { worst, p_value, channels, rarest }
+}
+
+/// The oddities that the values and stamps show and that no effect explains, each with the channel on which it occurs.
+fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
+    let mut all = Vec::new();
+    for of in &found.channels {
+        let odd = [odd_codes(of, named, real), odd_slope(of)];
+        all.extend(odd.into_iter().flatten().map(|odd| (of.prepared.channel, odd)));
+    }
+    for (channels, repeats) in &found.repeats {
+        let odd = oddities::of_repeats(&repeats.places);
+        all.extend(channels.first().zip(odd).map(|(channel, odd)| (*channel, odd)));
+    }
+    let clock = stamps(real).and_then(|stamps| stamps.wanders);
+    all.extend(found.channels.first().zip(clock).map(|(of, odd)| (of.prepared.channel, odd)));
+    all
+}
+
+/// Codes that are left out. If something moves a channel by steps or otherwise, its distribution of codes differs from that of
+/// noise.
+fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
+    const STILL: [&str; 3] = ["resolution", "timing", "common_mode"];
+    const MOVING: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
+    let channel = of.prepared.channel;
+    let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.name()))
+        || of.prepared.has.iter().any(|name| MOVING.contains(name))
+        || of.prepared.limits.iter().any(Option::is_some)
+        || !of.explanation.sines.is_empty();
+    let step = of.prepared.facts.step.filter(|_| !moves)?;
+    let sent = real.sent(channel).or_else(|| real.values(channel))?;
+    let there = sent.iter().enumerate().filter(|(t, value)| !real.is_missing(*t) && value.is_finite());
+    oddities::of_codes(&there.map(|(_, value)| *value).collect::<Vec<f64>>(), step)
+}
+
+/// A slope that differs from those of the power laws.
+fn odd_slope(of: &Findings) -> Option<Oddity> {
+    let exponent = |term: &Term| matches!(term.shape, Shape::Slope(_)).then(|| term.numbers.get(1).copied()).flatten();
+    let exponents = of.explanation.law.terms.iter().filter_map(exponent);
+    let odd = exponents.into_iter().find(|exponent| !Shape::POWER_LAW.contains(exponent))?;
+    let what = match odd > 1.0 {
+        true => "a density that falls steeper than any effect's",
+        false => "a density that falls less than any effect's",
+    };
+    let nats = of.steps.iter().filter(|step| step.kind == Kind::Slope).map(|step| step.gain).sum();
+    Some(Oddity { what, nats })
+}
+
+/// ln of the square of N as `imu-noise` finds it, of a law and its model's other noise: the plateau of the spectrum in terms of
+/// the model's N, its own effects and rounding included ([`plateau`]).
+fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
+    let Prepared { channel, scale, white_shift, step, ref has, ref samples, .. } = of.prepared;
+    let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz)).powi(2);
+    let without = {
+        let mut sim = sim.clone();
+        sim.channels.retain(|own, _| *own == channel);
+        for of in sim.channels.values_mut() {
+            of.n = 0.0;
+            of.effects.retain(|effect| effect.name() != "common_mode");
+        }
+        plateau(&sim, channel, samples.len() as u64).powi(2)
+    };
+    let rounding = step.filter(|_| !has.contains(&"resolution")).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);
+    let own = (law.levels[0] - white_shift).exp() / of.louder;
+    ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
+}
+
+/// Whether the noise was louder or quieter for a while: the N of `imu-noise` is that of the whole record.
+fn changes(of: &Findings) -> bool {
+    of.louder != 1.0 || of.explanation.loud.len() > of.prepared.loud.len()
+}
+
+/// Whether an effect besides B and K acts at low frequencies. `imu-noise` counts such an effect in B and K.
+fn is_slow(of: &Findings) -> bool {
+    let law = &of.explanation.law;
+    let slow = |shape: &Shape| matches!(shape, Shape::GaussMarkov | Shape::QuantizationNoise | Shape::Slope(_));
+    !of.explanation.courses.is_empty() || law.terms.iter().any(|term| slow(&term.shape))
+}
+
+/// N, B, K and bias that are off.
+///
+/// A parameter is off if two conditions hold. The law reports it, with the effects taken into account, and its owner agrees
+/// ([`Owned`]). N is the N of `imu-noise`: the plateau of the spectrum, including noise that channels share, noise behind a
+/// filter and the skirts of bands. If `imu-noise` has no N, it is the plateau of the law. B and K are the law's, which has slow
+/// effects beside them, if `imu-noise` does not contradict them.
+fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
+    let mut off = Vec::new();
+    let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
+    let mut owned = None;
+    for of in &found.channels {
+        let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
+        let mut own = None;
+        // Shared noise that is not the model's takes its part of N.
+        let is_shared = named.iter().any(|one| {
+            one.channel == of.prepared.channel && one.declared.is_some() && one.effect.name() == "common_mode"
+        });
+        for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
+            // The model's own value is as good.
+            let share = if level == 0 { of.prepared.share } else { 1.0 };
+            let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
+            if (does_as_well && level > 0) || (level == 0 && is_shared) {
+                continue;
+            }
+            let fitted = &of.fitted;
+            let of_law = |law: &Law| match level {
+                0 => plateau_of(law, of, sim),
+                _ => law.levels[level] + 2.0 * of.prepared.scale.ln(),
+            };
+            let samples = of.prepared.samples.len() as u64;
+            let told = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { told };
+            let by_law = fitted.spread(of_law).map(|spread| spread / share.sqrt());
+            let by_law = by_law.filter(|spread| *spread < 1.0).map(|spread| {
+                let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
+                (end(0.0), [end(-1.0), end(1.0)])
+            });
+            // If the law cannot separate N from its other terms, the value of `imu-noise` counts alone.
+            if does_as_well && (by_law.is_some() || share < 1.0) {
+                continue;
+            }
+            let own = own.get_or_insert_with(|| {
+                owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
+            });
+            let found = match (own[level], by_law) {
+                // A step wider than the noise does not add a twelfth of its square: `imu-noise` does not look
+                // behind the step.
+                (Some(Known { value: Some(value), ends }), _) if level == 0 && share == 1.0 && !changes(of) => {
+                    Some((value / folded, ends.map(|end| end / folded)))
+                }
+                (Some(known), Some((_, ends))) if level > 0 && !is_slow(of) && !known.meets(ends) => None,
+                // The law does not show the parameter: it is below the resolution of the record.
+                (Some(Known { value: None, ends }), None) if level > 0 && !is_slow(of) => Some((0.0, ends)),
+                _ => by_law,
+            };
+            let Some((capture, [low, high])) = found else { continue };
+            let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
+            let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
+            // A parameter that is stated with an interval or a limit is not off if that reaches the capture's value.
+            let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
+            let within = known.is_some_and(|[least, most]| low <= most && high >= least);
+            let is_off = if capture > 0.0 { apart > OFF * spread } else { told > high };
+            if !within && is_off {
+                let ratio = (told > 0.0 && capture > 0.0).then(|| capture / told);
+                let channel = of.prepared.channel.name().to_owned();
+                let nats = of.held[level];
+                off.push(Parameter { channel, parameter, model: told, capture, ratio, nats, ci95: Some([low, high]) });
+            }
+        }
+    }
+    let rate_hz = stamps(real).map_or(real.rate_hz, |stamps| stamps.rate_hz);
+    if (rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF {
+        off.push(Parameter {
+            channel: "sensor".to_owned(),
+            parameter: "rate_hz",
+            model: sim.rate_hz,
+            capture: rate_hz,
+            ratio: Some(rate_hz / sim.rate_hz),
+            nats: 0.0,
+            ci95: None,
+        });
+    }
+    off
+}
+
+/// The parameters of effects by channel, a list if a channel has several.
+fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
+    let mut lists: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    for (channel, effect) in effects {
+        let entry: Map<String, Value> =
+            effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        lists.entry(channel.name().to_owned()).or_default().push(entry.into());
+    }
+    let alone = |(channel, mut list): (String, Vec<Value>)| {
+        let only = if list.len() == 1 { list.pop() } else { None };
+        (channel, only.unwrap_or(Value::Array(list)))
+    };
+    lists.into_iter().map(alone).collect()
+}
+
+/// The same effect in the same sense on several channels is one cause.
+fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
+    let mut groups: BTreeMap<(&'static str, Sense), Vec<&Named>> = BTreeMap::new();
+    for of in named {
+        groups.entry((of.effect.name(), of.sense)).or_default().push(of);
+    }
+    let mut causes: Vec<(f64, Cause)> = groups
+        .into_iter()
+        .map(|((effect, sense), group)| {
+            let gain: f64 = group.iter().map(|of| of.gain).sum();
+            let sensors = group.iter().filter(|of| of.sense != Sense::Superfluous).map(|of| (of.channel, &of.effect));
+            let models = group.iter().filter_map(|of| Some((of.channel, &of.declared.as_ref()?.1)));
+            let channels: BTreeSet<&str> = group.iter().map(|of| of.channel.name()).collect();
+            let mut uncertainty: Map<String, Value> = Map::new();
+            for of in group.iter().filter(|of| !of.ci95.is_empty()) {
+                let entry: Map<String, Value> =
+                    of.ci95.iter().map(|(name, ends)| ((*name).to_owned(), serde_json::json!(ends))).collect();
+                let list = uncertainty.entry(of.channel.name()).or_insert_with(|| Value::Array(Vec::new()));
+                if let Value::Array(list) = list {
+                    list.push(entry.into());
+                }
+            }
+            let confidence = group.iter().map(|of| of.confidence).fold(0.0, f64::max);
+            let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
+            let mut said = BTreeSet::new();
+            evidence.retain(|sentence| said.insert(sentence.clone()));
+            let cause = Cause {
+                effect,
+                sense,
+                triad: None,
+                channels: channels.into_iter().map(str::to_owned).collect(),
+                confidence,
+                closes: closed.filter(|_| group.iter().all(|of| !is_fact(of))).map(|closed| closed * gain / total),
+                parameters: parameters_of(sensors),
+                model: parameters_of(models),
+                uncertainty,
+                evidence,
+            };
+            (gain, cause)
+        })
+        .collect();
+    causes.sort_by(|a, b| b.0.total_cmp(&a.0));
+    causes.into_iter().map(|(_, cause)| cause).collect()
+}
+
+/// Includes the effects that were worth their price at some step and were not named.
+fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
+    let mut best: BTreeMap<&'static str, (f64, f64, Kind, Vec<String>)> = BTreeMap::new();
+    for of in &found.channels {
+        for step in &of.steps {
+            for (kind, score) in &step.others {
+                let effect = kind.effect();
+                let same = named.iter().any(|one| one.effect.name() == effect && one.channel == of.prepared.channel);
+                if same || effect == step.kind.effect() {
+                    continue;
+                }
+                let lead = step.gain - step.price - score;
+                let entry = best.entry(effect).or_insert((0.0, lead, step.kind, Vec::new()));
+                entry.0 += score;
+                let name = of.prepared.channel.name().to_owned();
+                if !entry.3.contains(&name) {
+                    entry.3.push(name);
+                }
+            }
+        }
+    }
+    let mut list: Vec<(f64, Alternative)> = best
+        .into_iter()
+        .map(|(effect, (score, lead, winner, channels))| {
+            let why_not = match lead >= 0.0 {
+                true => format!("{} explains {lead:.0} nats more", winner.effect()),
+                false => format!("{} is simpler and explains only {:.0} nats less", winner.effect(), -lead),
+            };
+            (score, Alternative { effect, channels, closes: None, why_not })
+        })
+        .collect();
+    list.sort_by(|a, b| b.0.total_cmp(&a.0));
+    list.into_iter().map(|(_, of)| of).take(6).collect()
+}

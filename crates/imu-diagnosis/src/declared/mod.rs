@@ -1,0 +1,232 @@
+//! Declared effects: effects that a model has and its sensor lacks, or has with other numbers.
+
+pub(crate) mod courses;
+pub(crate) mod values;
+
+use crate::diagnose::Findings;
+use crate::evidence::Kind;
+use crate::named::Named;
+use crate::prepare::Prepared;
+use crate::prices::Prices;
+use crate::report::Sense;
+use crate::search::Step;
+use crate::series::Series;
+use crate::spread::Spread;
+use crate::translate::{LEAST_PASSED, Translated};
+use imu_model::effects::{Comb, Effect, Tone};
+use imu_model::simulator::ChannelModel;
+use std::sync::Arc;
+
+/// Nats of a line whose frequency is known: it is there.
+const THERE: f64 = 6.0;
+
+/// One of the model's lines as a channel has it, in the series' scale.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct MeasuredLine {
+    /// Peak, and its standard error.
+    pub(crate) amplitude: f64,
+    pub(crate) error: f64,
+    /// Nats more than with the model's amplitude, and than without the line.
+    pub(crate) otherwise: f64,
+    pub(crate) there: f64,
+    /// Whether the channel's line differs from the model's statement.
+    pub(crate) is_off: bool,
+}
+
+/// The model's lines as a channel has them: normal amplitudes about the true ones.
+///
+/// A line whose stated interval reaches the channel's value agrees with the model.
+pub(crate) fn lines(series: &Series<'_>, of: &Prepared, model: &ChannelModel, prices: &Prices) -> Vec<MeasuredLine> {
+    let errors = Spread::of(series).sines;
+    let own = series.explanation.sines.iter().zip(&of.sines).zip(&of.lines).zip(errors);
+    own.map(|(((found, declared), (place, passed)), (_, error))| {
+        let (amplitude, expected) = (found.amplitude(), declared.amplitude());
+        let nats = |off: f64| 0.5 * (off / error).powi(2);
+        let stated = model.effect_interval(*place, "amplitude").map(|ends| ends.map(|end| end * passed / of.scale));
+        let is_within =
+            stated.is_some_and(|[low, high]| amplitude - 1.96 * error <= high && amplitude + 1.96 * error >= low);
+        let otherwise = nats(amplitude - expected);
+        MeasuredLine {
+            amplitude,
+            error,
+            otherwise,
+            there: nats(amplitude),
+            is_off: !is_within && otherwise > prices.of(Kind::Tone),
+        }
+    })
+    .collect()
+}
+
+/// The chance that noise alone puts one of the model's effects off by so many nats.
+fn by_chance(nats: f64) -> f64 {
+    /// As many of them are looked at in a record.
+    const LOOKED_AT: f64 = 100.0;
+    (LOOKED_AT * (-nats).exp()).min(1.0)
+}
+
+/// Lines of the model that a channel lacks or has with other amplitudes.
+pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+    let prepared = &of.prepared;
+    let channel = prepared.channel;
+    let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
+        let own: Vec<(f64, &MeasuredLine)> = prepared
+            .lines
+            .iter()
+            .zip(&of.lines)
+            .filter(|((of_effect, _), _)| *of_effect == place)
+            .map(|((_, passed), line)| (prepared.scale / passed, line))
+            .collect();
+        if !own.iter().any(|(_, line)| line.is_off) {
+            return None;
+        }
+        let otherwise: f64 = own.iter().map(|(_, line)| line.otherwise).sum();
+        let is_there = own.iter().any(|(_, line)| line.there > THERE);
+        let amplitudes: Vec<f64> = own.iter().map(|(unit, line)| unit * line.amplitude).collect();
+        let (found, ci95): (Arc<dyn Effect>, _) = match (effect.number("frequency_hz"), effect.number("fundamental_hz"))
+        {
+            (Some(frequency_hz), _) => {
+                let (unit, line) = own[0];
+                let ends = [-1.96, 1.96].map(|far| (unit * (line.amplitude + far * line.error)).max(0.0));
+                (Arc::new(Tone { frequency_hz, amplitude: amplitudes[0] }), vec![("amplitude", ends)])
+            }
+            (_, Some(fundamental_hz)) => (Arc::new(Comb { fundamental_hz, amplitudes }), Vec::new()),
+            _ => return None,
+        };
+        if is_there && prepared.lines.iter().any(|(of_effect, passed)| *of_effect == place && *passed < LEAST_PASSED) {
+            // Behind the model's filters, almost nothing is left of the line: what the channel shows there has another
+            // cause.
+            return None;
+        }
+        let (sense, says) = match is_there {
+            true => (Sense::Size, "with another amplitude than the model's"),
+            false => (Sense::Superfluous, "without the model's line"),
+        };
+        let evidence = format!("{channel}: {otherwise:.0} nats more {says}, its phase fitted");
+        Some(Named {
+            channel,
+            sense,
+            declared: Some((place, effect.clone())),
+            effect: if is_there { found } else { effect.clone() },
+            gain: otherwise,
+            p_value: by_chance(otherwise),
+            confidence: 0.99,
+            evidence: vec![evidence],
+            ci95: if is_there { ci95 } else { Vec::new() },
+        })
+    };
+    model.effects.iter().enumerate().filter_map(named).collect()
+}
+
+/// Which of the model's effects each found one stands for, by its place in the list.
+pub(crate) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelModel) -> Vec<Option<usize>> {
+    let mut places = vec![None; found.len()];
+    let changed = steps.iter().filter_map(|step| step.of_model.filter(|(_, sense)| *sense == Sense::Size));
+    for (place, _) in changed {
+        let Some(declared) = model.effects.get(place) else { continue };
+        let hz = |effect: &dyn Effect| effect.number("frequency_hz").unwrap_or_default();
+        let apart = |at: &usize| (hz(&*found[*at].effect) - hz(&**declared)).abs();
+        let same = (0..found.len()).filter(|at| places[*at].is_none() && found[*at].effect.name() == declared.name());
+        if let Some(at) = same.min_by(|a, b| apart(a).total_cmp(&apart(b))) {
+            places[at] = Some(place);
+        }
+    }
+    places
+}
+
+/// The model's spectral effects that a channel lacks: the search left them out, and no effect that was found stands for
+/// them.
+pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>], level: f64) -> Vec<Named> {
+    let channel = of.prepared.channel;
+    let superfluous = of.steps.iter().filter_map(|step| {
+        let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
+        let effect = model.effects.get(place)?.clone();
+        let next = step.others.first().map_or(0.0, |(_, score)| *score);
+        let margin = step.gain - step.price - next;
+        let evidence = format!(
+            "{channel}: {:.0} nats more without the model's {} than with it, the noise fitted again; chance gives {:.0}",
+            step.gain,
+            effect.name(),
+            step.price
+        );
+        Some(Named {
+            channel,
+            sense: Sense::Superfluous,
+            declared: Some((place, effect.clone())),
+            effect,
+            gain: step.gain,
+            p_value: step.chance(level),
+            confidence: crate::named::confidence(margin),
+            evidence: vec![evidence],
+            ci95: Vec::new(),
+        })
+    });
+    superfluous.collect()
+}
+
+/// The model's drifts, steps and changes of variance that a channel lacks or has with other numbers. The channel's own are found
+/// separately.
+pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+    let channel = of.prepared.channel;
+    let named = |one: &courses::Off| {
+        let effect = model.effects.get(one.place)?.clone();
+        let name = effect.name();
+        let evidence = format!("{channel}: {:.0} nats more with another {name} than the model's", one.otherwise);
+        Some(Named {
+            channel,
+            sense: Sense::Superfluous,
+            declared: Some((one.place, effect.clone())),
+            effect,
+            gain: one.otherwise,
+            p_value: by_chance(one.otherwise),
+            confidence: 0.99,
+            evidence: vec![evidence],
+            ci95: Vec::new(),
+        })
+    };
+    of.off.iter().filter_map(named).collect()
+}
+
+/// Whether what was found agrees with the model: its numbers lie inside intervals that are half as wide again.
+fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
+    let inside = |(name, [low, high]): &(&str, [f64; 2])| {
+        let more = 0.25 * (high - low);
+        declared.number(name).is_some_and(|value| (low - more..=high + more).contains(&value))
+    };
+    !found.ci95.is_empty() && found.ci95.iter().all(inside)
+}
+
+/// An effect that the model has at one place and the sensor at another is one effect with other numbers.
+pub(crate) fn elsewhere(named: &mut Vec<Named>) {
+    let mut at = 0;
+    while at < named.len() {
+        let same = |one: &Named| {
+            let both = [named[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
+            both && one.channel == named[at].channel && one.effect.name() == named[at].effect.name()
+        };
+        // The nearest of several in frequency or time.
+        let apart = |other: &usize| {
+            let [one, other] = [at, *other].map(|place| &named[place].effect);
+            let both = ["frequency_hz", "fundamental_hz", "at_s", "from_s"]
+                .iter()
+                .find_map(|name| Some(one.number(name)? - other.number(name)?));
+            both.unwrap_or_default().abs()
+        };
+        let others = (0..named.len()).filter(|other| same(&named[*other]));
+        let Some(other) = others.min_by(|a, b| apart(a).total_cmp(&apart(b))) else {
+            at += 1;
+            continue;
+        };
+        let lacked = named.remove(at);
+        // One place less where it stood before.
+        let other = other - usize::from(other > at);
+        if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
+            named.remove(other);
+            at -= usize::from(other < at);
+            continue;
+        }
+        let found = &mut named[other];
+        (found.sense, found.declared) = (Sense::Size, lacked.declared);
+        found.gain += lacked.gain;
+        found.evidence.extend(lacked.evidence);
+    }
+}

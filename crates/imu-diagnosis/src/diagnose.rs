@@ -1,0 +1,340 @@
+//! The diagnosis of a whole record: explains every channel, and finds the shared effects, the parameters that are off,
+//! and the remainder.
+
+use super::bands::Bands;
+use super::declared::courses::{self, Off};
+use super::declared::{self, MeasuredLine};
+use super::error::DiagnosisError;
+use super::evidence::Kind;
+use super::explanation::Explanation;
+use super::grid::Grid;
+use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
+use super::law::Fitted;
+use super::modulated::{self, Levels};
+use super::motion::Residuals;
+use super::nameless;
+use super::omnibus::{self, Statistic};
+use super::prepare::{self, Prepared, Ready};
+use super::prices::{Prices, Tails};
+use super::recording::Recording;
+use super::remainder::MATERIAL;
+use super::report::Diagnosis;
+use super::search::{self, FREE, Step};
+use super::series::Series;
+use super::shared::{self, Shared, Whitened};
+use super::spread::Spread;
+use super::tiles::Tiles;
+use super::zero_rows;
+use imu_core::sample::Channel;
+use imu_model::effects::temperature_bias::RATE_LAG_S;
+use imu_model::simulator::SensorModel;
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
+/// The scheduler of the work: several channels may be examined at a time.
+pub trait Workers: Sync {
+    /// Calls `work` once with each number below `count`. If it leaves some numbers out, the diagnosis is cancelled.
+    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
+}
+
+/// One after the other.
+#[derive(Debug, Clone, Copy, Default)]
+#[expect(clippy::exhaustive_structs, reason = "nothing to it")]
+pub struct Alone;
+
+impl Workers for Alone {
+    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
+        (0..count).for_each(work);
+    }
+}
+
+/// The inputs of a diagnosis besides record and model.
+#[derive(Clone, Copy)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out over its default")]
+pub struct Options<'a> {
+    /// The program and its version.
+    pub software: &'a str,
+    /// The name of the recording.
+    pub real: &'a str,
+    /// The name of the model.
+    pub sim: &'a str,
+    /// The part of records of noise alone in which an effect may be named by chance.
+    pub level: f64,
+    /// The scheduler of the work.
+    pub workers: &'a dyn Workers,
+    /// Part of the gap above which the remainder makes the verdict `unknown_effect`.
+    pub unknown_above: f64,
+    /// Names of the effects to look for; an empty list means all effects.
+    pub effects: Option<&'a [&'static str]>,
+    /// Whether the model's B and K are believed to be about right. If not, they are fitted without prior knowledge.
+    pub believed: bool,
+    /// The distribution of chance in records of this length ([`super::calibration`]); without it, that of the shipped
+    /// table.
+    pub tails: Option<&'a Tails>,
+}
+
+impl Options<'_> {
+    /// Whether an effect is looked for.
+    #[must_use]
+    pub fn wants(&self, effect: &str) -> bool {
+        // Lines at multiples of one another are found as tones, bands whose level changes as bands.
+        let alike = [["tone", "comb"], ["resonance", "modulated_band"]];
+        let same = |names: &[&str]| {
+            alike.iter().any(|both| both.contains(&effect) && both.iter().any(|one| names.contains(one)))
+        };
+        self.effects.is_none_or(|names| names.contains(&effect) || same(names))
+    }
+}
+
+impl std::fmt::Debug for Options<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Options").field("real", &self.real).field("sim", &self.sim).finish_non_exhaustive()
+    }
+}
+
+impl Default for Options<'_> {
+    fn default() -> Self {
+        Self {
+            software: "vn100d",
+            real: "",
+            sim: "",
+            level: 0.005,
+            workers: &Alone,
+            unknown_above: MATERIAL,
+            effects: None,
+            believed: true,
+            tails: None,
+        }
+    }
+}
+
+/// The result of a diagnosis.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Outcome {
+    /// The report.
+    pub diagnosis: Diagnosis,
+    /// The model with its parameters corrected and the missing effects added.
+    pub augmented: SensorModel,
+    /// The part of a record of a known motion beyond the model, for pictures; empty for a record at rest.
+    pub residuals: Vec<Residuals>,
+}
+
+/// The findings on a channel.
+#[derive(Debug)]
+pub(super) struct Findings {
+    pub(super) prepared: Prepared,
+    pub(super) explanation: Explanation,
+    pub(super) steps: Vec<Step>,
+    /// The law with effects, its levels free of beliefs.
+    pub(super) fitted: Fitted,
+    /// Nats lost if N, B or K is held at the model's value and all other numbers are fitted again.
+    pub(super) held: [f64; 3],
+    /// The frequencies in which the effects gain likelihood.
+    pub(super) bands: Bands,
+    /// The density of what is louder than everything found: points in Hz and the series' scale squared per Hz.
+    pub(super) nameless: Vec<(f64, f64)>,
+    /// Bands whose level changes.
+    pub(super) levels: Vec<Levels>,
+    /// The tiles of time and frequency in which the residual still differs from the law.
+    pub(super) after: Tiles,
+    pub(super) statistics: Vec<(Statistic, f64)>,
+    pub(super) scores: Scores,
+    /// Standard deviation of the white part, U per sample.
+    pub(super) white: f64,
+    /// The record's mean without the explained part, U.
+    pub(super) level: f64,
+    /// The white part's mean variance over its variance at times when nothing changes it.
+    pub(super) average_variance: f64,
+    /// The same ratio over the ratio that the model states.
+    pub(super) louder: f64,
+    /// Standard errors of the explanation.
+    pub(super) spread: Spread,
+    /// The model's lines as the channel has them.
+    pub(super) lines: Vec<MeasuredLine>,
+    /// The model's drifts, steps and changes of variance that the channel has with other numbers.
+    pub(super) off: Vec<Off>,
+}
+
+/// The findings in a record.
+#[derive(Debug)]
+pub(super) struct Found {
+    pub(super) channels: Vec<Findings>,
+    pub(super) shared: Vec<Shared>,
+    pub(super) repeats: Vec<(Vec<Channel>, super::facts::Repeats)>,
+    pub(super) further: Vec<Channel>,
+    pub(super) samples: usize,
+    pub(super) tails: Tails,
+    pub(super) temperature_c: f64,
+}
+
+/// Compares a record with a model.
+///
+/// # Errors
+/// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
+pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result<Outcome, DiagnosisError> {
+    let zeros = zero_rows::rows(real);
+    let real = &*zero_rows::without(real, &zeros);
+    let ready = prepare::prepare(real, sim)?;
+    let samples = real.len();
+    let tails = options.tails.cloned().unwrap_or_else(|| Tails::shipped(samples));
+    let wanted = |kind: Kind| options.wants(kind.effect());
+    let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
+    let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
+    let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
+    options.workers.each(ready.channels.len(), &|index| {
+        let found = explain(&ready, sim, index, &prices, &halves, options.believed);
+        *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
+    });
+    let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
+    let both: Vec<(Findings, Whitened)> = done.collect::<Option<_>>().ok_or(DiagnosisError::CalledOff)?;
+    let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
+    let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
+    let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
+    let shared = shared::shared(&whitened, price);
+    let linked = |i: usize, j: usize| {
+        let has = |of: &Shared, at: usize| of.parts.iter().any(|(own, _)| *own == at);
+        shared.iter().any(|of| has(of, i) && has(of, j))
+    };
+    let residuals: Vec<Vec<f64>> = whitened.into_iter().map(|of| of.residual).collect();
+    for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(residuals, &linked)) {
+        of.statistics.push((Statistic::Crosstalk, value));
+    }
+    let shared = if options.wants("common_mode") { shared } else { Vec::new() };
+    let found = Found {
+        channels,
+        shared,
+        repeats: if options.wants("held_samples") { ready.repeats } else { Vec::new() },
+        further: ready.further,
+        samples,
+        tails,
+        temperature_c: ready.reference_c,
+    };
+    let mut outcome = super::compose::outcome(&found, real, sim, options);
+    outcome.diagnosis.notes.extend(zero_rows::note(&zeros, real.rate_hz));
+    Ok(outcome)
+}
+
+/// The complete result for one channel.
+fn explain(
+    ready: &Ready,
+    sim: &SensorModel,
+    index: usize,
+    prices: &Prices,
+    halves: &Halves,
+    believed: bool,
+) -> (Findings, Whitened) {
+    let mut prepared = ready.channels[index].clone();
+    if !believed {
+        prepared.beliefs = FREE;
+    }
+    let as_declared = courses::as_declared(&prepared);
+    let off = {
+        let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
+        courses::off(&ready.setting(&prepared, &base), &ready.transform, &prepared, prices)
+    };
+    courses::strip(&mut prepared, &off);
+    let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
+    let setting = ready.setting(&prepared, &base);
+    let known = courses::as_declared(&prepared);
+    let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
+    for (name, evidence) in [
+        ("spikes", super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
+        ("heavy_tails", super::evidence::outlier::heavy_tails),
+    ] {
+        if prepared.has.contains(&name)
+            && let Some(candidate) = evidence(&series)
+        {
+            series.explanation = candidate.explanation;
+            series.rebuild(false);
+        }
+    }
+    let Explanation { law, courses, loud, scedasticity, .. } = as_declared.clone();
+    let known = Explanation { law, courses, loud, scedasticity, ..series.explanation.clone() };
+    let free = |series: &Series<'_>| {
+        let mut data = series.data();
+        data.beliefs = &FREE;
+        series.explanation.law.fit(data)
+    };
+    let declared_variance = series.average_variance();
+    let steps = search::explain(&mut series, prices);
+    let fitted = free(&series);
+    let changed = series.average_variance().ln();
+    let held = [0, 1, 2].map(|level| {
+        // As good as held: a belief a thousandth wide.
+        let told = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
+        let told = told.max(super::law::LEVELS[level].0);
+        let mut beliefs = FREE;
+        beliefs[level] = Some((told, 1e-3));
+        let mut law = fitted.law.clone();
+        law.levels[level] = told;
+        let mut data = series.data();
+        data.beliefs = &beliefs;
+        law.fit(data)
+    });
+    let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
+    let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
+    let nameless = nameless::density(&series);
+    let has_bands = prepared.has.iter().any(|name| matches!(*name, "resonance" | "modulated_band"));
+    let levels = if has_bands { Vec::new() } else { modulated::levels(&mut series) };
+    let after = Tiles::of(&series);
+    let model = sim.channels.get(&prepared.channel);
+    let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
+    let lines = lines.unwrap_or_default();
+    let statistics = omnibus::statistics(&mut series);
+    // The model's lines have the model's amplitudes, except those that the channel has with other amplitudes.
+    let mut known = known;
+    known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
+    known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
+    let mut found = series.explanation.clone();
+    for (course, (_, _, factor)) in found.courses.iter_mut().zip(&prepared.shifts) {
+        course.1 = *factor;
+    }
+    for place in (0..lines.len()).filter(|place| !lines[*place].is_off) {
+        found.sines[place] = known.sines[place];
+    }
+    let whole = Whole {
+        samples: &prepared.samples,
+        halves,
+        base: &base,
+        declared: &prepared.spectral,
+        beliefs: series.beliefs,
+        rate_hz: ready.rate_hz,
+        reach: prepared.reach,
+        owner: prepared.channel as u32,
+        known: &known,
+        found: &found,
+    };
+    let scores = holdout::scores(whole);
+    debug_assert_eq!(scores.effects.len(), BLOCKS);
+    let spread = Spread::of(&series);
+    let whitened = Whitened::of(&series);
+    let white = series.white() * prepared.scale;
+    let level = prepared.level + series.mean * prepared.scale
+        - courses::constant(&prepared, model, ready.reference_c, ready.courses.temperature());
+    let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
+    drop(series);
+    (
+        Findings {
+            spread,
+            average_variance,
+            louder: average_variance / declared_variance,
+            prepared,
+            explanation,
+            steps,
+            fitted,
+            held,
+            bands,
+            nameless,
+            levels,
+            after,
+            statistics,
+            scores,
+            white,
+            level,
+            lines,
+            off,
+        },
+        whitened,
+    )
+}

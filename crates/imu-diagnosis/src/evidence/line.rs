@@ -1,0 +1,165 @@
+//! Lines: sines, and bands of noise that are narrow.
+
+use super::{Candidate, Kind};
+use crate::explanation::{Sine, alternates, per_product, turning};
+use crate::grid::Narrow;
+use crate::law::{Data, Law, Shape, Term};
+use crate::series::Series;
+use imu_model::effects::{Effect, Resonance};
+
+/// Sines are searched from this number of periods in the record up. With fewer periods, a record cannot show that they
+/// recur.
+const LEAST_PERIODS: f64 = 3.0;
+
+/// The strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in cycles per sample.
+fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
+    let n = periodogram.len().checked_sub(1)?;
+    let from = (2.0 * LEAST_PERIODS) as usize;
+    // At half the rate there is no sine beside the cosine.
+    let power = |k: usize| if k == n { 0.5 * periodogram[k] } else { periodogram[k] };
+    let k = (from..=n).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+    if k == n {
+        return Some((power(k), 0.5));
+    }
+    // A parabola through ln of the power, then its top.
+    let (left, middle, right) = (power(k - 1).ln(), power(k).ln(), power(k + 1).ln());
+    let curvature = left - 2.0 * middle + right;
+    let shift = if curvature < 0.0 { (0.5 * (left - right) / curvature).clamp(-0.5, 0.5) } else { 0.0 };
+    Some((power(k), (k as f64 + shift) / (2.0 * n as f64)))
+}
+
+/// Σ x·cos and Σ x·sin at a frequency.
+fn products(values: &[f64], cycles: f64) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    turning(cycles, values.len(), |t, cosine, sine| {
+        sums[0] += values[t] * cosine;
+        sums[1] += values[t] * sine;
+    });
+    sums
+}
+
+/// The frequency near `cycles` with the greatest power, in a record of so many samples.
+fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
+    let mut best = (power(cycles), cycles);
+    let mut width = 0.15 / samples as f64;
+    for _ in 0..6 {
+        let (left, right) = (power(best.1 - width), power(best.1 + width));
+        let curvature = left - 2.0 * best.0 + right;
+        let shift = if curvature < 0.0 { (0.5 * width * (left - right) / curvature).clamp(-width, width) } else { 0.0 };
+        let there = power(best.1 + shift);
+        if there > best.0 {
+            best = (there, best.1 + shift);
+        }
+        width *= 0.4;
+    }
+    best.1
+}
+
+/// A sine, the strongest that is left.
+#[must_use]
+pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
+    let n = series.len();
+    let residual = std::mem::take(&mut series.residual);
+    let periodogram = series.transform().periodogram(&residual);
+    series.residual = residual;
+    let (power, cycles) = strongest(&periodogram)?;
+    let mut explanation = series.explanation.clone();
+    // The greatest of n values by chance is about this.
+    if power < (n as f64).ln() + 1.0 {
+        return Some(Candidate::missing(Kind::Tone, power, explanation));
+    }
+    if series.is_slow(cycles) {
+        let cycles = peak(n, cycles, |cycles| series.turn(cycles).0);
+        let drift = series.with_columns(&series.setting().courses.turning(cycles));
+        explanation.sines.push(Sine { cycles, quadratures: [drift.factors[0], drift.factors[1]] });
+        explanation.law = drift.law;
+        return Some(Candidate::missing(Kind::Tone, drift.gain, explanation));
+    }
+    let power = |cycles: f64| products(&series.residual, cycles).iter().map(|sum| sum * sum).sum();
+    let cycles = if cycles < 0.5 { peak(n, cycles, power) } else { cycles };
+    let cycles = if alternates(cycles, n) { 0.5 } else { cycles };
+    let spectrum = {
+        let k = 2.0 * n as f64 * cycles;
+        let below = (k as usize).clamp(1, n - 1);
+        series.spectrum[below]
+    };
+    // In the whitened series a sine is one of 1/√S.
+    let mut rest = series.rest.clone();
+    let quadratures = products(&series.residual, cycles).map(|sum| per_product(cycles, n) * sum * spectrum.sqrt());
+    let sine = Sine { cycles, quadratures };
+    turning(cycles, n, |t, cosine, sine| rest[t] -= quadratures[0] * cosine + quadratures[1] * sine);
+    series.transform().forward(&mut rest);
+    let power = series.grid.power(&rest);
+    let fitted = series.explanation.law.fit(series.data_of(&power));
+    let gain = fitted.log_posterior - series.fitted.log_posterior;
+    explanation.sines.push(sine);
+    explanation.law = fitted.law;
+    Some(Candidate::missing(Kind::Tone, gain, explanation))
+}
+
+/// A narrow band of noise.
+#[must_use]
+pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
+    const WIDTHS: [f64; 6] = [0.0001, 0.0004, 0.0015, 0.005, 0.015, 0.04];
+    const MOST: usize = 4;
+    let n = series.len();
+    let bands = series.explanation.law.terms.iter().filter(|term| term.shape == Shape::Resonance).count();
+    if bands >= MOST {
+        return None;
+    }
+    // The band that stands out most, at several widths.
+    let mut sums = vec![0.0; n];
+    for k in 1..n {
+        sums[k] = sums[k - 1] + series.whitened[k] * series.whitened[k];
+    }
+    let mut best: Option<(f64, f64, f64, f64)> = None;
+    let from = ((0.004 * 2.0 * n as f64) as usize).max(8);
+    for width in WIDTHS {
+        let count = ((width * 2.0 * n as f64) as usize).max(8);
+        let mut k = from;
+        while k + count < n {
+            let ratio = (sums[k + count] - sums[k]) / count as f64;
+            if ratio > 1.0 {
+                let score = 0.5 * count as f64 * (ratio - 1.0 - ratio.ln());
+                if best.is_none_or(|best| score > best.0) {
+                    best = Some((score, (k as f64 + 0.5 * count as f64) / (2.0 * n as f64), count as f64, ratio));
+                }
+            }
+            k += (count / 8).max(1);
+        }
+    }
+    let (score, cycles, count, ratio) = best?;
+    let rate_hz = series.setting().rate_hz;
+    let (frequency_hz, width_hz) = (cycles * rate_hz, count / (2.0 * n as f64) * rate_hz);
+    let mut explanation = series.explanation.clone();
+    // The approximate gain by chance.
+    if score < 9.0 {
+        return Some(Candidate::missing(Kind::Resonance, score.max(0.0), explanation));
+    }
+    let grid = series.resolving(&[Narrow { frequency_hz, width_hz: 0.5 * width_hz }]);
+    let power = grid.power(&series.coefficients);
+    let base = (series.setting().base)(&grid, &series.explanation.without);
+    let worth = series.worth_on(&grid, &base);
+    let data = Data { grid: &grid, power: &power, worth: &worth, base: &base, beliefs: &series.beliefs };
+    let without = series.explanation.law.fit(data);
+    let level = {
+        let k = ((cycles * 2.0 * n as f64) as usize).clamp(1, n - 1);
+        series.spectrum[k]
+    };
+    let start = |share: f64, ratio: f64| {
+        let bandwidth_hz = share * width_hz;
+        // The peak of such a band is σ²·rate/(π·bandwidth) two-sided.
+        let unit = Resonance::new(frequency_hz, bandwidth_hz, 1.0);
+        let top = rate_hz * unit.psd(frequency_hz, rate_hz).unwrap_or(1.0);
+        let mut law = without.law.clone();
+        let sigma2 = (ratio - 1.0).max(0.05) * level / top;
+        law.terms.push(Term { shape: Shape::Resonance, numbers: vec![sigma2.ln(), frequency_hz, bandwidth_hz.ln()] });
+        law
+    };
+    let with = Law::fit_best(vec![start(0.6, ratio), start(0.2, 2.0 * ratio)], data)?;
+    let mut alone = with.law.clone();
+    alone.terms.pop();
+    let alone = alone.fit(data).log_posterior.max(without.log_posterior);
+    explanation.law = with.law;
+    Some(Candidate::missing(Kind::Resonance, with.log_posterior - alone, explanation))
+}

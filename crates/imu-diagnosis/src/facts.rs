@@ -1,0 +1,410 @@
+//! Facts: properties that the values show without inference: a step that all are multiples of, limits, repeats, stamps.
+
+use super::oddities::{self, Oddity};
+
+/// The facts that one channel's values show.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Facts {
+    /// The step that the values are multiples of.
+    pub step: Option<f64>,
+    /// The least value, where the channel was cut off there.
+    pub low: Option<f64>,
+    /// The greatest.
+    pub high: Option<f64>,
+}
+
+/// The facts of a channel's values (finite, those that are there).
+#[must_use]
+pub fn of(values: &[f64]) -> Facts {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (sorted.first().copied(), sorted.last().copied()) else { return Facts::default() };
+    let rounding = 8.0 * f64::EPSILON * first.abs().max(last.abs());
+    // Values and how often each is there.
+    let mut counted: Vec<(f64, usize)> = Vec::new();
+    for value in sorted {
+        match counted.last_mut() {
+            Some((own, count)) if value - *own <= rounding => *count += 1,
+            _ => counted.push((value, 1)),
+        }
+    }
+    let step = step(&counted, values.len());
+    let limited = |extreme: f64| {
+        // Apart from one another: a value that is held is one.
+        let mut runs = 0;
+        let mut inside = false;
+        for value in values {
+            let there = (value - extreme).abs() <= rounding;
+            runs += usize::from(there && !inside);
+            inside = there;
+        }
+        runs
+    };
+    // The count that the extreme would have if it belonged to a tail. The logarithms of a distribution's counts bend down, so
+    // that a straight line through the next counts lies above. Small counts carry little information: their plausible upper
+    // values are used.
+    let near = |inwards: &mut dyn Iterator<Item = &(f64, usize)>| {
+        let mut next = || inwards.next().map_or(1, |one| one.1) as f64;
+        let [first, second, third, fourth] = [next(), next(), next(), next()];
+        let (pair, inner) = (first + second, third + fourth);
+        let (may, fall) = (pair + 2.0 * pair.sqrt(), (pair / inner).min(1.0));
+        (first * first / second).min(first).max(may * fall / (1.0 + fall.sqrt())).max(1.0)
+    };
+    let cut = |extreme: f64, expected: f64| {
+        let runs = limited(extreme);
+        match step {
+            // Without a step no two values are equal.
+            None => runs >= 3,
+            Some(_) => {
+                let runs = runs as f64;
+                runs >= 5.0 && runs > expected && runs * (runs / expected).ln() - (runs - expected) > 12.0
+            }
+        }
+    };
+    let low = cut(first, near(&mut counted.iter().skip(1))).then_some(first);
+    let high = cut(last, near(&mut counted.iter().rev().skip(1))).then_some(last);
+    Facts { step, low, high }
+}
+
+/// The step: a distance that nearly all distances of neighbouring values are whole multiples of.
+fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
+    /// Values that were seen before, at least: else the step is far below the noise.
+    const REPEATED: f64 = 0.2;
+    /// How far from whole a multiple may be, and how many may be farther: limits and spikes need not lie on the lattice.
+    const WHOLE: f64 = 0.03;
+    const ASTRAY: f64 = 0.02;
+    const COMMON: usize = 3;
+    if let [one, other] = counted {
+        // A step of which two values are seen is so wide that both are common.
+        return (one.1.min(other.1) >= COMMON).then_some(other.0 - one.0);
+    }
+    if counted.len() < 3 || counted.len() as f64 > (1.0 - REPEATED) * samples as f64 {
+        return None;
+    }
+    // Each distance counts as often as the rarer of its two values was seen.
+    let mut distances: Vec<(f64, f64)> =
+        counted.windows(2).map(|pair| (pair[1].0 - pair[0].0, pair[0].1.min(pair[1].1) as f64)).collect();
+    distances.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let allowed = ASTRAY * distances.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut passed = 0.0;
+    let smallest = distances.iter().find(|(_, weight)| {
+        passed += weight;
+        passed > allowed
+    });
+    let (smallest, _) = smallest?;
+    let (mut best, mut astray_of_best) = (None, f64::INFINITY);
+    for part in 1..=6 {
+        let mut step = smallest / f64::from(part);
+        // Ever longer distances make it ever more exact.
+        for _ in 0..3 {
+            let (mut length, mut count) = (0.0, 0.0);
+            for (distance, weight) in &distances {
+                let multiple = (distance / step).round();
+                if multiple <= 8.0 && (distance / step - multiple).abs() < 0.2 {
+                    length += weight * distance;
+                    count += weight * multiple;
+                }
+            }
+            if count > 0.0 {
+                step = length / count;
+            }
+        }
+        let far = |(distance, _): &&(f64, f64)| (distance / step - (distance / step).round()).abs() > WHOLE;
+        let astray: f64 = distances.iter().filter(far).map(|(_, weight)| weight).sum();
+        if astray < astray_of_best {
+            (best, astray_of_best) = (Some(step), astray);
+        }
+        if astray <= allowed {
+            break;
+        }
+    }
+    best.filter(|_| astray_of_best <= allowed)
+}
+
+/// Samples that are the ones before them again.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Repeats {
+    /// Which.
+    pub places: Vec<usize>,
+    /// How many chance would make.
+    pub expected: f64,
+    /// Nats that repeats explain, 0 if they are chance's.
+    pub gain: f64,
+}
+
+/// The repeats of channels that repeat together; `columns` of one length, those of one triad.
+#[must_use]
+pub fn repeats(columns: &[&[f64]]) -> Repeats {
+    let n = columns.iter().map(|column| column.len()).min().unwrap_or_default();
+    if n < 3 || columns.is_empty() {
+        return Repeats::default();
+    }
+    // A value at an extreme may have been cut off there: that it comes again is the limit's doing.
+    let ends: Vec<[f64; 2]> = columns
+        .iter()
+        .map(|column| column[..n].iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]))
+        .collect();
+    let cut = |t: usize| columns.iter().zip(&ends).all(|(column, ends)| ends.contains(&column[t]));
+    let same = |t: usize, back: usize| columns.iter().all(|column| column[t] == column[t - back]) && !cut(t);
+    let places: Vec<usize> = (1..n).filter(|t| same(*t, 1)).collect();
+    let found = places.len() as f64;
+    // The number of repeats by chance, and the number if chance alone made every repeat of each channel.
+    let [expected, alone] = match columns {
+        [one] => [chance(&one[..n]) * (n - 1) as f64; 2],
+        several => {
+            let equal = several.iter().map(|column| (1..n).filter(|t| column[*t] == column[t - 1]).count() as f64);
+            let equal: Vec<f64> = equal.map(|count| count / (n - 1) as f64).collect();
+            let together = together(columns, n);
+            let all = jointly(found / (n - 1) as f64, &equal, together);
+            [all, together * equal.iter().product::<f64>()].map(|chance| chance * (n - 1) as f64)
+        }
+    };
+    // Fewer than one expected is counted as a part of one, so that a single repeat is no proof.
+    let gain_over = |expected: f64| {
+        let floor = expected.max(1e-3);
+        if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 }
+    };
+    let gain = gain_over(expected).min(gain_over(alone));
+    Repeats { places, expected, gain }
+}
+
+/// How often chance makes all channels equal their last samples, given how often they are equal (`all`, `each`): a sample that is
+/// sent again is equal in all channels at once.
+fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
+    const ROUNDS: usize = 60;
+    let by_chance = |again: f64| {
+        let alone: f64 = each.iter().map(|own| ((own - again) / (1.0 - again).max(1e-9)).max(0.0)).product();
+        (together * alone).min(all)
+    };
+    // The part sent again that leaves itself, by halves: coarse values are equal so often that it would settle slowly.
+    let (mut low, mut high) = (0.0, all);
+    for _ in 0..ROUNDS {
+        let again = 0.5 * (low + high);
+        let chance = by_chance(again);
+        if (all - chance) / (1.0 - chance).max(1e-9) > again { low = again } else { high = again }
+    }
+    let again = 0.5 * (low + high);
+    (1.0 - again) * by_chance(again)
+}
+
+/// Distances, in samples: farther than a value is held, near enough that the level is the same.
+const APART: std::ops::Range<usize> = 20..28;
+
+/// The ratio of how often all channels together equal their values some samples ago to how often they would if they were
+/// independent. It is above 1 for coarse values that share noise, or that are loud and quiet together. Samples that are sent
+/// again do not raise it.
+fn together(columns: &[&[f64]], n: usize) -> f64 {
+    /// Fewer samples carry no information.
+    const LEAST: f64 = 200.0;
+    let (mut both, mut alone) = (0.0, 0.0);
+    for apart in APART.filter(|apart| *apart < n) {
+        let same = |column: &&[f64], t: usize| column[t] == column[t - apart];
+        let length = (n - apart) as f64;
+        let counts = columns.iter().map(|column| (apart..n).filter(|t| same(column, *t)).count() as f64 / length);
+        alone += length * counts.product::<f64>();
+        both += (apart..n).filter(|t| columns.iter().all(|column| same(column, *t))).count() as f64;
+    }
+    if both < LEAST { 1.0 } else { (both / alone).max(1.0) }
+}
+
+/// The chance that a rounded value is the one before it again: from how often neighbours differ by one step and by two, as a
+/// normal distribution of the differences has it.
+fn chance(column: &[f64]) -> f64 {
+    let distances: Vec<f64> = column.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    let equal = distances.iter().filter(|d| **d == 0.0).count() as f64;
+    if equal == 0.0 {
+        return 0.0;
+    }
+    let Some(step) = of(column).step else {
+        // Values of many digits are never equal by chance; those of coarse floats now and then, two samples apart as well.
+        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
+        return (apart / column.len() as f64).min(equal / column.len() as f64);
+    };
+    let count = |multiple: f64| distances.iter().filter(|d| (*d / step - multiple).abs() < 0.2).count() as f64 / 2.0;
+    let (one, two) = (count(1.0), count(2.0));
+    if one < 20.0 || two < 1.0 {
+        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
+        return apart / column.len() as f64;
+    }
+    // ln of the counts is a − b·multiple². For coarse values this does not hold: they are equally often what they were
+    // some samples ago.
+    let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
+    let apart = APART.filter(|apart| *apart < column.len());
+    let again = |apart: usize| {
+        let pairs = column.iter().zip(&column[apart..]);
+        pairs.filter(|(a, b)| a == b).count() as f64 / (column.len() - apart) as f64
+    };
+    let (sum, count) = apart.fold((0.0, 0.0), |(sum, count), apart| (sum + again(apart), count + 1.0));
+    (at_zero / distances.len() as f64).max(sum / f64::max(count, 1.0)).min(1.0)
+}
+
+/// The facts that stamps show.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[non_exhaustive]
+pub struct Stamps {
+    /// Standard deviation about evenly spaced instants, or about a clock that wanders slowly, beyond the stamps' own rounding, s.
+    pub jitter_s: f64,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Whether the clock wanders.
+    pub(super) wanders: Option<Oddity>,
+}
+
+/// By how much stamps of samples at the given places of a grid are late against the straight line through them, s, and the line's
+/// period, s; `None` for fewer than 16.
+fn off_line(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<(Vec<f64>, f64)> {
+    let pairs: Vec<(f64, f64)> = places.map(|place| place as f64).zip(time_s.iter().copied()).collect();
+    if pairs.len() < 16 {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let (place, time) = pairs.iter().fold((0.0, 0.0), |(p, t), (place, time)| (p + place / n, t + time / n));
+    let (mut product, mut square) = (0.0, 0.0);
+    for (own_place, own_time) in &pairs {
+        product += (own_place - place) * (own_time - time);
+        square += (own_place - place).powi(2);
+    }
+    let period = product / square;
+    (period.is_finite() && period > 0.0)
+        .then(|| (pairs.iter().map(|(p, t)| t - time - period * (p - place)).collect(), period))
+}
+
+/// The stamps of samples at the given places of a grid; `None` for fewer than 16.
+#[must_use]
+pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
+    /// Stretches of a record in each of which a wandering clock is about as late as at their middle.
+    const STRETCHES: usize = 64;
+    /// Part of a period.
+    const SURE: f64 = 0.15;
+    let (off_s, period_s) = off_line(time_s, places)?;
+    let size = (off_s.len() / STRETCHES).max(16);
+    let (mut square, mut free) = (0.0, 0.0);
+    for of in off_s.chunks(size) {
+        let mean = of.iter().sum::<f64>() / of.len() as f64;
+        square += of.iter().map(|off| (off - mean).powi(2)).sum::<f64>();
+        free += of.len() as f64 - 1.0;
+    }
+    let variance = square / free - digits_s(time_s).powi(2) / 12.0;
+    let jitter_s = variance.max(0.0).sqrt();
+    // Stamps that scatter by as much are put on the wrong instants of the grid now and then.
+    let wanders = oddities::of_clock(&off_s, period_s).filter(|_| jitter_s < SURE * period_s);
+    Some(Stamps { jitter_s, rate_hz: 1.0 / period_s, wanders })
+}
+
+/// The power of ten, s, that all stamps are multiples of, counted from the first; 0 below 1e-7.
+fn digits_s(time_s: &[f64]) -> f64 {
+    const WHOLE: f64 = 1e-3;
+    let first = time_s.first().copied().unwrap_or_default();
+    let whole = |digit: &i32| {
+        let per_s = 10f64.powi(*digit);
+        time_s.iter().map(|s| (s - first) * per_s).all(|of| (of - of.round()).abs() < WHOLE)
+    };
+    (0..=7).find(whole).map_or(0.0, |digit| 10f64.powi(-digit))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imu_model::effects::{Stream, StreamId};
+
+    fn noise(seed: u64, n: usize) -> Vec<f64> {
+        let mut stream = Stream::new(seed, StreamId { owner: 0, effect: 1, instance: 0 });
+        (0..n).map(|_| -9.8 + stream.normal()).collect()
+    }
+
+    #[test]
+    fn a_step_is_found_and_floats_have_none() {
+        for step in [0.03, 0.2, 0.003_33 * 9.806_65, 1.0, 3.0] {
+            let mut values: Vec<f64> = noise(1, 30_001).iter().map(|v| (v / step).round() * step).collect();
+            assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-4, "{step}: {:?}", of(&values));
+            // A few values off the lattice do not change the result.
+            values[17] += 0.377;
+            assert!((of(&values).step.unwrap() / step - 1.0).abs() < 1e-3, "{step}: {:?}", of(&values));
+        }
+        assert_eq!(of(&noise(2, 20_000)), Facts::default());
+    }
+
+    #[test]
+    fn limits_are_told_from_extremes() {
+        let cut = |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v.min(-7.0)).collect() };
+        let values = noise(3, 20_000);
+        assert_eq!(of(&cut(&values)).high, Some(-7.0));
+        let rounded: Vec<f64> = values.iter().map(|v| (v / 0.2).round() * 0.2).collect();
+        assert_eq!((of(&rounded).low, of(&rounded).high), (None, None));
+        let cut_off: Vec<f64> = rounded.iter().map(|v| v.min(-8.0)).collect();
+        let found = of(&cut_off);
+        assert!((found.high.unwrap() + 8.0).abs() < 1e-9, "{found:?}");
+        // One extreme sample, held a few times.
+        let mut held = values;
+        held[100..106].fill(50.0);
+        assert_eq!(of(&held).high, None);
+    }
+
+    #[test]
+    fn a_few_equal_extremes_of_rounded_values_are_chance() {
+        // Ten at the extreme, four beside them, sixteen next to those, as a fall by about a half each may well show.
+        let counts = [10, 4, 16, 40, 70, 120, 200, 320, 500, 760];
+        let mut values: Vec<f64> = Vec::new();
+        for (place, count) in counts.into_iter().enumerate() {
+            let value = 1.0 - 0.25 * place as f64;
+            values.extend((0..count).map(|_| value));
+        }
+        // One after the other in another order, so that none is held.
+        let count = values.len();
+        let mixed: Vec<f64> = (0..count).map(|at| values[at * 1009 % count]).collect();
+        assert_eq!(of(&mixed).high, None);
+        let cut: Vec<f64> = mixed.iter().map(|value| value.min(-0.25)).collect();
+        assert_eq!(of(&cut).high, Some(-0.25));
+    }
+
+    #[test]
+    fn repeats_of_rounded_values_are_chance_and_held_ones_are_not() {
+        let rounded = |seed: u64, step: f64| -> Vec<f64> {
+            noise(seed, 20_000).iter().map(|v| (v / step).round() * step).collect()
+        };
+        let columns = [rounded(4, 0.3), rounded(5, 0.3), rounded(6, 0.3)];
+        let of_all = |columns: &[Vec<f64>]| repeats(&columns.iter().map(Vec::as_slice).collect::<Vec<_>>());
+        let by_chance = of_all(&columns);
+        assert!(by_chance.gain < 6.0 && !by_chance.places.is_empty(), "{}", by_chance.gain);
+        assert!(of_all(&columns[..1]).gain < 6.0, "{}", of_all(&columns[..1]).gain);
+        // Coarse values that share noise repeat together more often than by themselves.
+        let source = noise(10, 200_000);
+        let shared = |seed: u64| -> Vec<f64> {
+            noise(seed, 200_000).iter().zip(&source).map(|(own, all)| ((own + all) / 1.5).round() * 1.5).collect()
+        };
+        let linked = [shared(11), shared(12), shared(13)];
+        assert!(of_all(&linked).gain < 6.0, "{}", of_all(&linked).gain);
+        let mut held = columns;
+        for t in [50, 700, 701, 9000, 15_000, 15_100, 16_000, 17_000] {
+            for column in &mut held {
+                column[t] = column[t - 1];
+            }
+        }
+        let mut few = [noise(7, 5000), noise(8, 5000)];
+        for column in &mut few {
+            column[70] = column[69];
+            column[71] = column[69];
+            column[90] = column[89];
+        }
+        assert_eq!(of_all(&few).places, [70, 71, 90]);
+        assert!(of_all(&few).gain > 12.0);
+        assert!(of_all(&held).gain > by_chance.gain);
+    }
+
+    #[test]
+    fn stamps_tell_rate_and_jitter() {
+        let scatter = noise(9, 5000);
+        let time_s: Vec<f64> = (0..5000).map(|i| 3.0 + i as f64 / 40.0 + 0.001 * (scatter[i] + 9.8)).collect();
+        let found = stamps(&time_s, 0..5000).unwrap();
+        assert!((found.jitter_s / 0.001 - 1.0).abs() < 0.05 && (found.rate_hz / 40.0 - 1.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(stamps(&time_s[..10], 0..10), None);
+        // Whole milliseconds of even steps that are none are no jitter, beside it they are not added to it.
+        let whole = |time_s: f64| (1e3 * time_s).round() / 1e3;
+        let even: Vec<f64> = (0..5000).map(|i| whole(i as f64 / 60.0)).collect();
+        assert!(stamps(&even, 0..5000).unwrap().jitter_s < 5e-5);
+        let both: Vec<f64> = time_s.iter().map(|s| whole(*s)).collect();
+        assert!((stamps(&both, 0..5000).unwrap().jitter_s / 0.001 - 1.0).abs() < 0.05);
+    }
+}

@@ -1,0 +1,143 @@
+//! Field: stretches of a record in which a magnet or iron was near the magnetometer.
+//!
+//! The earth's field keeps its magnitude whichever way the sensor points; what a magnetometer's own hard and soft iron make of it
+//! follows the pose by some percent. A magnitude far outside the range of the rest of the record comes from the surroundings, and
+//! is not an effect of the sensor that a simulator could have.
+
+use super::recording::Recording;
+use imu_core::sample::Triad;
+
+/// Length of the parts that are looked at, s.
+const PART_S: f64 = 0.5;
+/// Parts at least.
+const LEAST: usize = 20;
+/// Deviation from the middle that is a disturbance: in median deviations of the parts (as standard deviations), and in parts of
+/// the middle.
+const FAR: [f64; 2] = [8.0, 0.15];
+/// Parts that a disturbance may swing back for and be the same.
+const BETWEEN: usize = 4;
+/// A median of deviations as a standard deviation of a normal distribution.
+const AS_DEVIATION: f64 = 1.4826;
+
+/// A stretch with a disturbed field.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
+pub struct Disturbed {
+    /// Begin, s after the record's first sample.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// The magnitude that is farthest from the middle, gauss (mean over half a second).
+    pub farthest_gauss: f64,
+    /// The median of all parts, gauss.
+    pub middle_gauss: f64,
+    /// The parts' scatter about it, gauss.
+    pub scatter_gauss: f64,
+}
+
+impl Disturbed {
+    /// The sentence of a report.
+    #[must_use]
+    pub fn told(&self) -> String {
+        format!(
+            "the magnetic field is disturbed from {:.1} s to {:.1} s (a magnet or iron nearby): its magnitude reaches {:.3} \
+             gauss, {:.3} ± {:.3} elsewhere; no effect of a sensor makes that",
+            self.from_s, self.to_s, self.farthest_gauss, self.middle_gauss, self.scatter_gauss
+        )
+    }
+}
+
+/// The disturbed stretches of a record with a magnetometer, in order.
+///
+/// # Validation
+/// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) this finds the two passes of the magnet, and nothing in 01,
+/// 24 and 26 (docs/motion-diagnosis.md).
+#[must_use]
+pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
+    let columns: Option<Vec<&[f64]>> = Triad::Mag.channels().into_iter().map(|channel| real.values(channel)).collect();
+    let Some(columns) = columns else { return Vec::new() };
+    let size = ((PART_S * real.rate_hz) as usize).max(1);
+    let magnitude = |t: usize| columns.iter().map(|values| values[t] * values[t]).sum::<f64>().sqrt();
+    let parts: Vec<Option<f64>> = (0..real.len() / size)
+        .map(|part| {
+            let there: Vec<f64> = (part * size..(part + 1) * size)
+                .filter(|t| !real.is_missing(*t))
+                .map(magnitude)
+                .filter(|value| value.is_finite())
+                .collect();
+            (2 * there.len() > size).then(|| there.iter().sum::<f64>() / there.len() as f64)
+        })
+        .collect();
+    let known: Vec<f64> = parts.iter().flatten().copied().collect();
+    if known.len() < LEAST {
+        return Vec::new();
+    }
+    let middle = median(known.clone());
+    let scatter = AS_DEVIATION * median(known.iter().map(|value| (value - middle).abs()).collect());
+    let least = (FAR[0] * scatter).max(FAR[1] * middle);
+    let mut found: Vec<(usize, usize, f64)> = Vec::new();
+    for (place, value) in parts.iter().enumerate().filter_map(|(place, value)| Some((place, (*value)?))) {
+        if (value - middle).abs() <= least {
+            continue;
+        }
+        match found.last_mut() {
+            Some((_, last, farthest)) if place - *last <= BETWEEN => {
+                *last = place;
+                if (value - middle).abs() > (*farthest - middle).abs() {
+                    *farthest = value;
+                }
+            }
+            _ => found.push((place, place, value)),
+        }
+    }
+    let at_s = |part: usize| (part * size) as f64 / real.rate_hz;
+    let tell = |(from, last, farthest): (usize, usize, f64)| Disturbed {
+        from_s: at_s(from),
+        to_s: at_s(last + 1),
+        farthest_gauss: farthest,
+        middle_gauss: middle,
+        scatter_gauss: scatter,
+    };
+    found.into_iter().map(tell).collect()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(field: impl Fn(usize) -> [f64; 3]) -> Recording {
+        let channels = Triad::Mag.channels().into_iter().enumerate();
+        let values = |axis: usize| (0..4000).map(|t| field(t)[axis]).collect();
+        Recording {
+            rate_hz: 40.0,
+            channels: channels.map(|(axis, channel)| (channel, values(axis))).collect(),
+            ..Recording::default()
+        }
+    }
+
+    #[test]
+    fn a_magnets_pass_is_found_and_a_turn_with_hard_iron_is_none() {
+        let turned = |t: usize| {
+            let (sin, cos) = (0.002 * t as f64).sin_cos();
+            // Hard iron of a twentieth, and noise that is none.
+            [0.45 * cos + 0.02, 0.45 * sin, 0.02 * ((t * 7919) % 13) as f64 / 13.0]
+        };
+        assert_eq!(disturbed(&record(turned)), []);
+        let passed = |t: usize| {
+            let [x, y, z] = turned(t);
+            let near = (-(((t as f64) - 2000.0) / 60.0).powi(2)).exp();
+            [x, y, z + 0.9 * near]
+        };
+        let found = disturbed(&record(passed));
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!((47.0..50.0).contains(&found[0].from_s) && (50.0..53.0).contains(&found[0].to_s), "{found:?}");
+        assert!(found[0].farthest_gauss > 0.9 && (0.4..0.5).contains(&found[0].middle_gauss), "{found:?}");
+        assert!(found[0].told().contains("magnet or iron nearby"));
+        assert_eq!(disturbed(&Recording { rate_hz: 40.0, ..Recording::default() }), []);
+    }
+}

@@ -1,0 +1,95 @@
+//! Diagnosis: where a record and a simulator's law differ, and which effect the simulator lacks. Pure.
+//!
+//! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of docs/formats.md,
+//! and the model with its parameters corrected and the effects found added.
+//!
+//! All evidence is in one unit: nats of log density of the real samples per sample. A channel's samples are transformed
+//! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]). Their deterministic part follows [`course`]s and
+//! sines ([`series`]). [`evidence`] computes the gain of each effect. [`search`] adds one effect after the other as long as each
+//! is worth its price. The price is the gain that chance makes in simulated records of the same length.
+
+mod augmented;
+mod bands;
+#[cfg(test)]
+mod both_ways;
+pub mod calibration;
+mod censored;
+#[cfg(test)]
+mod cliffs;
+mod compose;
+mod confidence;
+pub mod course;
+mod declared;
+pub mod diagnose;
+mod discrepancy;
+mod dither;
+mod drawings;
+mod ends;
+mod equaliser;
+pub mod error;
+pub mod evidence;
+pub mod explanation;
+pub mod facts;
+pub mod field;
+mod filling;
+pub mod grid;
+mod hidden;
+mod hints;
+pub mod holdout;
+#[cfg(test)]
+mod intervals;
+pub mod law;
+#[cfg(test)]
+mod located;
+#[cfg(test)]
+mod missing_samples;
+pub mod model_fit;
+mod modulated;
+pub mod motion;
+mod named;
+mod nameless;
+mod oddities;
+pub mod omnibus;
+mod owned;
+mod pairs;
+mod phase;
+mod places;
+mod plans;
+mod polish;
+mod preconditioner;
+pub mod prepare;
+pub mod prices;
+pub mod recording;
+mod remainder;
+pub mod report;
+pub mod response;
+#[cfg(test)]
+mod round_trip;
+mod rounded;
+pub mod search;
+mod sentence;
+pub mod series;
+pub mod shared;
+pub mod spread;
+#[cfg(test)]
+mod strong_effects;
+mod taken_back;
+pub mod tiles;
+pub mod transform;
+pub mod translate;
+mod zero_rows;
+
+pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
+pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
+pub use error::DiagnosisError;
+pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
+pub use prepare::{is_same_rate, same_rate};
+pub use recording::Recording;
+pub use remainder::MATERIAL;
+pub use report::{Diagnosis, FORMAT, Verdict};
+
+/// The effects that can be found in a record at rest: those of docs/effects.md that act on channels.
+#[must_use]
+pub fn effect_names() -> Vec<&'static str> {
+    imu_model::effects::registry::names(&imu_model::effects::registry::CHANNEL)
+}

@@ -1,0 +1,90 @@
+//! Missing samples: rows that a driver filled with zeros, samples lost or cut off behind a filter, stamps of arrival.
+
+use super::round_trip::{RATE_HZ, model, recording};
+use super::{Options, Outcome, Recording, Verdict, diagnose};
+use imu_model::effects::{Stream, StreamId};
+use imu_model::simulator::SensorModel;
+use serde_json::json;
+
+const SAMPLES: usize = 40_000;
+
+fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
+    diagnose(real, sim, &Options::default()).unwrap()
+}
+
+fn names(outcome: &Outcome) -> Vec<&'static str> {
+    outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
+}
+
+#[test]
+fn a_run_of_zeros_of_a_driver_is_missing_rows_and_no_cause() {
+    for (seed, from, count) in [(11, 9_990, 20), (12, 30_000, 1), (13, 200, 900)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        real.channels.iter_mut().for_each(|(_, values)| values[from..from + count].fill(0.0));
+        let found = diagnosed(&real, &model(None)).diagnosis;
+        assert!(matches!(found.verdict, Verdict::NoGap), "{}", found.summary);
+        let begins = format!("{count} row");
+        assert!(
+            found.notes.iter().any(|note| note.starts_with(&begins) && note.contains("0 on every")),
+            "{:?}",
+            found.notes
+        );
+    }
+}
+
+#[test]
+fn zeros_now_and_then_are_rows_that_were_lost() {
+    let mut real = recording(&model(None), 14, SAMPLES);
+    let zeros = |values: &mut Vec<f64>| values.iter_mut().step_by(7).for_each(|value| *value = 0.0);
+    real.channels.iter_mut().for_each(|(_, values)| zeros(values));
+    let found = diagnosed(&real, &model(None));
+    assert_eq!(names(&found), ["timing"], "{}", found.diagnosis.summary);
+    assert!(found.diagnosis.notes.iter().any(|note| note.contains("0 on every")), "{:?}", found.diagnosis.notes);
+}
+
+/// Sharp filters hide how much is behind them where samples are lost.
+#[test]
+fn samples_that_are_lost_behind_a_filter_are_no_other_filter() {
+    for filter in [
+        json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 2}),
+        json!({"effect": "low_pass", "cutoff_hz": 8.0, "order": 1}),
+        json!({"effect": "moving_average", "window": 4}),
+    ] {
+        for (share, seed) in [(3e-5, 31), (1e-3, 32), (3e-2, 33), (0.1, 34)] {
+            let sim = model(Some(&filter));
+            let mut real = recording(&sim, seed, SAMPLES);
+            let mut stream = Stream::new(seed, StreamId { owner: 91, effect: 0, instance: 0 });
+            real.missing.iter_mut().for_each(|missing| *missing = stream.uniform() < share);
+            let found = diagnosed(&real, &sim);
+            let others = names(&found).iter().filter(|name| **name != "timing").count();
+            let is_right = others == 0 && found.diagnosis.verdict != Verdict::UnknownEffect;
+            assert!(is_right, "{filter}, {share}: {}", found.diagnosis.summary);
+        }
+    }
+}
+
+#[test]
+fn samples_that_are_cut_off_behind_a_filter_are_saturation_alone() {
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 2});
+    for (limit, seed) in [(0.312, 41), (0.310, 42), (0.316, 43)] {
+        let sim = model(Some(&filter));
+        let mut real = recording(&sim, seed, SAMPLES);
+        real.channels[0].1.iter_mut().for_each(|value| *value = value.min(limit));
+        let found = diagnosed(&real, &sim);
+        assert_eq!(names(&found), ["saturation"], "{limit}: {}", found.diagnosis.summary);
+        assert!(found.diagnosis.discrepancy.before.abs() < 0.01, "{:?}", found.diagnosis.discrepancy);
+    }
+}
+
+/// Stamps of arrival scatter by more than a model's may: the corrected model is still one that can be read.
+#[test]
+fn a_model_of_stamps_that_scatter_by_more_than_its_own_stays_a_model() {
+    let timing = json!({"effect": "timing", "jitter_s": 0.002, "drop_probability": 0.0});
+    let sim = model(Some(&timing));
+    let mut real = recording(&sim, 61, 20_000);
+    let mut stream = Stream::new(61, StreamId { owner: 93, effect: 0, instance: 0 });
+    real.time_s.iter_mut().for_each(|time_s| *time_s += 0.02 * stream.normal());
+    let found = diagnosed(&real, &sim);
+    assert_eq!(names(&found), ["timing"], "{}", found.diagnosis.summary);
+    assert_eq!(found.augmented.check(RATE_HZ), Ok(()));
+}

@@ -1,0 +1,68 @@
+//! Modulated: bands that were found and whose level changes with time.
+
+use super::law::Shape;
+use super::omnibus::component;
+use super::series::Series;
+use imu_model::effects::profile::mean_power_of;
+use std::f64::consts::TAU;
+
+/// A band whose level changes: the place of its term in the law, and the middles of stretches of the record in samples, each with
+/// the factor on the band's amplitude there. The mean square of the level is 1.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Levels {
+    pub(super) term: usize,
+    pub(super) points: Vec<(f64, f64)>,
+}
+
+/// The bands of the law whose levels change clearly.
+///
+/// The mean square of a normal process of bandwidth w (full width at half power) over a time T is one of 2π·w·T squares of
+/// normal values, about: its square has the autocovariance σ⁴·exp(−2πw|t|). Levels in stretches gain ν/2·(r − 1 − ln r) each.
+pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
+    /// Independent values in a stretch.
+    const LEAST: f64 = 24.0;
+    const FEWEST: usize = 4;
+    const MOST: usize = 48;
+    /// Nats a stretch and at all that they have to give, beyond what chance gives.
+    const EACH: f64 = 2.0;
+    const ALL: f64 = 20.0;
+    /// Levels below this are none, of the average.
+    const SILENT: f64 = 0.01;
+    let (n, rate_hz) = (series.len(), series.setting().rate_hz);
+    let is_band = series.explanation.law.terms.iter().any(|term| term.shape == Shape::Resonance);
+    // White noise whose variance changes is heard in every band.
+    if !is_band || !series.variance.is_empty() {
+        return Vec::new();
+    }
+    let bands: Vec<usize> =
+        series.explanation.law.terms.iter().enumerate().filter(|(_, term)| term.adds()).map(|(at, _)| at).collect();
+    let mut found = Vec::new();
+    for (term, (own, course, _)) in bands.into_iter().zip(component::courses(series)) {
+        let Some(width_hz) = own.numbers.get(2).map(|width| width.exp()).filter(|_| own.shape == Shape::Resonance)
+        else {
+            continue;
+        };
+        let free = TAU * width_hz * n as f64 / rate_hz;
+        let count = ((free / LEAST) as usize).min(MOST);
+        if count < FEWEST {
+            continue;
+        }
+        let size = n / count;
+        let squares: Vec<f64> =
+            course.chunks_exact(size).map(|of| of.iter().map(|x| x * x).sum::<f64>() / size as f64).collect();
+        let mean = squares.iter().sum::<f64>() / squares.len() as f64;
+        let ratios: Vec<f64> = squares.iter().map(|square| (square / mean).max(SILENT)).collect();
+        let each = 0.5 * free / count as f64;
+        let nats: f64 = ratios.iter().map(|ratio| each * (ratio - 1.0 - ratio.ln())).sum();
+        if nats > ALL + EACH * ratios.len() as f64 {
+            let middle = |at: usize| (at as f64 + 0.5) * size as f64;
+            let mut points: Vec<(f64, f64)> =
+                ratios.iter().enumerate().map(|(at, ratio)| (middle(at), ratio.sqrt())).collect();
+            // Between the middles of stretches the level is a straight line.
+            let square = mean_power_of(&points, n as f64, 2);
+            points.iter_mut().for_each(|point| point.1 /= square.sqrt());
+            found.push(Levels { term, points });
+        }
+    }
+    found
+}

@@ -1,0 +1,317 @@
+//! Named effects: effects on channels, with their gains and the source of the evidence: the search, the values, or the
+//! stamps.
+
+use super::censored;
+use super::declared::{self, values};
+use super::diagnose::{Findings, Found, Options};
+use super::evidence::Kind;
+use super::facts;
+use super::pairs;
+use super::prepare::Prepared;
+use super::recording::Recording;
+use super::report::Sense;
+use super::translate::{self, Translated, Units};
+use imu_core::sample::Channel;
+use imu_model::effects::timing::JITTER_MAX;
+use imu_model::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Timing};
+use imu_model::simulator::{ChannelModel, SensorModel};
+use std::sync::Arc;
+
+/// A rounding is worth naming from this part of the white noise's standard deviation on.
+pub(super) const MATERIAL_STEP: f64 = 0.03;
+/// An effect on a channel with what it gives.
+#[derive(Clone)]
+pub(super) struct Named {
+    pub(super) channel: Channel,
+    pub(super) sense: Sense,
+    /// The model's own effect, and its place in the list, if it has it.
+    pub(super) declared: Option<(usize, Arc<dyn Effect>)>,
+    /// The sensor's; where the sensor lacks it the model's.
+    pub(super) effect: Arc<dyn Effect>,
+    pub(super) gain: f64,
+    /// Chance that noise alone makes as much of it anywhere in the record.
+    pub(super) p_value: f64,
+    pub(super) confidence: f64,
+    pub(super) evidence: Vec<String>,
+    /// 95 % intervals of its parameters.
+    pub(super) ci95: Vec<(&'static str, [f64; 2])>,
+}
+
+impl Named {
+    /// An effect that the model lacks, as sure as the effects that are read off values and stamps.
+    pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
+        let sense = Sense::Missing;
+        Self {
+            channel,
+            sense,
+            declared: None,
+            effect,
+            gain,
+            p_value: (-gain).exp().min(1.0),
+            confidence: 0.99,
+            evidence: Vec::new(),
+            ci95: Vec::new(),
+        }
+    }
+}
+
+/// Every effect that was found and is looked for.
+pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
+    let mut named: Vec<Named> = Vec::new();
+    for of in &found.channels {
+        if let Some(model) = sim.channels.get(&of.prepared.channel) {
+            named.extend(of_channel(of, found, sim, model, options.level));
+            named.extend(declared::of_lines(of, model));
+            named.extend(declared::of_courses(of, model));
+            named.extend(values::of_samples(of, model, sim.rate_hz));
+        }
+        named.extend(of_facts(of));
+    }
+    declared::elsewhere(&mut named);
+    named.extend(of_repeats(found, sim));
+    named.extend(values::of_repeats(found, sim));
+    named.extend(of_shared(found, sim));
+    named.extend(values::of_shared(found, sim));
+    named.extend(of_stamps(real, sim));
+    named.retain(|of| options.wants(of.effect.name()));
+    for of in &mut named {
+        of.evidence.extend(pairs::of_line(of.channel, &*of.effect, real.rate_hz));
+    }
+    named
+}
+
+/// The findings of the search on a channel.
+fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
+    let units = Units {
+        prepared: &of.prepared,
+        samples: found.samples,
+        temperature_c: found.temperature_c,
+        average_variance: of.average_variance,
+        levels: &of.levels,
+        sim,
+    };
+    let effects = translate::effects(&of.explanation, &of.spread, units);
+    // A level that follows the temperature other than along a line is the same effect.
+    let is = |step: &super::search::Step, kind: Kind| {
+        step.kind == kind || (step.kind == Kind::TemperatureCurve && kind == Kind::TemperatureBias)
+    };
+    let same = |kind: Kind| of.steps.iter().filter(move |step| is(step, kind) && step.has_term());
+    let standing = declared::stands_for(&effects, &of.steps, model);
+    let superfluous = declared::left_out(of, model, &standing, level);
+    let found_here = effects
+        .iter()
+        .zip(&standing)
+        .map(|(Translated { kind, effect, ci95 }, place)| {
+            let several = effects.iter().filter(|other| other.kind == *kind).count().max(1) as f64;
+            let gain = same(*kind).map(|step| step.gain).sum::<f64>() / several;
+            let margin = same(*kind)
+                .map(|step| {
+                    let score = step.gain - step.price;
+                    let next = step.others.iter().find(|(other, _)| other.effect() != kind.effect());
+                    next.map_or(score, |(_, other)| score - other)
+                })
+                .fold(f64::NEG_INFINITY, f64::max);
+            let mut evidence = Vec::new();
+            for step in same(*kind) {
+                evidence.push(format!(
+                    "{}: {:.0} nats ({:.2e} a sample) more with {} than without, the noise fitted again; chance gives {:.0}",
+                    of.prepared.channel,
+                    step.gain,
+                    step.gain / found.samples as f64,
+                    effect.name(),
+                    step.price,
+                ));
+            }
+            let declared = place.and_then(|place| Some((place, model.effects.get(place)?.clone())));
+            Named {
+                channel: of.prepared.channel,
+                sense: if declared.is_some() { Sense::Size } else { Sense::Missing },
+                declared,
+                effect: effect.clone(),
+                gain,
+                p_value: same(*kind).map(|step| step.chance(level)).fold(1.0, f64::min),
+                confidence: confidence(margin),
+                evidence,
+                ci95: ci95.clone(),
+            }
+        })
+        .collect::<Vec<Named>>();
+    found_here.into_iter().chain(superfluous).collect()
+}
+
+/// The confidence that is stated for a lead of so many nats over the next best reading.
+pub(super) fn confidence(margin: f64) -> f64 {
+    1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
+}
+
+/// The effects that the values show without inference.
+fn of_facts(of: &Findings) -> Vec<Named> {
+    let mut named = Vec::new();
+    let channel = of.prepared.channel;
+    let facts = of.prepared.facts;
+    let mut add = |effect: Arc<dyn Effect>, gain: f64, evidence: String| {
+        named.push(Named { confidence: 0.999, evidence: vec![evidence], ..Named::missing(channel, effect, gain) });
+    };
+    if let Some(step) = facts.step
+        && step > MATERIAL_STEP * of.white
+        && !of.prepared.has.contains(&"resolution")
+    {
+        let ratio = step / of.white;
+        add(
+            Arc::new(Resolution { step }),
+            of.prepared.samples.len() as f64 * (1.0 + ratio * ratio / 12.0).ln() * 0.5,
+            format!(
+                "{channel}: all values are multiples of {step:.6e}, {ratio:.2} of the white noise's standard deviation"
+            ),
+        );
+    }
+    if (facts.low.is_some() || facts.high.is_some()) && !of.prepared.has.contains(&"saturation") {
+        // Missing and held samples are left out as well, and are not meant.
+        let Prepared { outliers, samples, limits, .. } = &of.prepared;
+        let cut = censored::at_limits(outliers, samples, samples, *limits).len() as f64;
+        let far = 1e3 * of.prepared.scale + of.prepared.level.abs();
+        add(
+            Arc::new(Saturation { low: facts.low.unwrap_or(-far), high: facts.high.unwrap_or(far) }),
+            4.0 * cut,
+            format!("{channel}: {cut} samples stand exactly at the extreme value, apart from one another"),
+        );
+    }
+    named
+}
+
+/// Samples that are sent again.
+fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
+    let mut named = Vec::new();
+    for (channels, repeats) in &found.repeats {
+        let has = |channel: &Channel| {
+            sim.channels.get(channel).is_some_and(|model| model.effects.iter().any(|e| e.name() == "held_samples"))
+        };
+        if channels.iter().any(has) {
+            continue;
+        }
+        let probability = (repeats.places.len() as f64 - repeats.expected).max(1.0) / found.samples as f64;
+        for channel in channels {
+            let evidence = format!(
+                "{channel}: {} samples are the one before them again on all channels of the triad; chance makes {:.1}",
+                repeats.places.len(),
+                repeats.expected
+            );
+            let gain = repeats.gain / channels.len() as f64;
+            named.push(Named {
+                confidence: 0.999,
+                evidence: vec![evidence],
+                ci95: vec![("probability", poisson(probability, found.samples))],
+                ..Named::missing(*channel, Arc::new(HeldSamples { probability }), gain)
+            });
+        }
+    }
+    named
+}
+
+/// Noise that channels share.
+fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
+    let mut named = Vec::new();
+    for shared in &found.shared {
+        for ((index, part), sizes) in shared.parts.iter().zip(&shared.ci95) {
+            let of = &found.channels[*index];
+            let has = sim.channels.get(&of.prepared.channel);
+            if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
+                return Vec::new();
+            }
+            let gain = shared.gain / shared.parts.len() as f64;
+            let mut ends = sizes.map(|size| size * part.signum() * of.white);
+            ends.sort_unstable_by(f64::total_cmp);
+            named.push(Named {
+                evidence: vec![format!(
+                    "{}: {:.1} % of the white noise's variance is shared with other channels",
+                    of.prepared.channel,
+                    100.0 * part * part
+                )],
+                ci95: vec![("sigma", ends)],
+                ..Named::missing(of.prepared.channel, Arc::new(CommonMode { sigma: part * of.white }), gain)
+            });
+        }
+    }
+    named
+}
+
+/// The 95 % interval of a chance, given how often the event occurred in so many samples.
+fn poisson(chance: f64, samples: usize) -> [f64; 2] {
+    let count = chance * samples as f64;
+    let half = 1.96 * count.max(1.0).sqrt();
+    [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
+}
+
+/// The effects that the stamps show, if there are any stamps.
+pub(super) fn stamps(real: &Recording) -> Option<facts::Stamps> {
+    let there = |place: &usize| !real.missing.get(*place).copied().unwrap_or(false);
+    let places: Vec<usize> = if real.time_s.len() == real.len() {
+        (0..real.len()).collect()
+    } else {
+        (0..real.len()).filter(there).collect()
+    };
+    (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten()
+}
+
+/// Stamps that scatter and samples that are missing one by one.
+fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
+    /// Runs that are longer are gaps, not drops.
+    const LONGEST: usize = 3;
+    /// A jitter is worth naming from this part of a period on.
+    const JITTER: f64 = 0.01;
+    let (mut runs, mut dropped, mut run) = (0, 0, 0);
+    for missing in real.missing.iter().copied().chain([false]) {
+        if missing {
+            run += 1;
+        } else {
+            if (1..=LONGEST).contains(&run) {
+                runs += 1;
+                dropped += run;
+            }
+            run = 0;
+        }
+    }
+    let stamps = stamps(real);
+    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.name() == "timing"));
+    if has {
+        return values::of_stamps(stamps, dropped, real.len(), sim);
+    }
+    let Some(first) = sim.channels.keys().next() else { return Vec::new() };
+    let scatter_s = stamps.map_or(0.0, |stamps| stamps.jitter_s);
+    let scatter_s = if scatter_s * real.rate_hz > JITTER { scatter_s } else { 0.0 };
+    // A model's stamps keep their order.
+    let most_s = JITTER_MAX / sim.rate_hz;
+    let jitter_s = scatter_s.min(most_s);
+    if runs < 3 && jitter_s == 0.0 {
+        return Vec::new();
+    }
+    let drop_probability = if runs < 3 { 0.0 } else { dropped as f64 / real.len() as f64 };
+    let mut evidence = Vec::new();
+    if jitter_s > 0.0 {
+        let more =
+            if scatter_s > most_s { ", more than a model's may: they do not tell when samples were taken" } else { "" };
+        evidence.push(format!("stamps scatter by {scatter_s:.2e} s about even steps{more}"));
+    }
+    if drop_probability > 0.0 {
+        evidence.push(format!("{dropped} samples are missing, one by one"));
+    }
+    let gain = 10.0 * runs as f64 + if jitter_s > 0.0 { real.len() as f64 } else { 0.0 };
+    vec![Named {
+        evidence,
+        ci95: [("jitter_s", jitter_s), ("drop_probability", drop_probability)]
+            .into_iter()
+            .filter(|(_, value)| *value > 0.0)
+            .map(|(name, value)| {
+                let half = 1.96 * value / (2.0 * real.len() as f64).sqrt();
+                let ends = if name == "jitter_s" { [value - half, value + half] } else { poisson(value, real.len()) };
+                (name, ends)
+            })
+            .collect(),
+        ..Named::missing(*first, Arc::new(Timing { jitter_s, drop_probability }), gain)
+    }]
+}
+
+/// Whether an effect is read off the values and stamps: its consequences are left out of all densities alike.
+pub(super) fn is_fact(of: &Named) -> bool {
+    matches!(of.effect.name(), "resolution" | "saturation" | "held_samples" | "timing")
+}

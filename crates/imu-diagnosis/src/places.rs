@@ -1,0 +1,263 @@
+//! Places: where in time and frequency each cause, each parameter that is off and the remainder has its part of the
+//! gap.
+
+use super::diagnose::{Findings, Found};
+use super::evidence::Kind;
+use super::named::Named;
+use super::recording::Recording;
+use super::report::{Cause, Of, Parameter, Place, Sense};
+use imu_core::sample::Channel;
+use imu_model::effects::Effect;
+use serde_json::Value;
+
+/// Half of a line's width in parts of 1 over the record's length.
+const LINE: f64 = 2.0;
+
+/// The remainder on a channel, and the chance that noise alone makes as much.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Remnant {
+    pub(super) channel: Channel,
+    pub(super) nats: f64,
+    pub(super) p_value: f64,
+}
+
+/// The place of an effect on a channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Spot {
+    band_hz: [f64; 2],
+    time_s: [f64; 2],
+    /// Its part of the effect's gain, in any unit.
+    weight: f64,
+    /// Whether samples differ more because of it.
+    is_louder: bool,
+}
+
+/// The places of all causes, parameters and remainders, the heaviest first.
+pub(super) fn places(
+    found: &Found,
+    named: &[Named],
+    causes: &[Cause],
+    parameters: &[Parameter],
+    remnants: &[Remnant],
+    real: &Recording,
+) -> Vec<Place> {
+    let mut places = Vec::new();
+    for of in named {
+        let same = |cause: &Cause| cause.effect == of.effect.name() && cause.sense == of.sense;
+        if let Some(index) = causes.iter().position(same) {
+            of_cause(&mut places, of, Of::Cause(index), found, real);
+        }
+    }
+    for of in parameters {
+        let own = found.channels.iter().find(|own| own.prepared.channel.name() == of.channel);
+        let level = ["N", "B", "K"].iter().position(|name| *name == of.parameter);
+        let Some((own, band)) = own.zip(level).and_then(|(own, level)| Some((own, own.bands.levels[level]?))) else {
+            continue;
+        };
+        let noisier = of.capture > of.model;
+        let spot = Spot { band_hz: band.hz, time_s: [0.0, real.length_s()], weight: 1.0, is_louder: noisier };
+        // Twice what it gains is χ² of one degree of freedom by chance; three on each channel are looked at.
+        let p_value = (3.0 * found.channels.len() as f64 * (-of.nats).exp()).min(1.0);
+        places.push(place(own.prepared.channel, Of::Parameters, spot, of.nats, p_value, real));
+    }
+    for of in remnants {
+        let own = found.channels.iter().find(|own| own.prepared.channel == of.channel);
+        places.extend(own.map(|own| of_remnant(of, own, found, real)));
+    }
+    let total: f64 = places.iter().map(|place| place.nats).sum();
+    places.iter_mut().for_each(|place| place.share = place.nats / total.max(f64::MIN_POSITIVE));
+    places.sort_by(|a, b| b.nats.total_cmp(&a.nats));
+    places
+}
+
+/// A place whose share is not known yet.
+fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &Recording) -> Place {
+    let length_s = real.length_s();
+    let [low, high] = spot.band_hz;
+    let [from_s, to_s] = spot.time_s.map(|time_s| time_s.clamp(0.0, length_s));
+    Place {
+        of,
+        channel: channel.name().to_owned(),
+        band_hz: spot.band_hz,
+        // An averaging time sees about 1/(2τ).
+        tau_s: [0.5 / high, 0.5 / low].map(|tau_s| tau_s.min(length_s)),
+        from_s,
+        to_s,
+        temperature_c: None,
+        at: None,
+        share: 0.0,
+        nats,
+        p_value,
+        sign: if spot.is_louder { "real noisier" } else { "real quieter" },
+    }
+}
+
+/// The places of a cause on a channel, and of the model's own effect if that lies elsewhere.
+fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real: &Recording) {
+    /// A cause receives the heaviest of its places.
+    const MOST: usize = 16;
+    let Some(own) = found.channels.iter().find(|own| own.prepared.channel == of.channel) else { return };
+    let mut spots = spots(&*of.effect, own, real);
+    match (of.sense, &of.declared) {
+        // For another shape of the spectrum, the side on which it is louder is known.
+        _ if is_shape(&*of.effect) => {}
+        (Sense::Superfluous, _) => spots.iter_mut().for_each(|spot| spot.is_louder = !spot.is_louder),
+        (Sense::Size, Some((_, declared))) => {
+            let apart = |one: &Spot, other: &Spot| {
+                let are = |a: [f64; 2], b: [f64; 2]| a[1] < b[0] || b[1] < a[0];
+                are(one.band_hz, other.band_hz) || are(one.time_s, other.time_s)
+            };
+            let of_model = self::spots(&**declared, own, real);
+            let elsewhere = of_model.into_iter().filter(|other| spots.iter().all(|spot| apart(spot, other)));
+            let elsewhere: Vec<Spot> = elsewhere.map(|spot| Spot { is_louder: !spot.is_louder, ..spot }).collect();
+            if elsewhere.is_empty() && is_weaker(&*of.effect, &**declared) {
+                spots.iter_mut().for_each(|spot| spot.is_louder = !spot.is_louder);
+            }
+            spots.extend(elsewhere);
+        }
+        _ => {}
+    }
+    spots.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    spots.truncate(MOST);
+    let by_temperature = of.effect.number("per_c").is_some();
+    let all: f64 = spots.iter().map(|spot| spot.weight).sum();
+    for spot in spots {
+        let nats = of.gain * spot.weight / all.max(f64::MIN_POSITIVE);
+        let mut place = place(of.channel, index, spot, nats, of.p_value, real);
+        let [from_s, to_s] = spot.time_s;
+        place.temperature_c = by_temperature.then(|| real.temperatures_between(from_s, to_s)).flatten();
+        places.push(place);
+    }
+}
+
+/// Whether an effect shapes the spectrum, so that its band was measured against the model's.
+fn is_shape(effect: &dyn Effect) -> bool {
+    matches!(effect.name(), "gauss_markov" | "quantization_noise" | "power_law" | "low_pass" | "moving_average")
+}
+
+/// Whether an effect makes less of a difference than another of its name.
+fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
+    const SIZES: [&str; 12] = [
+        "per_c2",
+        "per_c_per_s",
+        "amplitude",
+        "sigma",
+        "R",
+        "size",
+        "per_c",
+        "step",
+        "factor",
+        "probability",
+        "jitter_s",
+        "degrees_of_freedom",
+    ];
+    if one.name() == "comb" {
+        let power = |of: &dyn Effect| of.lines().iter().map(|line| line.power).sum::<f64>();
+        return power(one) < power(other);
+    }
+    let sizes = SIZES.iter().find_map(|name| Some((*name, one.number(name)?, other.number(name)?)));
+    sizes.is_some_and(|(name, one, other)| (one.abs() < other.abs()) != (name == "degrees_of_freedom"))
+}
+
+/// The place of an effect: a line has a place about its frequency, a step at its time, an interval in its own range. Another
+/// shape of the spectrum has its place in the band in which likelihood is gained. All other effects act everywhere.
+fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
+    let (length_s, half_hz) = (real.length_s(), 0.5 * real.rate_hz);
+    let whole = Spot { band_hz: [0.0, half_hz], time_s: [0.0, length_s], weight: 1.0, is_louder: true };
+    let number = |name: &str| effect.number(name);
+    let line = |frequency_hz: f64, width_hz: f64| {
+        let half = width_hz.max(LINE / length_s);
+        [(frequency_hz - half).max(0.0), (frequency_hz + half).min(half_hz)]
+    };
+    let band = |kind: Kind| own.bands.kinds.get(&kind);
+    let of_band =
+        |kind: Kind| band(kind).map_or(whole, |band| Spot { band_hz: band.hz, is_louder: band.is_louder, ..whole });
+    let pairs = |name: &str| -> Vec<[f64; 2]> {
+        let value = effect.parameters().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value);
+        let list = value.as_ref().and_then(Value::as_array).cloned().unwrap_or_default();
+        list.iter().filter_map(|pair| Some([pair.get(0)?.as_f64()?, pair.get(1)?.as_f64()?])).collect()
+    };
+    match effect.name() {
+        "tone" => vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), 0.0), ..whole }],
+        "resonance" | "modulated_band" => {
+            let width_hz = number("bandwidth_hz").unwrap_or_default();
+            vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), width_hz), ..whole }]
+        }
+        "comb" => {
+            let fundamental_hz = number("fundamental_hz").unwrap_or_default();
+            let value = effect.parameters().into_iter().find(|(own, _)| *own == "amplitudes").map(|(_, value)| value);
+            let amplitudes = value.as_ref().and_then(Value::as_array).cloned().unwrap_or_default();
+            let harmonics = amplitudes.iter().zip(1..).filter_map(|(peak, order)| {
+                let peak = peak.as_f64().filter(|peak| *peak > 0.0)?;
+                let frequency_hz = f64::from(order) * fundamental_hz;
+                Some(Spot { band_hz: line(frequency_hz, 0.0), weight: peak * peak, ..whole })
+            });
+            harmonics.collect()
+        }
+        "rate_ramp" => vec![of_band(Kind::RateRamp)],
+        "temperature_bias" if band(Kind::TemperatureBias).is_some() => vec![of_band(Kind::TemperatureBias)],
+        "temperature_bias" => vec![of_band(Kind::TemperatureCurve)],
+        "power_law" => vec![of_band(Kind::Slope)],
+        "warm_up" => {
+            let to_s = (3.0 * number("tau_s").unwrap_or(length_s)).min(length_s);
+            vec![Spot { time_s: [0.0, to_s], ..of_band(Kind::WarmUp) }]
+        }
+        "bias_step" => {
+            let at_s = number("at_s").unwrap_or_default();
+            // A step is seen against as many samples as its noise needs, five at least.
+            let size = number("size").unwrap_or_default().abs().max(f64::MIN_POSITIVE);
+            let half_s = (11.0 * (own.white / size).powi(2)).max(5.0) / real.rate_hz;
+            let time_s = [(at_s - half_s).max(0.0), (at_s + half_s).min(length_s)];
+            vec![Spot { time_s, weight: size * size, ..of_band(Kind::BiasStep) }]
+        }
+        "gauss_markov" => vec![of_band(Kind::GaussMarkov)],
+        "quantization_noise" => vec![of_band(Kind::QuantizationNoise)],
+        "low_pass" => vec![of_band(Kind::LowPass)],
+        "moving_average" => vec![of_band(Kind::MovingAverage)],
+        "bursts" => {
+            let intervals = pairs("intervals").into_iter();
+            intervals.map(|time_s| Spot { time_s, weight: time_s[1] - time_s[0], ..whole }).collect()
+        }
+        "variance_change" => match (number("from_s"), number("to_s"), number("factor")) {
+            (Some(from_s), Some(to_s), Some(factor)) => {
+                vec![Spot { time_s: [from_s, to_s], is_louder: factor > 1.0, ..whole }]
+            }
+            _ => vec![Spot { is_louder: true, time_s: loudest(&pairs("profile")).unwrap_or(whole.time_s), ..whole }],
+        },
+        "saturation" | "held_samples" => vec![Spot { is_louder: false, ..whole }],
+        _ => vec![whole],
+    }
+}
+
+/// The instants between which a profile's factor is further from 1 than half of what it is at most.
+fn loudest(profile: &[[f64; 2]]) -> Option<[f64; 2]> {
+    let most = profile.iter().map(|[_, factor]| factor.ln().abs()).fold(0.0, f64::max);
+    let far = |point: &&[f64; 2]| point[1].ln().abs() >= 0.5 * most;
+    let (first, last) = (profile.iter().find(far)?, profile.iter().rev().find(far)?);
+    Some([first[0], last[0]]).filter(|[from, to]| from < to)
+}
+
+/// The place on a channel where something remains: the rectangle of time and frequency that holds most of it, if chance rarely
+/// makes such a rectangle; otherwise the whole channel.
+fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> Place {
+    /// How rarely noise makes a rectangle that is a place.
+    const RARE: f64 = 0.01;
+    let channels = found.channels.len() as f64;
+    let heaviest = own.after.heaviest().filter(|one| channels * one.p_value < RARE);
+    let (spot, nats, p_value) = match heaviest {
+        Some(one) => {
+            let spot = Spot { band_hz: one.band_hz, time_s: one.time_s, weight: 1.0, is_louder: one.ratio >= 1.0 };
+            (spot, one.excess, channels * one.p_value)
+        }
+        None => {
+            let spot = Spot {
+                band_hz: [0.0, 0.5 * real.rate_hz],
+                time_s: [0.0, real.length_s()],
+                weight: 1.0,
+                is_louder: true,
+            };
+            (spot, of.nats, of.p_value)
+        }
+    };
+    place(of.channel, Of::Remainder, spot, nats, p_value, real)
+}

@@ -1,0 +1,688 @@
+//! Preparation: a recording and a model become series of samples of which the model's own effects are explained already.
+
+use super::course::{Course, Courses};
+use super::declared::courses::shifts_of;
+use super::dither;
+use super::error::DiagnosisError;
+use super::explanation::{Loud, Scedasticity, Sine};
+use super::facts::{self, Facts, Repeats};
+use super::grid::Grid;
+use super::law::{Base, Beliefs, Law, Term, reach};
+use super::recording::Recording;
+use super::rounded;
+use super::series::{BaseOf, Setting};
+use super::transform::Cosines;
+use imu_core::sample::{Channel, Triad};
+use imu_model::effects::temperature_bias::RATE_LAG_S;
+use imu_model::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White, profile};
+use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Fewest samples for a diagnosis.
+pub const LEAST: usize = 1000;
+/// Greatest density behind a model's filters that may be present without being stated, as a part of the white noise's
+/// density before them.
+const QUIET: f64 = 1e-6;
+/// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
+const SMOOTHED_S: f64 = 60.0;
+const STEPS: f64 = 3.0;
+/// Its rate is taken from means over so many s: from reading to reading it goes to and fro between two steps.
+const MOVES_S: f64 = 10.0;
+
+/// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
+/// Larger differences are lines, or white noise in another unit.
+const LOUDER: f64 = 20.0;
+
+/// One channel, ready to be explained.
+#[derive(Debug, Clone)]
+pub struct Prepared {
+    /// Which.
+    pub channel: Channel,
+    /// U per unit of the series.
+    pub scale: f64,
+    /// The level that was subtracted, U.
+    pub level: f64,
+    /// The samples less their level, in the series' scale.
+    pub samples: Vec<f64>,
+    /// What the values show.
+    pub facts: Facts,
+    /// Samples that are no noise: missing, held, at a limit.
+    pub outliers: Vec<usize>,
+    /// Samples at an upper limit and at a lower one, and the limits in the series' scale.
+    pub limits: [Option<f64>; 2],
+    /// The declared levels of N, B and K.
+    pub declared: Law,
+    /// Beliefs about them.
+    pub beliefs: Beliefs,
+    /// The step that counts as rounding, U: the capture's, or the model's; none if the samples are as before rounding.
+    pub step: Option<f64>,
+    /// The model's own effects of the spectrum: places in its list, and their terms.
+    pub spectral: Vec<(usize, Term)>,
+    /// Lines that the model has, with its amplitudes.
+    pub sines: Vec<Sine>,
+    /// For each line, the place of its effect in the model's list, and its amplitude over the amplitude that the effect
+    /// alone has.
+    pub lines: Vec<(usize, f64)>,
+    /// Its drifts and steps: of each the place of its effect, and its factor.
+    pub shifts: Vec<(usize, Course, f64)>,
+    /// Stretches of another variance that it has, with the places of their effects.
+    pub loud: Vec<(usize, Loud)>,
+    /// The model's intervals of bursts, whether the channel has them or not.
+    pub bursts: Vec<Range<usize>>,
+    /// Its variance by temperature or time, and the place of the effect.
+    pub scedasticity: Option<(usize, Scedasticity)>,
+    /// Samples that its filters reach.
+    pub reach: usize,
+    /// Names of the effects that it has.
+    pub has: Vec<&'static str>,
+    /// Whether an effect of it comes, goes or wanders, so that no two records are alike.
+    pub changes: bool,
+    /// ln of the white variance at the record's mean temperature over that at the temperature to which N refers.
+    pub white_shift: f64,
+    /// The part of the information on the white noise that the sent values contain: a step wider than the noise hides
+    /// some.
+    pub share: f64,
+    /// Variance of the white noise that was added, in the series' scale squared.
+    pub dither: f64,
+}
+
+/// All of them, and what belongs to the record.
+#[derive(Debug)]
+pub struct Ready {
+    /// Channels in the model's order.
+    pub channels: Vec<Prepared>,
+    /// Courses.
+    pub courses: Courses,
+    /// The transform.
+    pub transform: Cosines,
+    /// By triad (or single channel): repeats that are not chance's.
+    pub repeats: Vec<(Vec<Channel>, Repeats)>,
+    /// The channels that the recording has and the model lacks.
+    pub further: Vec<Channel>,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Mean temperature, °C, that effects refer to.
+    pub reference_c: f64,
+}
+
+impl Ready {
+    /// The record's data, for one of its channels.
+    pub(super) fn setting<'a>(&'a self, prepared: &'a Prepared, base: BaseOf<'a>) -> Setting<'a> {
+        Setting {
+            courses: &self.courses,
+            base,
+            declared: &prepared.spectral,
+            white: prepared.declared.levels[0],
+            beliefs: prepared.beliefs,
+            rate_hz: self.rate_hz,
+            bursts: &prepared.bursts,
+            reach: prepared.reach,
+            owner: prepared.channel as u32,
+        }
+    }
+}
+
+/// Looks at a recording and a model together.
+///
+/// # Errors
+/// [`DiagnosisError`] if the inputs cannot be compared.
+pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisError> {
+    let wanted = comparable(real, sim)?;
+    let n = real.len();
+    let missing: Vec<usize> =
+        real.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(t, _)| t).collect();
+    let mut transform = Cosines::new(n);
+    let (temperature, reading_c) = temperature(real).unzip();
+    let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
+    let about: Option<Vec<f64>> =
+        temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
+    let courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz)
+        .read_in_steps(reading_c.unwrap_or_default());
+    let repeats = repeats(real, &wanted);
+    let mut channels = Vec::new();
+    for channel in wanted {
+        let Some(model) = sim.channels.get(&channel) else { continue };
+        let held =
+            repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
+        let mut outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
+        outliers.sort_unstable();
+        outliers.dedup();
+        channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
+    }
+    let further = real.channels.iter().map(|(channel, _)| *channel);
+    let further = further.filter(|channel| !sim.channels.contains_key(channel)).collect();
+    Ok(Ready {
+        channels,
+        courses,
+        transform,
+        repeats,
+        further,
+        rate_hz: sim.rate_hz,
+        reference_c: reference_c.unwrap_or(USUAL_TEMPERATURE_C),
+    })
+}
+
+/// Rates that differ by less than this are one rate by two clocks. A sensor's clock and a host's each run within 1e-4 of true,
+/// stamps give a rate within 1e-4, and a model has the rate that was set. A VN-100 was seen to differ from that rate by 1.9e-4
+/// (40 Hz, 39.9926 Hz by its host).
+const SAME_RATE_WITHIN: f64 = 5e-4;
+
+/// Whether two rates are one by two clocks.
+#[must_use]
+pub fn is_same_rate(one_hz: f64, other_hz: f64) -> bool {
+    one_hz.is_finite() && (one_hz / other_hz - 1.0).abs() <= SAME_RATE_WITHIN
+}
+
+/// Checks that a recording and a model have the same rate, before any work is done.
+///
+/// # Errors
+/// [`DiagnosisError::Rate`] with both.
+pub fn same_rate(found_hz: f64, expected_hz: f64) -> Result<(), DiagnosisError> {
+    if is_same_rate(found_hz, expected_hz) { Ok(()) } else { Err(DiagnosisError::Rate { found_hz, expected_hz }) }
+}
+
+/// Whether a recording and a model can be compared, and the channels that are.
+///
+/// # Errors
+/// [`DiagnosisError`] if the inputs cannot be compared.
+pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Channel>, DiagnosisError> {
+    let n = real.len();
+    same_rate(real.rate_hz, sim.rate_hz)?;
+    if n < LEAST {
+        return Err(DiagnosisError::TooShort { found: n, least: LEAST, least_s: LEAST as f64 / sim.rate_hz });
+    }
+    sim.check(sim.rate_hz).map_err(|fault| DiagnosisError::Model(fault.to_string()))?;
+    for (channel, values) in &real.channels {
+        if values.len() != n {
+            return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
+        }
+        // A channel with a few values that are not numbers is accepted, and these values are left out. A channel with
+        // many of them is refused.
+        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
+        if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
+            let value = &values[index];
+            return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
+        }
+    }
+    let wanted: Vec<Channel> =
+        sim.channels.keys().copied().filter(|channel| *channel != Channel::Temperature).collect();
+    for channel in &wanted {
+        if real.values(*channel).is_none() {
+            let found: Vec<&str> = real.channels.iter().map(|(channel, _)| channel.name()).collect();
+            return Err(DiagnosisError::MissingChannel { channel: channel.to_string(), found: found.join(", ") });
+        }
+    }
+    Ok(wanted)
+}
+
+fn is_missing(real: &Recording, t: usize) -> bool {
+    real.is_missing(t)
+}
+
+/// The temperature with its gaps filled, smoothed if it moves in steps, and the step, °C. None if it does not move.
+pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
+    let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
+    let mut filled = read.clone();
+    let mut last =
+        read.iter().enumerate().find(|(t, value)| value.is_finite() && !is_missing(real, *t)).map(|(_, v)| *v)?;
+    for (t, value) in filled.iter_mut().enumerate() {
+        if value.is_finite() && !is_missing(real, t) {
+            last = *value;
+        } else {
+            *value = last;
+        }
+    }
+    let (low, high) = filled.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    if high - low <= 0.0 {
+        return None;
+    }
+    // Wide enough for several steps of the readings, narrow enough for what the temperature does.
+    let step = facts::of(&filled).step.unwrap_or(0.0);
+    let block = ((MOVES_S * real.rate_hz) as usize).clamp(1, filled.len());
+    let means: Vec<f64> = filled.chunks_exact(block).map(|of| of.iter().sum::<f64>() / block as f64).collect();
+    let moved: f64 = means.windows(2).map(|pair| (pair[1] - pair[0]).abs()).sum();
+    let per_s = moved / filled.len() as f64 * real.rate_hz;
+    let wide_s = (STEPS * step / per_s.max(f64::MIN_POSITIVE)).clamp(1.0, SMOOTHED_S);
+    let width = ((wide_s * real.rate_hz) as usize).min(filled.len() / 8);
+    Some((smoothed(&filled, width), step))
+}
+
+/// Parabolas fitted to `width` samples about each (Savitzky and Golay 1964, Anal. Chem. 36), by way of means over a sixteenth
+/// of that; fewer at the ends.
+fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
+    const PARTS: usize = 16;
+    let size = (width / PARTS).max(1);
+    let means: Vec<f64> = values.chunks(size).map(|part| part.iter().sum::<f64>() / part.len() as f64).collect();
+    let count = means.len();
+    let at = |place: usize| {
+        let half = (PARTS / 2).min(place).min(count - 1 - place);
+        if half < 2 {
+            return means[place];
+        }
+        let (mut sum, mut second) = (0.0, 0.0);
+        for (x, mean) in (-(half as i32)..=half as i32).zip(&means[place - half..=place + half]) {
+            sum += mean;
+            second += f64::from(x * x) * mean;
+        }
+        let (h, n) = (half as f64, (2 * half + 1) as f64);
+        let square = h * (h + 1.0) * n / 3.0;
+        let fourth = square * (3.0 * h * (h + 1.0) - 1.0) / 5.0;
+        (fourth * sum - square * second) / (n * fourth - square * square)
+    };
+    let smooth: Vec<f64> = (0..count).map(at).collect();
+    // Straight between the parts' middles; the last part may be shorter.
+    (0..values.len())
+        .map(|t| {
+            let place = ((t as f64 + 0.5) / size as f64 - 0.5).max(0.0);
+            let from = (place as usize).min(count - 1);
+            let to = (from + 1).min(count - 1);
+            smooth[from] + (place - from as f64).min(1.0) * (smooth[to] - smooth[from])
+        })
+        .collect()
+}
+
+/// The channels that repeat together, and where.
+fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)> {
+    const PROOF: f64 = 14.0;
+    let mut groups: BTreeMap<Option<Triad>, Vec<Channel>> = BTreeMap::new();
+    let mut found = Vec::new();
+    for channel in wanted {
+        groups.entry(channel.triad()).or_default().push(*channel);
+    }
+    let singles = groups.remove(&None).unwrap_or_default().into_iter().map(|channel| vec![channel]);
+    for group in groups.into_values().chain(singles) {
+        let sent = |channel: &Channel| real.sent(*channel).or_else(|| real.values(*channel));
+        let columns: Vec<&[f64]> = group.iter().filter_map(sent).collect();
+        let mut of = facts::repeats(&columns);
+        of.places.retain(|t| !is_missing(real, *t) && !is_missing(real, t - 1));
+        if of.gain > PROOF && of.places.len() >= 3 {
+            found.push((group, of));
+        }
+    }
+    found
+}
+
+fn channel_of(
+    real: &Recording,
+    sim: &SensorModel,
+    channel: Channel,
+    model: &ChannelModel,
+    mut outliers: Vec<usize>,
+    temperature: Option<&[f64]>,
+) -> Result<Prepared, DiagnosisError> {
+    let values = real.values(channel).unwrap_or_default();
+    outliers.extend((0..values.len()).filter(|t| !values[*t].is_finite()));
+    outliers.sort_unstable();
+    outliers.dedup();
+    let there: Vec<f64> =
+        values.iter().enumerate().filter(|(t, _)| outliers.binary_search(t).is_err()).map(|(_, v)| *v).collect();
+    let facts = match real.sent(channel) {
+        // What is cut off there is the motion's.
+        Some(sent) => {
+            let sent: Vec<f64> = (0..sent.len())
+                .filter(|t| outliers.binary_search(t).is_err() && sent[*t].is_finite())
+                .map(|t| sent[t])
+                .collect();
+            Facts { low: None, high: None, ..facts::of(&sent) }
+        }
+        None => facts::of(&there),
+    };
+    let (low, high) = there.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    if there.len() < LEAST {
+        let least_s = LEAST as f64 / sim.rate_hz;
+        return Err(DiagnosisError::TooShort { found: there.len(), least: LEAST, least_s });
+    }
+    if high <= low {
+        let value = if low.is_finite() { low } else { 0.0 };
+        return Err(DiagnosisError::Constant { channel: channel.to_string(), value });
+    }
+    for limit in [facts.low, facts.high].into_iter().flatten() {
+        let share = there.iter().filter(|value| **value == limit).count() as f64 / there.len() as f64;
+        if share > 0.9 {
+            let share_percent = (1000.0 * share).round() / 10.0;
+            return Err(DiagnosisError::Saturated { channel: channel.to_string(), value: limit, share_percent });
+        }
+    }
+    let density = white_density(model, sim.internal_rate_hz(sim.rate_hz));
+    // What a coarse step hides is drawn below; then there is no rounding left.
+    let step = facts.step.filter(|_| real.sent(channel).is_none());
+    let coarse =
+        step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, density * sim.rate_hz.sqrt())?)));
+    let mut samples = values.to_vec();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.map(mean));
+    subtract_others(&mut samples, model, &shifts, sim.rate_hz, temperature);
+    let internal_hz = sim.internal_rate_hz(sim.rate_hz);
+    let mut middle = there.clone();
+    let half = middle.len() / 2;
+    let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
+    let level = *level;
+    let white = coarse.map_or_else(|| scale_of(&there), |(_, white)| white.deviation);
+    let declared = density * sim.rate_hz.sqrt();
+    let most = if declared > 0.0 && coarse.is_none() { LOUDER * declared } else { f64::INFINITY };
+    let scale = white.min(most).max(1e-3 * declared);
+    for sample in &mut samples {
+        *sample = if sample.is_finite() { (*sample - level) / scale } else { 0.0 };
+    }
+    let limits = [facts.low, facts.high].map(|limit| limit.map(|limit| (limit - level) / scale));
+    let at_limit = |value: f64| [facts.low, facts.high].into_iter().flatten().any(|limit| value == limit);
+    outliers.extend(values.iter().enumerate().filter(|(_, value)| at_limit(**value)).map(|(t, _)| t));
+    outliers.sort_unstable();
+    outliers.dedup();
+    let square = |value: f64| if value > 0.0 { 2.0 * (value / scale).ln() } else { -60.0 };
+    let mean_c =
+        temperature.map_or(USUAL_TEMPERATURE_C, |values| values.iter().sum::<f64>() / values.len().max(1) as f64);
+    let white_shift = white_shift(model, mean_c);
+    let levels = [square(density) + white_shift, square(model.b), square(model.k)];
+    let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
+    let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
+    let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
+    let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
+    let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
+    let shifts = shifts.into_iter().map(|(place, course, factor)| (place, course, factor / scale)).collect();
+    let mut prepared = Prepared {
+        channel,
+        scale,
+        level,
+        samples,
+        step: facts.step.or(of_model).filter(|_| coarse.is_none()),
+        facts,
+        outliers,
+        limits,
+        declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
+        beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
+        spectral: terms_of(model, scale, density, sim.rate_hz),
+        sines,
+        lines,
+        shifts,
+        bursts: loud_of_bursts(model, &loud),
+        loud,
+        scedasticity,
+        reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
+        changes: model.effects.iter().any(|effect| changes(&**effect, values.len(), sim.rate_hz)),
+        has: model.effects.iter().map(|effect| effect.name()).collect(),
+        white_shift,
+        share: coarse.map_or(1.0, |(_, white)| white.share),
+        dither: 0.0,
+    };
+    if coarse.is_none() {
+        dither::dither(&mut prepared, &there, declared);
+    }
+    if let Some((step, white)) = coarse {
+        rounded::unround(&mut prepared, sim, step, white);
+    }
+    Ok(prepared)
+}
+
+/// Subtracts from samples the model's statement of the level beyond the shifts that are fitted, U.
+fn subtract_others(
+    samples: &mut [f64],
+    model: &ChannelModel,
+    shifts: &[(usize, Course, f64)],
+    rate_hz: f64,
+    temperature: Option<&[f64]>,
+) {
+    let is_fitted = |place: usize| shifts.iter().any(|(own, ..)| *own == place);
+    let listed = model.effects.iter().enumerate().filter(|(_, effect)| effect.stage() == Stage::Bias);
+    let others: Vec<&Arc<dyn Effect>> = listed.filter(|(place, _)| !is_fitted(*place)).map(|(_, of)| of).collect();
+    if others.is_empty() {
+        return;
+    }
+    for (t, sample) in samples.iter_mut().enumerate() {
+        let temperature_c = temperature.map_or(USUAL_TEMPERATURE_C, |values| values[t]);
+        let at = At { time_s: t as f64 / rate_hz, temperature_c };
+        *sample -= others.iter().map(|effect| effect.mean_response(0.0, at)).sum::<f64>();
+    }
+}
+
+/// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone cannot separate them.
+pub(super) fn white_density(model: &ChannelModel, internal_hz: f64) -> f64 {
+    let shared = model.effects.iter().filter(|effect| effect.name() == "common_mode");
+    let power: f64 = shared.filter_map(|effect| effect.psd(0.0, internal_hz)).sum();
+    (model.n * model.n + power).sqrt()
+}
+
+/// The lines of a model's channel as they are sent, in the series' scale (U per unit of it). Each has the place of its effect in
+/// the model's list, and its amplitude over the amplitude that the effect alone has: the part that the filters pass.
+fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> Vec<(Sine, (usize, f64))> {
+    let record = Record { rate_hz: sim.rate_hz, samples: samples as u64 };
+    let effects = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+    let is_filter = |effect: &&Arc<dyn Effect>| effect.stage() == Stage::Bandwidth;
+    let of_effect = |(place, effect): (usize, &Arc<dyn Effect>)| -> Vec<(Sine, (usize, f64))> {
+        let own = effect.lines();
+        if own.is_empty() || effect.stationary(record).is_some() {
+            return Vec::new();
+        }
+        let effects = effects.iter().filter(is_filter).chain([effect]).cloned().collect();
+        let channels = [(channel, ChannelModel { effects, ..ChannelModel::default() })].into();
+        let alone = SensorModel { channels, triads: BTreeMap::new(), ..sim.clone() };
+        let sent = Spectrum::new(&alone, channel, record).lines();
+        let pairs = sent.into_iter().zip(own).filter(|(sent, own)| sent.frequency_hz > 0.0 && own.power > 0.0);
+        let line = |(sent, own): (Line, Line)| {
+            let amplitude = (2.0 * sent.power).sqrt() / scale;
+            let sine = Sine { cycles: sent.frequency_hz / sim.rate_hz, quadratures: [amplitude, 0.0] };
+            (sine, (place, (sent.power / own.power).sqrt()))
+        };
+        pairs.map(line).collect()
+    };
+    effects.iter().enumerate().flat_map(of_effect).collect()
+}
+
+/// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places
+/// in its list; those after them are taken as they are stated.
+fn terms_of(model: &ChannelModel, scale: f64, density: f64, rate_hz: f64) -> Vec<(usize, Term)> {
+    /// Every step of a search compares each of them by a separate fit.
+    const MOST: usize = 24;
+    let listed = model.effects.iter().enumerate();
+    listed
+        .filter_map(|(place, effect)| Some((place, Term::of(&**effect, scale, density, rate_hz)?)))
+        .take(MOST)
+        .collect()
+}
+
+/// A robust standard deviation of what is white, U: from differences of neighbours.
+pub(super) fn scale_of(values: &[f64]) -> f64 {
+    /// The part of the differences that spikes leave alone, and the root mean square of normal ones in it.
+    const MOST: f64 = 0.95;
+    const OF_MOST: f64 = 0.871;
+    let mut distances: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    let rms = |of: &[f64]| (0.5 * of.iter().map(|d| d * d).sum::<f64>() / of.len().max(1) as f64).sqrt();
+    let all = rms(&distances);
+    let most = (MOST * distances.len() as f64) as usize;
+    let (middle, most) = (distances.len() / 2, most.min(distances.len() - 1));
+    let (lower, ..) = distances.select_nth_unstable_by(most, f64::total_cmp);
+    let trimmed = rms(lower) / OF_MOST;
+    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
+    let robust = *median / (0.674_49 * 2f64.sqrt());
+    // If half the neighbours are equal, a step is wider than the noise.
+    match (robust > 0.2 * trimmed, trimmed > 0.0) {
+        (true, _) if robust > 0.0 => robust,
+        (_, true) => trimmed,
+        _ => all,
+    }
+}
+
+/// By how much a model's white part is louder at a temperature than at the temperature to which N refers, in ln of its
+/// variance.
+fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
+    let changes = model.effects.iter().filter(|effect| effect.name() == "variance_change");
+    let of = |effect: &Arc<dyn Effect>| {
+        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
+        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
+        number("per_c").zip(number("reference_c")).map_or(0.0, |(per_c, reference)| 2.0 * per_c * (mean_c - reference))
+    };
+    changes.map(of).sum()
+}
+
+/// The role of an effect of a model, with its place in the model's list.
+type OfModel<T> = (usize, T);
+
+/// The model's statement of its white part's variance.
+fn variance_of(
+    model: &ChannelModel,
+    samples: usize,
+    rate_hz: f64,
+    scale: f64,
+    internal_hz: f64,
+) -> (Vec<OfModel<Loud>>, Option<OfModel<Scedasticity>>) {
+    const INSTANTS: usize = 241;
+    let mut loud = Vec::new();
+    let mut scedasticity = None;
+    let white = (white_density(model, internal_hz) / scale).powi(2) * internal_hz;
+    let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
+    for (place, effect) in model.effects.iter().enumerate() {
+        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
+        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
+        match effect.name() {
+            "bursts" => {
+                let ratio = 1.0 + (number("sigma").unwrap_or_default() / scale).powi(2) / white;
+                let pairs = parameters.get("intervals").and_then(serde_json::Value::as_array);
+                for pair in pairs.into_iter().flatten() {
+                    let end = |at: usize| pair.get(at).and_then(serde_json::Value::as_f64).unwrap_or_default();
+                    let (from, to) = (index(end(0)), index(end(1)));
+                    if from < to {
+                        loud.push((place, Loud { from, to, ratio }));
+                    }
+                }
+            }
+            "variance_change" => match (number("per_c"), number("factor")) {
+                (Some(per_c), _) => scedasticity = Some((place, Scedasticity::PerDegree(2.0 * per_c))),
+                (_, Some(factor)) => {
+                    let (from, to) =
+                        (index(number("from_s").unwrap_or_default()), index(number("to_s").unwrap_or_default()));
+                    if from < to {
+                        loud.push((place, Loud { from, to, ratio: (factor * factor).max(1e-6) }));
+                    }
+                }
+                _ => {
+                    let pairs: Vec<(f64, f64)> = parameters
+                        .get("profile")
+                        .and_then(serde_json::Value::as_array)
+                        .into_iter()
+                        .flatten()
+                        .filter_map(|pair| Some((pair.get(0)?.as_f64()?, pair.get(1)?.as_f64()?)))
+                        .collect();
+                    let at = |instant: usize| {
+                        let time_s = instant as f64 / (INSTANTS - 1) as f64 * samples as f64 / rate_hz;
+                        2.0 * profile::factor(&pairs, time_s).max(1e-6).ln()
+                    };
+                    scedasticity = Some((place, Scedasticity::Profile((0..INSTANTS).map(at).collect())));
+                }
+            },
+            _ => {}
+        }
+    }
+    (loud, scedasticity)
+}
+
+/// The intervals of a model's bursts among its stretches of another variance.
+fn loud_of_bursts(model: &ChannelModel, loud: &[OfModel<Loud>]) -> Vec<Range<usize>> {
+    let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.name() == "bursts");
+    loud.iter().filter(|(place, _)| is_burst(*place)).map(|(_, loud)| loud.from..loud.to).collect()
+}
+
+/// Whether an effect is another one at any time.
+fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
+    let by_name = matches!(effect.name(), "intermittent" | "wandering_line");
+    by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
+}
+
+/// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. If it is decimated,
+/// [`Spectrum`] folds it.
+fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
+    let rate_hz = grid.rate_hz();
+    let levels: [&dyn Effect; 3] = [&White { n: model.n }, &Flicker { b: model.b }, &RandomWalk { k: model.k }];
+    let of = |f: &f64| {
+        let psd = |effect: &dyn Effect| effect.psd(*f, rate_hz).unwrap_or(0.0);
+        let noise = model.effects.iter().filter(|effect| effect.stage() == Stage::Noise).map(|effect| psd(&**effect));
+        let before = levels.into_iter().map(psd).sum::<f64>() + noise.sum::<f64>();
+        // Noise that enters behind a filter passes the filters after it.
+        let filters = model.effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
+        rate_hz * filters.fold(before, |sum, filter| sum * filter.power_gain(*f, rate_hz) + psd(&**filter))
+    };
+    grid.frequencies_hz().iter().map(of).collect()
+}
+
+/// The shapes of a channel's spectrum on a grid, in the series' scale, without the model's effects at some places of its list.
+#[must_use]
+pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BTreeSet<usize>) -> Base {
+    let channel = prepared.channel;
+    let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
+    let listed = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+    let left = listed.iter().enumerate().filter(|(place, _)| !without.contains(place));
+    let effects: Vec<Arc<dyn Effect>> =
+        left.map(|(_, effect)| effect.stationary(record).unwrap_or_else(|| effect.clone())).collect();
+    let bandwidth = effects.iter().filter(|effect| effect.stage() == Stage::Bandwidth);
+    let filters: Vec<Arc<dyn Effect>> =
+        bandwidth.clone().map(|effect| effect.noiseless().unwrap_or_else(|| Arc::clone(effect))).collect();
+    let shape = |model: ChannelModel| -> Vec<f64> {
+        if sim.sampling.is_none() {
+            return plain_shape(&model, grid);
+        }
+        let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..sim.clone() };
+        let spectrum = Spectrum::new(&alone, channel, record);
+        grid.frequencies_hz().iter().map(|f| sim.rate_hz * spectrum.psd(*f).unwrap_or(0.0)).collect()
+    };
+    let plain = || ChannelModel { effects: filters.clone(), ..ChannelModel::default() };
+    let shapes = [
+        shape(ChannelModel { n: 1.0, ..plain() }),
+        shape(ChannelModel { b: 1.0, ..plain() }),
+        shape(ChannelModel { k: 1.0, ..plain() }),
+    ];
+    let bins = grid.counts().len();
+    let mut known = vec![0.0; bins];
+    for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
+        let with = filters.iter().cloned().chain([effect.clone()]).collect();
+        let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
+        // What is cut out of the samples is not in their spectrum; what channels share is in the level of white noise.
+        if !matches!(effect.name(), "bursts" | "spikes" | "common_mode") {
+            known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
+        }
+    }
+    let rounding = prepared.dither + prepared.step.map_or(0.0, |step| (step / prepared.scale).powi(2) / 12.0);
+    let mut after = shape(ChannelModel { effects: bandwidth.cloned().collect(), ..ChannelModel::default() });
+    // No record has a filter's exact zeros: numbers are rounded, and records end.
+    let quiet_max = if filters.is_empty() { 0.0 } else { QUIET * prepared.declared.levels[0].exp() * sim.rate_hz };
+    after.iter_mut().for_each(|behind| *behind = *behind / prepared.scale.powi(2) + rounding);
+    // Before samples are decimated filters act at another rate: their phase at this one is small.
+    let passed = |f: &f64| match sim.sampling {
+        None => filters.iter().map(|filter| filter.power_gain(*f, sim.rate_hz)).product(),
+        Some(_) => 1.0,
+    };
+    let passed = grid.frequencies_hz().iter().map(passed).collect();
+    Base { shapes, known, after, quiet_max, gain: vec![1.0; bins], passed }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_rate_by_two_clocks_is_accepted_and_a_nearby_one_is_not() {
+        for (one_hz, other_hz, same) in [
+            (39.9926, 40.0, true),
+            (40.0, 39.9926, true),
+            (100.04, 100.0, true),
+            (40.2, 40.0, false),
+            (f64::NAN, 40.0, false),
+        ] {
+            assert_eq!(same_rate(one_hz, other_hz).is_ok(), same, "{one_hz} {other_hz}");
+        }
+        let refused = same_rate(40.2, 40.0).unwrap_err().to_string();
+        assert!(refused.contains("40.2 Hz") && refused.contains("40 Hz"), "{refused}");
+    }
+
+    #[test]
+    fn a_parabola_is_smoothed_to_itself_and_rounding_goes() {
+        let curve = |t: usize| 25.0 + 0.0023 * t as f64 - 3e-8 * (t as f64).powi(2);
+        let values: Vec<f64> = (0..20_000).map(curve).collect();
+        for (t, value) in smoothed(&values, 801).iter().enumerate().skip(500).take(19_000) {
+            assert!((value - curve(t)).abs() < 1e-4, "{t}: {value}");
+        }
+        let rounded: Vec<f64> = values.iter().map(|value| (10.0 * value).round() / 10.0).collect();
+        let off = smoothed(&rounded, 801).into_iter().zip(&values).skip(500).take(15_000).map(|(a, b)| (a - b).powi(2));
+        assert!((off.sum::<f64>() / 15_000.0).sqrt() < 0.006);
+    }
+}

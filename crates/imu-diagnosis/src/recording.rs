@@ -1,0 +1,119 @@
+//! Recording: the input of a diagnosis, on a regular grid of instants.
+
+use imu_core::sample::{Channel, Triad};
+use imu_noise::whittle::Sampling;
+use std::collections::BTreeMap;
+
+/// Samples of several channels at one rate. A lost sample keeps a place, so that later samples stay at their instants.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Recording {
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Each channel's values in its unit, all of one length; the value at a missing sample does not count.
+    pub channels: Vec<(Channel, Vec<f64>)>,
+    /// Which samples are missing; empty if none is.
+    pub missing: Vec<bool>,
+    /// The sensor's temperature at every sample, °C, if it was measured, as it was read, in steps of any size.
+    pub temperature_c: Option<Vec<f64>>,
+    /// Stamps, s, one per sample that is there or per place; empty if none were taken.
+    pub time_s: Vec<f64>,
+    /// If the channels' values are the remainder beyond an answer to a motion: the values that the sensor sent. Steps of rounding
+    /// and samples sent again are seen in these alone; limits are the answer's.
+    pub sent: Vec<(Channel, Vec<f64>)>,
+    /// How the samples of a triad came about, if that is known.
+    pub sampling: BTreeMap<Triad, Sampling>,
+}
+
+impl Recording {
+    /// Places on the grid.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.channels.first().map_or(0, |(_, values)| values.len())
+    }
+
+    /// Whether there is none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// A channel's values.
+    #[must_use]
+    pub fn values(&self, channel: Channel) -> Option<&[f64]> {
+        self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
+    }
+
+    /// The values that the sensor sent, where those of the channel are what remains beyond an answer to a motion.
+    #[must_use]
+    pub fn sent(&self, channel: Channel) -> Option<&[f64]> {
+        self.sent.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
+    }
+
+    /// A part of its places.
+    #[must_use]
+    pub fn part(&self, within: std::ops::Range<usize>) -> Self {
+        let cut = |values: &[f64]| values.get(within.clone()).unwrap_or_default().to_vec();
+        let all = |of: &[(Channel, Vec<f64>)]| of.iter().map(|(channel, values)| (*channel, cut(values))).collect();
+        // One stamp per place, or per sample that is there.
+        let there = |until: usize| (0..until.min(self.len())).filter(|place| !self.is_missing(*place)).count();
+        let stamps = match self.time_s.len() == self.len() {
+            true => within.clone(),
+            false => there(within.start)..there(within.end),
+        };
+        Self {
+            rate_hz: self.rate_hz,
+            channels: all(&self.channels),
+            missing: self.missing.get(within.clone()).unwrap_or_default().to_vec(),
+            temperature_c: self.temperature_c.as_deref().map(cut),
+            time_s: self.time_s.get(stamps).unwrap_or_default().to_vec(),
+            sent: all(&self.sent),
+            sampling: self.sampling.clone(),
+        }
+    }
+
+    /// Whether the sample at a place is missing.
+    #[must_use]
+    pub fn is_missing(&self, place: usize) -> bool {
+        self.missing.get(place).copied().unwrap_or(false)
+    }
+
+    /// The lowest and the highest temperature from one time to another, s from the first sample; None if none was measured.
+    #[must_use]
+    pub fn temperatures_between(&self, from_s: f64, to_s: f64) -> Option<[f64; 2]> {
+        let place = |time_s: f64| ((time_s * self.rate_hz).round().max(0.0) as usize).min(self.len());
+        let there = |t: &usize| !self.missing.get(*t).copied().unwrap_or(false);
+        let read = self.temperature_c.as_ref()?;
+        let readings = (place(from_s)..place(to_s)).filter(there).filter_map(|t| read.get(t).copied());
+        let finite = readings.filter(|value| value.is_finite());
+        finite.fold(None, |ends: Option<[f64; 2]>, value| {
+            let [low, high] = ends.unwrap_or([value, value]);
+            Some([low.min(value), high.max(value)])
+        })
+    }
+
+    /// Its length in s.
+    #[must_use]
+    pub fn length_s(&self) -> f64 {
+        self.len() as f64 / self.rate_hz
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn temperatures_are_those_of_samples_that_are_there() {
+        let real = Recording {
+            rate_hz: 2.0,
+            channels: vec![(Channel::GyroX, vec![0.0; 6])],
+            missing: vec![false, false, true, false, false, false],
+            temperature_c: Some(vec![20.0, 21.0, 90.0, 23.0, f64::NAN, 22.0]),
+            ..Recording::default()
+        };
+        assert_eq!(real.temperatures_between(0.0, 3.0), Some([20.0, 23.0]));
+        assert_eq!(real.temperatures_between(2.0, 2.4), None);
+        assert_eq!(real.temperatures_between(2.5, 9.0), Some([22.0, 22.0]));
+    }
+}

@@ -1,0 +1,205 @@
+//! Time: the reference as the triad feels it, later by a latency, a clock's offset and a clock's rate.
+//!
+//! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that clock: both
+//! make the triad late. Two triads can, as far as they differ ([`Lateness::of`]): their common delay is called the clock's
+//! offset, and the excess of one is its latency. If both are late by the same latency, the record does not show it.
+
+use super::{Confounding, Estimate, NORMAL_95, Openness};
+use imu_core::sample::Triad;
+use imu_model::effects::triad::{Axes, DelayLine};
+use imu_model::simulator::Motion;
+use realfft::RealFftPlanner;
+
+/// How the reference's clock is related to the sensor's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
+pub struct Clock {
+    /// Whether it may be off by a constant, up to a quarter of the record. In that case, no latency of this triad can
+    /// be determined.
+    pub offset_unknown: bool,
+    /// Whether it may run faster or slower.
+    pub rate_unknown: bool,
+}
+
+impl Clock {
+    /// The sensor's own clock.
+    pub const SHARED: Self = Self { offset_unknown: false, rate_unknown: false };
+    /// A separate clock.
+    pub const SEPARATE: Self = Self { offset_unknown: true, rate_unknown: true };
+}
+
+/// The joint result of two triads' delays against one reference.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Lateness {
+    /// By how much the reference is early for both, s: the smaller of the two delays.
+    pub offset_s: f64,
+    /// Its standard error, s.
+    pub offset_error_s: f64,
+    /// The triad that is later than the other beyond chance (95 %), with its excess and that one's standard error, s: its
+    /// latency, if the other has none.
+    pub latency: Option<(Triad, f64, f64)>,
+}
+
+impl Lateness {
+    /// From the delays of two triads, each fitted with [`Clock::SEPARATE`]; their noises are independent of one another. If they
+    /// agree, the offset is their weighted mean. `None` if a delay was not found.
+    ///
+    /// The two rates of the clock are one as well; a difference beyond their errors is a sign that the reference is not that
+    /// of both.
+    #[must_use]
+    pub fn of(first: (Triad, &Estimate), second: (Triad, &Estimate)) -> Option<Self> {
+        let (first_error, second_error) = (first.1.standard_error?, second.1.standard_error?);
+        let difference = first.1.value - second.1.value;
+        let error = first_error.hypot(second_error);
+        if difference.abs() <= NORMAL_95 * error || error <= 0.0 {
+            let (one, other) = (first_error.powi(-2), second_error.powi(-2));
+            let weighted = (one * first.1.value + other * second.1.value) / (one + other);
+            let agreed = weighted.is_finite();
+            return Some(Self {
+                offset_s: if agreed { weighted } else { 0.5 * (first.1.value + second.1.value) },
+                offset_error_s: if agreed { (one + other).sqrt().recip() } else { 0.0 },
+                latency: None,
+            });
+        }
+        let (early, early_error, late) = match difference > 0.0 {
+            true => (second.1.value, second_error, first.0),
+            false => (first.1.value, first_error, second.0),
+        };
+        Some(Self { offset_s: early, offset_error_s: early_error, latency: Some((late, difference.abs(), error)) })
+    }
+}
+
+/// The quantities that one triad cannot determine about a separate clock.
+pub(super) fn latency_or_offset(place: usize) -> Confounding {
+    Confounding {
+        openness: Openness::Confounded,
+        places: vec![place],
+        sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
+                   reference; the other triad's delay would tell"
+            .to_owned(),
+    }
+}
+
+/// The motion as it was `delay` samples ago, for each sample; below 0, as it will be. Between samples it is the simulator's
+/// cubic ([`DelayLine`]), before its start what it was at the start, after its end what it was at the end.
+pub(super) fn delayed(motions: &[Motion], delay: impl Fn(usize) -> f64) -> Vec<Motion> {
+    let last = motions.len().saturating_sub(1);
+    let at = |index: usize| {
+        let samples = delay(index);
+        let (skip, weights) = DelayLine::nodes(samples.abs());
+        let mut motion = Motion { temperature_c: motions[index].temperature_c, ..Motion::default() };
+        for (node, weight) in weights.into_iter().enumerate() {
+            let back = skip + node;
+            let of = if samples >= 0.0 { index.saturating_sub(back) } else { (index + back).min(last) };
+            let add = |sum: &mut Axes, value: Axes| sum.iter_mut().zip(value).for_each(|(sum, x)| *sum += weight * x);
+            add(&mut motion.gyro_rad_s, motions[of].gyro_rad_s);
+            add(&mut motion.accel_m_s2, motions[of].accel_m_s2);
+        }
+        motion
+    };
+    (0..motions.len()).map(at).collect()
+}
+
+/// By how many whole samples, up to `most`, the samples are later than the input: the largest cross-correlation of their
+/// differences, which have no bias and little of the slow noise. `weights`: one per axis.
+pub(super) fn coarse(samples: [&[f64]; 3], input: &[Axes], weights: Axes, most: usize) -> f64 {
+    let n = input.len();
+    let most = most.min(n / 4);
+    if n < 8 || most == 0 {
+        return 0.0;
+    }
+    // As long as no lag up to `most` wraps round.
+    let length = (n + most).next_power_of_two();
+    let mut planner = RealFftPlanner::<f64>::new();
+    let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let mut sum = forward.make_output_vec();
+    for axis in 0..3 {
+        let transform = |value: &dyn Fn(usize) -> f64| {
+            let mut padded = forward.make_input_vec();
+            for (index, place) in padded.iter_mut().take(n - 1).enumerate() {
+                *place = value(index + 1) - value(index);
+            }
+            let mut spectrum = forward.make_output_vec();
+            // It fails only for buffers of a wrong length, and these are the plan's own.
+            let _ = forward.process(&mut padded, &mut spectrum);
+            spectrum
+        };
+        let shown = transform(&|index| samples[axis][index]);
+        let felt = transform(&|index| input[index][axis]);
+        for (sum, (shown, felt)) in sum.iter_mut().zip(shown.iter().zip(&felt)) {
+            *sum += shown * felt.conj() * weights[axis];
+        }
+    }
+    // The ends are real but for rounding.
+    if let Some(first) = sum.first_mut() {
+        first.im = 0.0;
+    }
+    if let Some(end) = sum.last_mut() {
+        end.im = 0.0;
+    }
+    let mut correlation = backward.make_output_vec();
+    let _ = backward.process(&mut sum, &mut correlation);
+    let at = |lag: i64| correlation[lag.rem_euclid(length as i64) as usize];
+    let best = (-(most as i64)..=most as i64).max_by(|one, other| at(*one).total_cmp(&at(*other)));
+    best.unwrap_or(0) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wavy(index: f64) -> Motion {
+        let rate = |axis: f64| (0.05 * index + axis).sin() + (0.013 * index * (axis + 1.0)).cos();
+        Motion { gyro_rad_s: [rate(0.0), rate(1.0), rate(2.0)], ..Motion::default() }
+    }
+
+    #[test]
+    fn a_delay_is_the_simulators_and_a_negative_one_its_mirror() {
+        let motions: Vec<Motion> = (0..200).map(|index| wavy(f64::from(index))).collect();
+        for samples in [0.0, 0.4, 1.0, 3.7] {
+            let mut line = DelayLine::new(samples);
+            let found = delayed(&motions, |_| samples);
+            let early = delayed(&motions, |_| -samples);
+            for (index, motion) in motions.iter().enumerate() {
+                assert_eq!(found[index].gyro_rad_s, line.next(motion.gyro_rad_s));
+                if index < 190 {
+                    let expected = wavy(index as f64 + samples).gyro_rad_s[0];
+                    assert!((early[index].gyro_rad_s[0] - expected).abs() < 1e-4);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn whole_lags_of_either_sign_are_found() {
+        let input: Vec<Axes> = (0..501).map(|index| wavy(f64::from(index)).gyro_rad_s).collect();
+        for lag in [-20_i32, -1, 0, 3, 40] {
+            let shown: Vec<Axes> = (0..501).map(|index| wavy(f64::from(index - lag)).gyro_rad_s).collect();
+            let columns: [Vec<f64>; 3] = std::array::from_fn(|axis| shown.iter().map(|axes| axes[axis]).collect());
+            let found = coarse(columns.each_ref().map(Vec::as_slice), &input, [1.0; 3], 60);
+            assert!((found - f64::from(lag)).abs() <= 1.0, "{lag}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_two_triads_share_is_the_clocks_offset_and_the_rest_a_latency() {
+        let delay = |value, error| Estimate {
+            effect: "clock",
+            parameter: "offset_s".into(),
+            value,
+            known: 0.0,
+            standard_error: Some(error),
+            ci95: None,
+        };
+        let (gyro, accel) = ((Triad::Gyro, &delay(0.020, 1e-4)), (Triad::Accel, &delay(0.0201, 1e-4)));
+        let common = Lateness::of(gyro, accel).unwrap();
+        assert_eq!(common.latency, None);
+        assert!((common.offset_s - 0.02005).abs() < 1e-12);
+        let apart = Lateness::of(gyro, (Triad::Accel, &delay(0.024, 1e-4))).unwrap();
+        assert_eq!(apart.offset_s, 0.020);
+        let (triad, excess_s, error_s) = apart.latency.unwrap();
+        assert_eq!(triad, Triad::Accel);
+        assert!((excess_s - 0.004).abs() < 1e-12 && (error_s - 1.414e-4).abs() < 1e-7);
+    }
+}

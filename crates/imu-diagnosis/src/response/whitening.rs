@@ -1,0 +1,121 @@
+//! Whitening: columns of a record to coefficients of variance 1, with what is clipped bridged.
+
+use super::clipping::Bridges;
+use super::design::Column;
+use super::noise_law::NoiseLaw;
+use crate::transform::Cosines;
+use imu_model::effects::triad::Axes;
+use nalgebra::{DMatrix, DVector};
+
+/// All operations that a record's columns pass before they are compared.
+#[derive(Debug)]
+pub(super) struct Whitening<'a> {
+    law: &'a NoiseLaw,
+    cosines: Cosines,
+    pub(super) bridges: [Bridges; 3],
+}
+
+/// A whitened design.
+pub(super) type Columns = Vec<Column>;
+
+fn dot(one: &[f64], other: &[f64]) -> f64 {
+    one.iter().zip(other).map(|(one, other)| one * other).sum()
+}
+
+/// Samples whose products are summed at a time: two dozen columns of them stay in a processor's cache.
+const AT_A_TIME: usize = 1024;
+
+/// Σ over the axes of every two columns' product.
+fn products(columns: &Columns) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(columns.len(), columns.len());
+    for axis in 0..3 {
+        let there: Vec<(usize, &[f64])> =
+            columns.iter().enumerate().filter_map(|(place, column)| Some((place, column[axis].as_deref()?))).collect();
+        let n = there.first().map_or(0, |(_, values)| values.len());
+        for from in (0..n).step_by(AT_A_TIME) {
+            let within = from..n.min(from + AT_A_TIME);
+            for (place, (row, one)) in there.iter().enumerate() {
+                for (column, other) in &there[..=place] {
+                    matrix[(*row, *column)] += dot(&one[within.clone()], &other[within.clone()]);
+                }
+            }
+        }
+    }
+    matrix.fill_upper_triangle_with_lower_triangle();
+    matrix
+}
+
+impl<'a> Whitening<'a> {
+    pub(super) fn new(law: &'a NoiseLaw) -> Self {
+        Self { law, cosines: Cosines::new(law.samples()), bridges: Default::default() }
+    }
+
+    /// Standard deviation of each axis's white noise in single samples.
+    pub(super) fn sample_deviations(&self) -> Axes {
+        self.law.sample_deviations()
+    }
+
+    pub(super) fn whiten(&mut self, axis: usize, values: &mut [f64]) {
+        self.bridges[axis].fill(values);
+        self.cosines.forward(values);
+        self.law.axes[axis].whiten(values);
+    }
+
+    /// Whitened samples less response.
+    pub(super) fn residual(&mut self, samples: [&[f64]; 3], response: &[Vec<f64>; 3]) -> [Vec<f64>; 3] {
+        std::array::from_fn(|axis| {
+            let pairs = samples[axis].iter().zip(&response[axis]);
+            let mut values: Vec<f64> = pairs.map(|(shown, response)| shown - response).collect();
+            self.whiten(axis, &mut values);
+            values
+        })
+    }
+
+    pub(super) fn columns(&mut self, mut columns: Columns) -> Columns {
+        for column in &mut columns {
+            for (axis, values) in column.iter_mut().enumerate() {
+                if let Some(values) = values {
+                    self.whiten(axis, values);
+                }
+            }
+        }
+        columns
+    }
+
+    /// A whitened column back in time: as long as it was, each value at its place. Samples of noise are then uncorrelated, so
+    /// that sums over blocks of time are sums of the likelihood.
+    pub(super) fn in_time(&mut self, values: &mut [f64]) {
+        self.cosines.backward(values);
+    }
+
+    /// XᵀX of whitened columns.
+    pub(super) fn matrix(columns: &Columns) -> DMatrix<f64> {
+        products(columns)
+    }
+
+    /// Xᵀr.
+    pub(super) fn gradient(columns: &Columns, residual: &[Vec<f64>; 3]) -> DVector<f64> {
+        let along = |column: &Column| {
+            let axes = column.iter().zip(residual);
+            axes.filter_map(|(values, residual)| Some(dot(values.as_deref()?, residual))).sum::<f64>()
+        };
+        DVector::from_iterator(columns.len(), columns.iter().map(along))
+    }
+
+    /// The covariance of Xᵀr under the law: XᵀX, but for bridges, behind which there is less noise than the weights assume.
+    pub(super) fn gradient_covariance(&mut self, columns: &Columns) -> DMatrix<f64> {
+        let mut seen = columns.clone();
+        for column in &mut seen {
+            for (axis, values) in column.iter_mut().enumerate().filter(|(axis, _)| !self.bridges[*axis].is_empty()) {
+                let Some(values) = values else { continue };
+                // Noise reaches the whitened coefficients through W·C·F; its covariance is CᵀΣC with Σ⁻¹ = WᵀW.
+                self.law.axes[axis].whiten_transposed(values);
+                self.cosines.backward(values);
+                self.bridges[axis].fill_transposed(values);
+                self.cosines.forward(values);
+                self.law.axes[axis].colour_transposed(values);
+            }
+        }
+        Self::matrix(&seen)
+    }
+}

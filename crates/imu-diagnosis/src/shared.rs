@@ -1,0 +1,239 @@
+//! Shared noise: the noise that several channels have in common.
+
+use super::series::Series;
+use nalgebra::DMatrix;
+
+/// The white part of a channel's whitened coefficients, and how much of its spectrum is white.
+#[derive(Debug, Clone)]
+pub struct Whitened {
+    /// Coefficients over the root of the spectrum.
+    pub coefficients: Vec<f64>,
+    /// Share of the spectrum's root that white noise has, at each.
+    pub white: Vec<f32>,
+    /// The residual in time.
+    pub residual: Vec<f64>,
+}
+
+impl Whitened {
+    /// Of a series.
+    #[must_use]
+    pub fn of(series: &Series<'_>) -> Self {
+        let white = series.white().powi(2);
+        // Noise that comes in behind a filter is no part of what was shared in front of it.
+        let gain = series.filters();
+        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
+        let share =
+            |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
+        // Behind different filters the same noise has different phases.
+        let coefficients = match gain {
+            Some(_) => {
+                let mut values = series.innovations().to_vec();
+                series.transform.clone().forward(&mut values);
+                values
+            }
+            None => series.whitened.clone(),
+        };
+        Self {
+            coefficients,
+            white: series.spectrum.iter().enumerate().map(share).collect(),
+            residual: series.residual.clone(),
+        }
+    }
+}
+
+/// Noise that channels share.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shared {
+    /// Index of each channel and the part of its white noise's standard deviation that is shared, with its sign.
+    pub parts: Vec<(usize, f64)>,
+    /// Standard errors of the parts.
+    pub errors: Vec<f64>,
+    /// 95 % intervals of the parts' sizes.
+    pub ci95: Vec<[f64; 2]>,
+    /// Nats.
+    pub gain: f64,
+}
+
+/// The noise that channels share, if it is worth `price` nats a pair: one source for each group of channels that are
+/// linked.
+///
+/// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One shared
+/// source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in all.
+#[must_use]
+pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
+    let count = channels.len();
+    let mut correlation = DMatrix::zeros(count, count);
+    let mut white = 0.0f64;
+    for i in 0..count {
+        for j in 0..i {
+            let (mut product, mut square) = (0.0, 0.0);
+            let (a, b) = (&channels[i], &channels[j]);
+            let pairs = a.coefficients.iter().zip(&b.coefficients).zip(a.white.iter().zip(&b.white));
+            for ((x, y), (u, v)) in pairs.skip(1) {
+                let weight = f64::from(u * v);
+                product += x * y * weight;
+                square += weight * weight;
+            }
+            let r = (product / square.max(1.0)).clamp(-0.999, 0.999);
+            if -0.5 * square * (-r * r).ln_1p() > price {
+                correlation[(i, j)] = r;
+                correlation[(j, i)] = r;
+                white = white.max(square);
+            }
+        }
+    }
+    let mut group: Vec<usize> = (0..count).collect();
+    for i in 0..count {
+        for j in 0..i {
+            if correlation[(i, j)] != 0.0 && group[i] != group[j] {
+                let (from, to) = (group[i], group[j]);
+                group.iter_mut().filter(|own| **own == from).for_each(|own| *own = to);
+            }
+        }
+    }
+    let mut groups: Vec<usize> = group.clone();
+    groups.sort_unstable();
+    groups.dedup();
+    let members = |of: usize| -> Vec<usize> { (0..count).filter(|index| group[*index] == of).collect() };
+    let sources = groups.into_iter().map(members).filter(|of| of.len() > 1);
+    sources.map(|of| with_part(source(&of, &correlation, white))).filter(|of| of.parts.len() > 1).collect()
+}
+
+/// Without the channels that are linked to others and yet have almost none of the source.
+fn with_part(mut of: Shared) -> Shared {
+    /// The least part that counts, and the same in standard errors.
+    const LEAST: f64 = 0.02;
+    const ERRORS: f64 = 4.0;
+    let counts: Vec<bool> =
+        of.parts.iter().zip(&of.errors).map(|((_, part), e)| part.abs() > LEAST.max(ERRORS * e)).collect();
+    let keep = |index: usize| counts.get(index).copied().unwrap_or(false);
+    of.parts = of.parts.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, part)| part).collect();
+    of.errors = of.errors.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, e)| e).collect();
+    of.ci95 = of.ci95.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, ends)| ends).collect();
+    of
+}
+
+/// One source of channels that are linked, each to one of the others at least; n is the number of informative
+/// coefficients.
+fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
+    const ROUNDS: usize = 300;
+    let count = members.len();
+    let r = |i: usize, j: usize| correlation[(members[i], members[j])];
+    // Signs along the strongest links, from the first member on.
+    let mut parts = vec![0.0f64; count];
+    let strongest = |i: usize| (0..count).filter(|j| *j != i).map(|j| r(i, j).abs()).fold(0.0, f64::max).sqrt();
+    parts[0] = strongest(0);
+    for _ in 1..count {
+        let links = (0..count)
+            .filter(|i| parts[*i] == 0.0)
+            .flat_map(|i| (0..count).filter(|j| parts[*j] != 0.0).map(|j| (i, j)).collect::<Vec<_>>());
+        let Some((i, j)) = links.max_by(|a, b| r(a.0, a.1).abs().total_cmp(&r(b.0, b.1).abs())) else { break };
+        parts[i] = strongest(i) * (r(i, j) * parts[j]).signum();
+    }
+    // Two channels alone determine only the product of the parts: equal shares are assumed.
+    for _ in 0..if count > 2 { ROUNDS } else { 0 } {
+        for i in 0..count {
+            let others = (0..count).filter(|j| *j != i);
+            let (product, square) =
+                others.fold((0.0, 0.0), |(p, s), j| (p + r(i, j) * parts[j], s + parts[j] * parts[j]));
+            let next = if square > 0.0 { (product / square).clamp(-0.999, 0.999) } else { 0.0 };
+            parts[i] = 0.5 * (parts[i] + next);
+        }
+    }
+    let model = DMatrix::from_fn(count, count, |i, j| if i == j { 1.0 } else { parts[i] * parts[j] });
+    let gain = -0.5 * n * model.determinant().max(1e-12).ln();
+    // Each pair's correlation has an error of (1 − r²)/√n; two channels alone are taken to share alike.
+    let weight = |i: usize, j: usize| n / (1.0 - (parts[i] * parts[j]).powi(2)).powi(2);
+    let normal = DMatrix::from_fn(count, count, |i, j| {
+        if i == j {
+            (0..count).filter(|other| *other != i).map(|other| weight(i, other) * parts[other].powi(2)).sum()
+        } else {
+            weight(i, j) * parts[i] * parts[j]
+        }
+    });
+    let errors = match (count, normal.try_inverse()) {
+        (2, _) => {
+            let r = parts[0] * parts[1];
+            parts.iter().map(|part| (1.0 - r * r) / n.sqrt() / (2.0 * part.abs())).collect()
+        }
+        (_, Some(inverse)) => (0..count).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
+        (_, None) => vec![1.0; count],
+    };
+    let ci95 = parts.iter().zip(&errors).map(|(part, error)| interval(*part, *error, count, n)).collect();
+    Shared { parts: members.iter().copied().zip(parts).collect(), errors, ci95, gain }
+}
+
+/// The 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in √(2n). Two channels
+/// show only the product of their parts: each part may lie anywhere from that product to 1.
+fn interval(part: f64, error: f64, count: usize, n: f64) -> [f64; 2] {
+    const NORMAL_95: f64 = 1.959_964;
+    let size = part.abs();
+    let own = size / (2.0 * n).sqrt();
+    let half = NORMAL_95 * error.hypot(own);
+    match count {
+        2 => [(size * size - 2.0 * half * size).max(0.0), 1.0 + NORMAL_95 / (2.0 * n).sqrt()],
+        _ => [(size - half).max(0.0), size + half],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imu_model::effects::{Stream, StreamId};
+
+    #[test]
+    fn shares_are_found_and_independent_channels_are_left_alone() {
+        let n = 20_000;
+        let noise = |effect: u16| {
+            let mut stream = Stream::new(3, StreamId { owner: 1, effect, instance: 0 });
+            (0..n).map(|_| stream.normal()).collect::<Vec<f64>>()
+        };
+        let source = noise(9);
+        let of = |effect: u16, share: f64| Whitened {
+            coefficients: noise(effect)
+                .iter()
+                .zip(&source)
+                .map(|(own, all)| (1.0 - share * share).sqrt() * own + share * all)
+                .collect(),
+            white: vec![1.0; n],
+            residual: Vec::new(),
+        };
+        let channels = [of(0, 0.5), of(1, 0.0), of(2, -0.3), of(3, 0.4)];
+        let all = shared(&channels, 10.0);
+        let found = &all[0];
+        assert_eq!(all.len(), 1);
+        assert_eq!(found.parts.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [0, 2, 3]);
+        for ((_, part), truth) in found.parts.iter().zip([0.5, -0.3, 0.4]) {
+            assert!((part - truth).abs() < 0.03, "{found:?}");
+        }
+        assert_eq!(shared(&channels[1..2], 10.0), []);
+        assert_eq!(shared(&[of(5, 0.0), of(6, 0.0)], 10.0), []);
+    }
+    #[test]
+    fn two_sources_are_two() {
+        let n = 20_000;
+        let noise = |effect: u16| {
+            let mut stream = Stream::new(4, StreamId { owner: 1, effect, instance: 0 });
+            (0..n).map(|_| stream.normal()).collect::<Vec<f64>>()
+        };
+        let of = |effect: u16, source: &[f64], share: f64| Whitened {
+            coefficients: noise(effect)
+                .iter()
+                .zip(source)
+                .map(|(own, all)| (1.0 - share * share).sqrt() * own + share * all)
+                .collect(),
+            white: vec![1.0; n],
+            residual: Vec::new(),
+        };
+        let (one, other) = (noise(8), noise(9));
+        let found = shared(&[of(0, &one, 0.8), of(1, &one, 0.8), of(2, &other, 0.8), of(3, &other, -0.8)], 10.0);
+        assert_eq!(found.len(), 2);
+        for (of, signs) in found.iter().zip([[1.0, 1.0], [1.0, -1.0]]) {
+            for ((_, part), sign) in of.parts.iter().zip(signs) {
+                assert!((part * sign - 0.8).abs() < 0.02, "{found:?}");
+            }
+            // −n/2·ln(1 − r²), r = 0.64.
+            assert!((of.gain / (n as f64 * 0.2636) - 1.0).abs() < 0.05, "{found:?}");
+        }
+    }
+}

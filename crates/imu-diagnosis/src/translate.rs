@@ -1,0 +1,475 @@
+//! Translation: an explanation in a series' scale becomes effects of docs/formats.md, in the channel's unit.
+
+use super::course::{Course, Follow};
+use super::evidence::Kind;
+use super::explanation::{Explanation, Loud, Scedasticity};
+use super::law::{Shape, Term};
+use super::modulated::Levels;
+use super::prepare::Prepared;
+use super::spread::Spread;
+use imu_model::effects::{
+    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage, PowerLaw,
+    QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
+};
+use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// The data that the translation needs besides the explanation.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Units<'a> {
+    /// The channel.
+    pub prepared: &'a Prepared,
+    /// Samples.
+    pub samples: usize,
+    /// Mean temperature, °C.
+    pub temperature_c: f64,
+    /// The white part's mean variance over its variance at times when nothing changes it.
+    pub average_variance: f64,
+    /// Bands whose level changes.
+    pub levels: &'a [Levels],
+    /// The model, and the rate of what it sends.
+    pub sim: &'a SensorModel,
+}
+
+impl Units<'_> {
+    /// The part of a line's amplitude that passes all filters: the model's own but those `without` which it is, and `further`
+    /// ones, as the simulator has them.
+    fn passed(&self, without: &BTreeSet<usize>, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
+        let channel = self.prepared.channel;
+        let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+        let own = own.iter().enumerate().filter(|(place, _)| !without.contains(place)).map(|(_, effect)| effect);
+        let filters = own.chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
+        let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
+        let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
+        let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..self.sim.clone() };
+        let record = Record { rate_hz: self.sim.rate_hz, samples: self.samples as u64 };
+        let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
+        (2.0 * power).sqrt().max(LEAST_PASSED)
+    }
+
+    /// By how much all filters delay a step, s: the model's that are left and those found.
+    fn delay_s(&self, explanation: &Explanation) -> f64 {
+        let own = self.sim.channels.get(&self.prepared.channel).map(|model| model.effects.as_slice());
+        let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
+        let rate_hz = self.sim.rate_hz;
+        let internal_hz = self.sim.internal_rate_hz(rate_hz);
+        let found = explanation.law.terms.iter().filter_map(|term| term.effect(rate_hz));
+        own.map(|(_, effect)| delay_s(&**effect, internal_hz)).sum::<f64>()
+            + found.map(|of| delay_s(&*of, rate_hz)).sum::<f64>()
+    }
+}
+
+/// By how much a filter delays what changes slowly, s: (w − 1)/2 samples of a moving average; of Butterworth's filter of order n
+/// and cutoff ω 1/(ω·sin(π/2n)).
+fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
+    let number = |name: &str| effect.number(name);
+    match effect.name() {
+        "moving_average" => number("window").map_or(0.0, |window| 0.5 * (window - 1.0) / rate_hz),
+        "low_pass" => {
+            let (cutoff_hz, order) = (number("cutoff_hz").unwrap_or(f64::INFINITY), number("order").unwrap_or(1.0));
+            1.0 / (std::f64::consts::TAU * cutoff_hz * (std::f64::consts::PI / (2.0 * order)).sin())
+        }
+        _ => 0.0,
+    }
+}
+
+/// An effect in the channel's unit.
+#[derive(Debug, Clone)]
+#[expect(clippy::exhaustive_structs, reason = "an answer that callers read")]
+pub struct Translated {
+    /// Its kind.
+    pub kind: Kind,
+    /// It.
+    pub effect: Arc<dyn Effect>,
+    /// 95 % intervals of its parameters, if they are known.
+    pub ci95: Vec<(&'static str, [f64; 2])>,
+}
+
+/// 97.5 % of a normal distribution.
+const NORMAL_95: f64 = 1.959_964;
+
+/// value ± 1.96 standard errors.
+fn about(value: f64, error: f64) -> [f64; 2] {
+    [value - NORMAL_95 * error.abs(), value + NORMAL_95 * error.abs()]
+}
+
+/// The same on a logarithmic scale, `error` that of the logarithm.
+fn times(value: f64, error: f64) -> [f64; 2] {
+    let factor = (NORMAL_95 * error).min(50.0).exp();
+    [value / factor, value * factor]
+}
+
+/// Part of a filter's delay by which a step's place behind it may be wrong.
+const DELAY_ERROR: f64 = 0.25;
+/// Samples by which the middle of a step's rise may be off though no sample of it is seen.
+const RISE: f64 = 4.0;
+
+/// The first and last sample of a step's rise: those about it that are left out, one beside the other.
+fn rise(left_out: &[usize], at: usize) -> (usize, usize) {
+    /// Samples between two that belong to one rise, and the longest rise to either side.
+    const APART: usize = 2;
+    const LONGEST: usize = 40;
+    let middle = left_out.partition_point(|own| *own < at);
+    let mut first = at;
+    for own in left_out[..middle].iter().rev().take_while(|own| at - **own <= LONGEST) {
+        if first - own <= APART {
+            first = *own;
+        }
+    }
+    let mut last = at;
+    for own in left_out[middle..].iter().take_while(|own| **own - at <= LONGEST) {
+        if own - last <= APART {
+            last = own + 1;
+        }
+    }
+    (first, last)
+}
+
+/// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
+pub(super) const LEAST_PASSED: f64 = 1e-4;
+/// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the
+/// difference.
+const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
+
+/// The effects of an explanation; those that the model has already are left out.
+#[must_use]
+pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
+    let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
+    let rate_hz = sim.rate_hz;
+    let internal_hz = sim.internal_rate_hz(rate_hz);
+    let scale = prepared.scale;
+    let mut found: Vec<Translated> = Vec::new();
+    let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
+        // If no error is known, there is no interval.
+        ci95.retain(|(_, [low, high])| low < high && low.is_finite() && high.is_finite());
+        found.push(Translated { kind, effect, ci95 });
+    };
+    let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
+    // The effects that follow the temperature without play are one effect.
+    let mut warm: Option<(TemperatureBias, Intervals)> = None;
+    for ((course, factor), (error, second)) in courses {
+        let (size, error) = (factor * scale, error * scale);
+        match course {
+            Course::Ramp => {
+                let per_s = rate_hz / samples as f64;
+                add(
+                    Kind::RateRamp,
+                    Arc::new(RateRamp { r: size * per_s }),
+                    vec![("R", about(size * per_s, error * per_s))],
+                );
+            }
+            Course::Temperature | Course::Follows(Follow::Square | Follow::Rate(_)) => {
+                let (name, factor) = match course {
+                    Course::Follows(Follow::Square) => ("per_c2", 1.0),
+                    Course::Follows(_) => ("per_c_per_s", 1.0 / rate_hz),
+                    _ => ("per_c", 1.0),
+                };
+                let bias = warm.get_or_insert_with(|| (TemperatureBias::linear(0.0, temperature_c), Vec::new()));
+                let number = match name {
+                    "per_c2" => &mut bias.0.per_c2,
+                    "per_c_per_s" => &mut bias.0.per_c_per_s,
+                    _ => &mut bias.0.per_c,
+                };
+                *number = factor * size;
+                bias.1.push((name, about(factor * size, factor * error)));
+            }
+            Course::Follows(Follow::Play(play_c)) => {
+                let effect = TemperatureBias { play_c: *play_c, ..TemperatureBias::linear(size, temperature_c) };
+                add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
+            }
+            Course::WarmUp(tau) => {
+                let tau_s = tau / rate_hz;
+                let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
+                add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
+            }
+            Course::Step(at) => {
+                // It is seen half way up, behind all filters.
+                let delay_s = units.delay_s(explanation);
+                let (first, last) = rise(&explanation.outliers, *at);
+                let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
+                let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
+                // Its course is unknown until it is over.
+                let rises_s = (0.5 * (last - first) as f64).max(RISE) / rate_hz / NORMAL_95;
+                let at_error = (second / rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
+                let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
+                add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
+            }
+        }
+    }
+    if let Some((bias, ci95)) = warm {
+        add(Kind::TemperatureBias, Arc::new(bias), ci95);
+    }
+    let white = (0.5 * explanation.law.levels[0]).exp() * scale;
+    let terms = explanation.law.terms.iter().zip(&spread.terms).enumerate();
+    let spectral: Vec<Spectral> = terms
+        .filter_map(|(place, (term, errors))| {
+            let found = spectral(term, errors, [scale, white, rate_hz, internal_hz])?;
+            let level = levels.iter().find(|levels| levels.term == place);
+            Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
+        })
+        .collect();
+    let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
+    // The same a standard error off.
+    let off = |(term, errors): (&Term, &Vec<f64>)| {
+        let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
+        self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz, internal_hz])
+            .map(|(_, effect, _)| effect)
+    };
+    let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
+    let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
+    let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
+    let lines: Vec<LineFound> = own
+        .iter()
+        .zip(errors)
+        .map(|(sine, (frequency, amplitude))| {
+            // The record has it behind the filters, the model in front of them.
+            let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
+            let gain = units.passed(&explanation.without, &filters, frequency_hz);
+            let is_known = gain > LEAST_PASSED;
+            let off = units.passed(&explanation.without, &filters_off, frequency_hz);
+            let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
+            let (scale, seen) = (scale / gain, sine.amplitude());
+            LineFound {
+                frequency_hz,
+                amplitude: scale * seen,
+                frequency_error_hz: frequency * rate_hz,
+                amplitude_error: scale * amplitude.hypot(seen * gain_error),
+            }
+        })
+        .collect();
+    let (combs, tones) = combs(&lines, rate_hz / samples as f64);
+    for (comb, error_hz) in combs {
+        let ci95 = vec![("fundamental_hz", about(comb.fundamental_hz, error_hz))];
+        add(Kind::Tone, Arc::new(comb), ci95);
+    }
+    for line in tones {
+        let effect = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
+        let ci95 = vec![
+            ("frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
+            ("amplitude", about(line.amplitude, line.amplitude_error)),
+        ];
+        add(Kind::Tone, Arc::new(effect), ci95);
+    }
+    for (kind, effect, ci95) in spectral {
+        add(kind, effect, ci95);
+    }
+    if let Some(degrees) = explanation.tails
+        && !prepared.has.contains(&"heavy_tails")
+    {
+        let ci95 = times(degrees, spread.tails);
+        let effect = HeavyTails { degrees_of_freedom: degrees };
+        add(Kind::HeavyTails, Arc::new(effect), vec![("degrees_of_freedom", [ci95[0].max(2.0), ci95[1]])]);
+    }
+    let seconds = |sample: usize| sample as f64 / rate_hz;
+    let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
+    let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
+    let (intervals, bursts): (Vec<&Loud>, Vec<&Loud>) =
+        loud.iter().partition(|of| of.is_interval(samples, &prepared.bursts));
+    for one in intervals {
+        let (from_s, to_s) = (seconds(one.from), seconds(one.to));
+        let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
+        let end = (5.5 / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
+        let factor = (0.5 / (one.to - one.from) as f64).sqrt();
+        let ci95 = vec![
+            ("from_s", about(from_s, end)),
+            ("to_s", about(to_s, end)),
+            ("factor", times(one.ratio.sqrt(), factor)),
+        ];
+        add(Kind::VarianceInterval, Arc::new(change), ci95);
+    }
+    if !bursts.is_empty() {
+        let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), of| {
+            let width = (of.to - of.from) as f64;
+            (sum + width * (of.ratio - 1.0).max(0.0), count + width)
+        });
+        let excess = sum / count;
+        let sigma = white * excess.sqrt();
+        let intervals = bursts.iter().map(|of| (seconds(of.from), seconds(of.to))).collect();
+        let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
+        add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
+    }
+    if prepared.scedasticity.is_none() {
+        match &explanation.scedasticity {
+            Some(Scedasticity::PerDegree(slope)) => {
+                let change = VarianceChange::PerDegree { per_c: 0.5 * slope, reference_c: temperature_c };
+                let ci95 = vec![("per_c", about(0.5 * slope, 0.5 * spread.per_degree))];
+                add(Kind::VariancePerDegree, Arc::new(change), ci95);
+            }
+            Some(Scedasticity::Profile(values)) => {
+                let last = (values.len().max(2) - 1) as f64;
+                let at = |index: usize| index as f64 / last * seconds(samples);
+                let points = values.iter().enumerate().map(|(i, value)| (at(i), (0.5 * value).exp())).collect();
+                add(Kind::VarianceProfile, Arc::new(VarianceChange::Profile(points)), Vec::new());
+            }
+            None => {}
+        }
+    }
+    if let Some(spikes) = explanation.spikes
+        && !prepared.has.contains(&"spikes")
+    {
+        let (per_s, size) = (spikes.rate * rate_hz, spikes.size * scale);
+        let error = (1.0 / (spikes.rate * samples as f64).max(1.0)).sqrt();
+        let ci95 = vec![("rate_hz", times(per_s, error)), ("amplitude", times(size, spikes.relative_error))];
+        add(Kind::Spikes, Arc::new(Spikes::new(per_s, size)), ci95);
+    }
+    found
+}
+
+/// Nats by which one sample distinguishes two variances of this ratio, for the variance that it distinguishes less (Kullback and
+/// Leibler 1951). The place of a change is known within 5.5 over that in 95 %, as that of a small step is within 11 times the
+/// squared ratio of noise to step (Yao 1987): both are a random walk's with that drift.
+fn divergence(ratio: f64) -> f64 {
+    let of = |ratio: f64| 0.5 * (ratio - 1.0 - ratio.ln());
+    of(ratio).min(of(1.0 / ratio)).max(1e-4)
+}
+
+/// A line in the channel's unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct LineFound {
+    frequency_hz: f64,
+    amplitude: f64,
+    frequency_error_hz: f64,
+    amplitude_error: f64,
+}
+
+/// 95 % intervals of parameters by their names.
+type Intervals = Vec<(&'static str, [f64; 2])>;
+/// An effect of the spectrum with the intervals of its parameters.
+type Spectral = (Kind, Arc<dyn Effect>, Intervals);
+
+/// A band whose level changes.
+fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {
+    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let band = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp() * scale);
+    let level = levels.points.iter().map(|(sample, factor)| (sample / rate_hz, *factor)).collect();
+    // Such a band is symmetric.
+    let ci95 = ci95.into_iter().filter(|(name, _)| *name != "asymmetry").collect();
+    (kind, Arc::new(ModulatedBand { band, level }), ci95)
+}
+
+/// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, the output's rate and the internal one in Hz.
+fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
+    let [scale, white, rate_hz, internal_hz] = units;
+    /// White noise behind a filter below this part of N (ln of the squares) counts as absent: the record does not show
+    /// it.
+    const SILENT: f64 = -16.0;
+    let behind = term.floor().filter(|floor| floor.ln() > SILENT).map_or(0.0, |floor| white * floor.sqrt());
+    // The last number of a filter.
+    let of_behind = |error: f64| (behind > 0.0 && error < 1.0).then(|| ("white_behind", times(behind, 0.5 * error)));
+
+    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let error = |index: usize| errors.get(index).copied().unwrap_or_default();
+    let size = |index: usize| (0.5 * at(index)).exp() * scale;
+    Some(match term.shape {
+        Shape::QuantizationNoise => {
+            let q = size(0);
+            (Kind::QuantizationNoise, Arc::new(QuantizationNoise { q }), vec![("Q", times(q, 0.5 * error(0)))])
+        }
+        Shape::GaussMarkov => {
+            let (sigma, tc_s) = (size(0), at(1).exp());
+            let ci95 = vec![("sigma", times(sigma, 0.5 * error(0))), ("tc_s", times(tc_s, error(1)))];
+            (Kind::GaussMarkov, Arc::new(GaussMarkov { sigma, tc_s }), ci95)
+        }
+        Shape::Resonance => {
+            let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
+            let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
+            let most = line.most_asymmetric(rate_hz);
+            // A resonance found at the output's rate acts at the internal one. A standard error off it may be beyond half the
+            // rate.
+            let possible = line.most_asymmetric(internal_hz);
+            let asymmetry = (at(3) * most).max(-possible).min(possible);
+            let mut ci95 = vec![
+                ("sigma", times(sigma, 0.5 * error(0))),
+                ("frequency_hz", about(frequency_hz, error(1))),
+                ("bandwidth_hz", times(bandwidth_hz, error(2))),
+            ];
+            if asymmetry != 0.0 {
+                ci95.push(("asymmetry", about(asymmetry, most * error(3))));
+            }
+            (Kind::Resonance, Arc::new(Resonance { asymmetry, ..line }), ci95)
+        }
+        Shape::LowPass(order) => {
+            let cutoff_hz = at(0).exp();
+            let ci95 = [("cutoff_hz", times(cutoff_hz, error(0)))].into_iter().chain(of_behind(error(1)));
+            (Kind::LowPass, Arc::new(LowPass { cutoff_hz, order, white_behind: behind }), ci95.collect())
+        }
+        Shape::MovingAverage(window) => {
+            let effect = MovingAverage { window, white_behind: behind };
+            (Kind::MovingAverage, Arc::new(effect), of_behind(error(0)).into_iter().collect())
+        }
+        Shape::Slope(_) => {
+            let alpha = Some(at(1)).filter(|alpha| Shape::POWER_LAW.contains(alpha))?;
+            let density = size(0).powi(2) / rate_hz;
+            let effect = PowerLaw { alpha, at_hz: Shape::MIDDLE * rate_hz, density };
+            let ci95 = vec![("alpha", about(alpha, error(1))), ("density", times(density, error(0)))];
+            (Kind::Slope, Arc::new(effect), ci95)
+        }
+    })
+}
+
+/// Lines at whole multiples of the lowest of them, within the resolution of a record of 1/`resolution_hz`, are one comb, with the
+/// standard error of its fundamental. The others are tones.
+fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<LineFound>) {
+    const HARMONICS: f64 = 12.0;
+    let mut left: Vec<LineFound> = lines.to_vec();
+    left.sort_by(|a, b| a.frequency_hz.total_cmp(&b.frequency_hz));
+    let mut combs = Vec::new();
+    let mut index = 0;
+    while index < left.len() {
+        let fundamental_hz = left[index].frequency_hz;
+        let order = |line: &LineFound| {
+            let order = (line.frequency_hz / fundamental_hz).round();
+            let near = (line.frequency_hz - order * fundamental_hz).abs() < 0.25 * order * resolution_hz;
+            (near && order <= HARMONICS).then_some(order as usize)
+        };
+        let harmonics: Vec<(usize, LineFound)> = left.iter().filter_map(|line| Some((order(line)?, *line))).collect();
+        let orders: std::collections::BTreeSet<usize> = harmonics.iter().map(|(order, _)| *order).collect();
+        if orders.len() < 2 || orders.len() < harmonics.len() {
+            index += 1;
+            continue;
+        }
+        let highest = harmonics.iter().map(|(order, _)| *order).max().unwrap_or(1);
+        let mut amplitudes = vec![0.0; highest];
+        // Each harmonic determines the fundamental by its order and its own error.
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (order, line) in &harmonics {
+            amplitudes[order - 1] = line.amplitude;
+            let error_hz = line.frequency_error_hz / *order as f64;
+            let weight = 1.0 / (error_hz * error_hz).max(f64::MIN_POSITIVE);
+            sum += weight * line.frequency_hz / *order as f64;
+            weights += weight;
+        }
+        combs.push((Comb { fundamental_hz: sum / weights, amplitudes }, (1.0 / weights).sqrt()));
+        left.retain(|line| order(line).is_none());
+    }
+    (combs, left)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A filter's amplitude is looked at with every number a standard error off.
+    #[test]
+    fn a_band_beyond_half_the_rate_has_an_effect_and_no_panic() {
+        let term = Term { shape: Shape::Resonance, numbers: vec![0.0, 20.5, 0.0, 0.5] };
+        assert!(spectral(&term, &[0.1; 4], [1.0, 1.0, 40.0, 40.0]).is_some());
+    }
+
+    #[test]
+    fn harmonics_are_one_comb_and_others_stay_tones() {
+        let line = |frequency_hz, amplitude| LineFound {
+            frequency_hz,
+            amplitude,
+            frequency_error_hz: 1e-5 / amplitude,
+            amplitude_error: 0.01,
+        };
+        let lines = [line(3.1, 1.0), line(12.4001, 0.2), line(5.0, 0.7), line(9.3, 0.5), line(7.77, 0.1)];
+        let (combs, tones) = combs(&lines, 0.001);
+        assert_eq!(combs.len(), 1);
+        assert_eq!(combs[0].0.amplitudes, [1.0, 0.0, 0.5, 0.2]);
+        assert!((combs[0].0.fundamental_hz - 3.1).abs() < 1e-4 && combs[0].1 < 1e-5);
+        assert_eq!(tones.iter().map(|line| line.frequency_hz).collect::<Vec<_>>(), [5.0, 7.77]);
+    }
+}

@@ -1,0 +1,232 @@
+//! Errors that concern a recording as a whole. A single bad line is an item, not an error.
+
+use imu_core::sample::Channel;
+use std::path::PathBuf;
+
+/// Why a recording could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordingError {
+    /// The file could not be opened.
+    #[error("cannot open {}: {source}", file.display())]
+    Open {
+        /// The file.
+        file: PathBuf,
+        /// The error that the system reported.
+        source: std::io::Error,
+    },
+    /// The file could not be read to its end.
+    #[error("cannot read {} beyond line {line}: {source}", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The last line that was read.
+        line: u64,
+        /// The error that the system reported.
+        source: std::io::Error,
+    },
+    /// The path is not a file.
+    #[error("{} is {found}, but a recording is read several times: save it to a file and name that", file.display())]
+    NoFile {
+        /// The path.
+        file: PathBuf,
+        /// The kind of object found there.
+        found: &'static str,
+    },
+    /// The recording is no longer wanted.
+    #[error("reading {} was called off", file.display())]
+    Unwanted {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Few compressed bytes expand to too many.
+    #[error(
+        "{}: its first {file_bytes} compressed bytes become more than {allowed_bytes}, which no sensor's recording does: \
+         decompress it yourself and look at it",
+        file.display()
+    )]
+    Expands {
+        /// The file.
+        file: PathBuf,
+        /// Bytes of the file that were read.
+        file_bytes: u64,
+        /// The number of bytes they may expand to.
+        allowed_bytes: u64,
+    },
+    /// The compressed data ends too early: the recording was cut.
+    #[error(
+        "{} ends in the middle of its compressed data after line {line}: \
+         save what is there with `zcat FILE > FILE.txt` and read that",
+        file.display()
+    )]
+    CutCompression {
+        /// The file.
+        file: PathBuf,
+        /// The last line that was read.
+        line: u64,
+    },
+    /// The file is empty.
+    #[error("{} is empty: expected raw `$VN…` lines, a CSV, raw bytes of a VN-100, a ROS bag or an MCAP file", file.display())]
+    Empty {
+        /// The file.
+        file: PathBuf,
+    },
+    /// The content is of no known kind.
+    #[error(
+        "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
+         a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed), \
+         raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file",
+        file.display()
+    )]
+    Unrecognised {
+        /// The file.
+        file: PathBuf,
+        /// The beginning of the content.
+        found: String,
+    },
+    /// The content is of a known kind that this version does not read.
+    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines, CSV, raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file", file.display())]
+    NotReadYet {
+        /// The file.
+        file: PathBuf,
+        /// The kind.
+        found: &'static str,
+    },
+    /// Two columns of a CSV give the same channel.
+    #[error(
+        "{}: line 1: columns {first:?} and {second:?} both give {channel}; leave one of them out",
+        file.display()
+    )]
+    DuplicateColumn {
+        /// The file.
+        file: PathBuf,
+        /// The earlier column.
+        first: String,
+        /// The later one.
+        second: String,
+        /// The channel.
+        channel: Channel,
+    },
+    /// Two columns of a CSV give the time.
+    #[error("{}: line 1: columns {first:?} and {second:?} both give the time; leave one of them out", file.display())]
+    DuplicateTime {
+        /// The file.
+        file: PathBuf,
+        /// The earlier column.
+        first: String,
+        /// The later one.
+        second: String,
+    },
+    /// A column that the user named does not exist.
+    #[error(
+        "{}: no column is {column}; its columns are: {found}. Name one of them, or its position from 1 as in '#3=gyro_x_dps'",
+        file.display()
+    )]
+    NoColumn {
+        /// The file.
+        file: PathBuf,
+        /// The column that was given.
+        column: String,
+        /// The file's columns.
+        found: String,
+    },
+    /// A CSV whose column names are not those of docs/formats.md.
+    #[error(
+        "{} looks like a CSV, but none of its columns names a channel with its unit; they are: {found}. Say which is which \
+         with --columns 'FOREIGN=NAME,…'; names are {}",
+        file.display(),
+        super::header::allowed_names()
+    )]
+    ForeignColumns {
+        /// The file.
+        file: PathBuf,
+        /// The file's columns.
+        found: String,
+    },
+    /// Columns were given for a recording that has none.
+    #[error("{} is {found}, which has no columns to be told: leave --columns out", file.display())]
+    ColumnsOfNoCsv {
+        /// The file.
+        file: PathBuf,
+        /// Its kind.
+        found: &'static str,
+    },
+    /// Numbers with commas.
+    #[error(
+        "{}: line {line}: {cell:?} has a decimal comma: expected decimal points (`sed 's/,/./g' FILE > NEW` makes them where \
+         no comma means anything else)",
+        file.display()
+    )]
+    DecimalComma {
+        /// The file.
+        file: PathBuf,
+        /// The line.
+        line: u64,
+        /// The number.
+        cell: String,
+    },
+    /// The recording has no times, and no rate was given.
+    #[error(
+        "{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ, or name the column of times with \
+         --columns",
+        file.display()
+    )]
+    NoRate {
+        /// The file.
+        file: PathBuf,
+    },
+    /// The stamps do not determine a rate.
+    #[error(
+        "{}: its {samples} samples have no two stamps of which the later is greater, \
+         so that no rate follows from them; take the stamps out and give --rate HZ",
+        file.display()
+    )]
+    NoStep {
+        /// The file.
+        file: PathBuf,
+        /// Samples that were found.
+        samples: u64,
+    },
+    /// The recording contains no sample.
+    #[error("{} has no sample: {lines} lines, {rejected} of them rejected{first}", file.display())]
+    NoSample {
+        /// The file.
+        file: PathBuf,
+        /// Lines after the header.
+        lines: u64,
+        /// Lines rejected.
+        rejected: u64,
+        /// The first rejected line, its cause and text.
+        first: String,
+    },
+    /// An SQLite database that is not a bag.
+    #[error("{} is {found}; expected the tables `topics` and `messages` of a ROS 2 bag", file.display())]
+    NoBag {
+        /// The file.
+        file: PathBuf,
+        /// What the database contains instead.
+        found: String,
+    },
+    /// An SQLite database that cannot be read.
+    #[error("{} is an SQLite database that cannot be read: {reason}", file.display())]
+    Database {
+        /// The file.
+        file: PathBuf,
+        /// The error that SQLite reported.
+        reason: String,
+    },
+    /// A bag without a topic that can be read.
+    #[error("{} has no topic with IMU data or raw `$VN…` lines; it has {found}", file.display())]
+    NoTopic {
+        /// The file.
+        file: PathBuf,
+        /// The topics, with their types and the reasons why they are not read.
+        found: String,
+    },
+    /// The given rate is invalid.
+    #[error("a recording's rate must be a finite number above 0, not {found} Hz")]
+    Rate {
+        /// The given rate.
+        found: f64,
+    },
+}

@@ -1,0 +1,407 @@
+//! Findings: notable properties of a recording's times and values, as figures and as sentences.
+
+use super::DEFAULT_VN_RATE_HZ;
+use super::detect::Kind;
+use super::doubts::shown;
+use super::grid::StampGrid;
+use super::info::RecordingInfo;
+use imu_core::sample::Channel;
+use imu_core::units::NANOS_PER_SECOND;
+use std::collections::BTreeMap;
+
+/// A given rate is reported if it differs by more than this share from the rate found.
+const TOLD_DIFFERS: f64 = 0.005;
+/// From this share of the samples on, late stamps are not strays but another run.
+const LATE_FROM: f64 = 0.05;
+/// From this share of samples on, repetitions are not chance: a coarse sensor's values repeat now and then.
+const REPEATED_FROM: f64 = 1e-5;
+/// A sensor that sends less than this share of its default rate was set to a lower one, or not all of it was recorded.
+const SLOW: f64 = 0.5;
+/// Jitter and rounding of a smaller share of the period are not reported.
+const JITTER_FROM: f64 = 1e-3;
+const ROUNDED_FROM: f64 = 1e-3;
+
+/// Figures of a first pass.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
+pub struct Findings {
+    /// Steps from stamp to stamp.
+    pub steps: u64,
+    /// The median step, s.
+    pub median_step_s: Option<f64>,
+    /// The number of steps over their time, Hz; below the rate if samples are missing.
+    pub mean_rate_hz: Option<f64>,
+    /// Grid points without a sample.
+    pub missing: u64,
+    /// The number of gaps that contain them.
+    pub gaps: u64,
+    /// From sample to sample across the longest gap, s.
+    pub longest_gap_s: Option<f64>,
+    /// The start of that gap, UTC ns; `None` if stamps do not show the time of day.
+    pub longest_gap_utc_ns: Option<i64>,
+    /// Stamps that are late by half a period or more, beyond their rounding: the next ones make up for it.
+    pub delayed: u64,
+    /// The longest delay, s.
+    pub longest_delay_s: Option<f64>,
+    /// How often stamps left the grid: the clock was set, or the rate changed.
+    pub off_grid: u64,
+    /// Steps below a tenth of the median step, or of the long one of pairs.
+    pub short_steps: u64,
+    /// The two alternating steps, if stamps come in pairs.
+    pub pairs: Option<Pairs>,
+    /// Stamps that repeat that of the sample before; rejected as duplicates.
+    pub frozen_stamps: u64,
+    /// The number of runs of such stamps.
+    pub frozen_runs: u64,
+    /// Repetitions in the longest run.
+    pub longest_frozen_run: u64,
+    /// Stamps before that of the sample before: out of order; rejected as duplicates.
+    pub late_stamps: u64,
+    /// The largest distance, s.
+    pub latest_by_s: Option<f64>,
+    /// The line (a bag's message) of the first of them.
+    pub first_late_line: Option<u64>,
+    /// Stamps far ahead of those that follow, or of another clock; rejected as malformed.
+    pub stray_stamps: u64,
+    /// Samples that repeat the one before in every channel.
+    pub repeated_samples: u64,
+    /// The rate in use, Hz, if a comment in the file states it.
+    pub commented_rate_hz: Option<f64>,
+    /// How often the sensor's own clock restarted. The number of samples missed there is unknown.
+    pub restarts: u64,
+    /// For each channel that lacks values, the number of samples in which it has no finite value.
+    pub absent: BTreeMap<Channel, u64>,
+    /// Samples with a magnetic field above 25 gauss: the assumed unit is wrong.
+    pub strong_fields: u64,
+    /// The step of each channel's values, if one is found.
+    pub quantisation: BTreeMap<Channel, Quantisation>,
+    /// Units that the values contradict. Nothing was converted because of them.
+    pub doubts: Vec<Doubt>,
+}
+
+/// Stamps that come two at a time.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct Pairs {
+    /// The median step within a pair, s.
+    pub short_s: f64,
+    /// The median step from pair to pair, s.
+    pub long_s: f64,
+}
+
+/// The smallest step of which nearly all values of a channel are multiples.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Quantisation {
+    /// In the channel's unit.
+    pub step: f64,
+    /// In the file's unit.
+    pub original_step: f64,
+    /// That unit.
+    pub original_unit: String,
+}
+
+/// A unit that the values contradict.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Doubt {
+    /// The triad: `accel`, `gyro` or `mag`.
+    pub triad: &'static str,
+    /// The unit that the file or its form states.
+    pub unit: &'static str,
+    /// The unit that would fit, if one is known.
+    pub looks_like: Option<&'static str>,
+    /// The suffix of a CSV column with that unit.
+    pub suffix: Option<&'static str>,
+    /// The reason, with figures.
+    pub reason: String,
+}
+
+impl Doubt {
+    /// `found` is the suffix and the unit that would fit.
+    pub(super) fn new(
+        triad: &'static str,
+        unit: &'static str,
+        found: Option<(&'static str, &'static str)>,
+        reason: String,
+    ) -> Self {
+        Self { triad, unit, looks_like: found.map(|(_, unit)| unit), suffix: found.map(|(suffix, _)| suffix), reason }
+    }
+
+    fn sentence(&self, kind: Kind) -> String {
+        let Self { triad, unit, looks_like, suffix, reason } = self;
+        let guess = match (looks_like, suffix) {
+            (Some(like), Some(suffix)) if kind == Kind::Csv => {
+                format!("was it in {like} already? Its columns would be called {triad}_x{suffix} …")
+            }
+            (Some(like), _) => format!("was it in {like} already?"),
+            _ => "no unit that is known here fits (counts of a converter?)".to_owned(),
+        };
+        format!("{triad} does not look like {unit}: {reason}; {guess} It was read as {unit}, nothing was changed")
+    }
+}
+
+impl RecordingInfo {
+    /// The sentences that a user should read about the recording.
+    #[must_use]
+    pub fn remarks(&self) -> Vec<String> {
+        // Findings that invalidate other figures come first.
+        let mut remarks: Vec<String> = self.pairs().into_iter().collect();
+        remarks.extend(self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)));
+        self.remark_rate(&mut remarks);
+        self.remark_steps(&mut remarks);
+        self.remark_rejected_stamps(&mut remarks);
+        self.remark_values(&mut remarks);
+        remarks
+    }
+
+    /// Reports that a given rate overrides that of the stamps, with both.
+    #[must_use]
+    pub fn overridden(&self) -> Option<String> {
+        let (given_hz, hz) = (self.rate_hz, rate(self.overridden_rate_hz?));
+        Some(match self.stamp_grid {
+            Some(_) => format!("--rate {given_hz} overrides the {hz} Hz of the stamps; gaps are still theirs"),
+            None => format!(
+                "--rate {given_hz} overrides the stamps, which lie on a grid of {hz} Hz: they do not count, and no sample \
+                 is known to be missing"
+            ),
+        })
+    }
+
+    fn pairs(&self) -> Option<String> {
+        let Pairs { short_s, long_s } = self.findings.pairs?;
+        Some(format!(
+            "stamps come in pairs: steps of {} ms and of {} ms take turns, as if two messages were received at once; the rate \
+             of {} Hz is that of the grid on which one of each pair lies",
+            shown(1e3 * short_s),
+            shown(1e3 * long_s),
+            rate(self.rate_hz)
+        ))
+    }
+
+    fn remark_rate(&self, remarks: &mut Vec<String>) {
+        if let Some(choice) = self.stamp_choice.as_ref().filter(|choice| choice.regular.len() > 1) {
+            let percent = |share: &f64| format!("{:.1} %", 100.0 * share);
+            let of = |(index, share): (usize, &f64)| {
+                let pairs = choice.pairs.get(index).copied().flatten();
+                let pairs = pairs.map(|Pairs { short_s, long_s }| {
+                    let (short_ms, long_ms) = (shown(1e3 * short_s), shown(1e3 * long_s));
+                    format!(", they come in pairs: steps of {short_ms} ms and of {long_ms} ms take turns")
+                });
+                percent(share) + &pairs.unwrap_or_default()
+            };
+            let others = choice.regular.iter().enumerate().filter(|(index, _)| index + 1 != choice.column);
+            let others: Vec<_> = others.map(of).collect();
+            remarks.push(format!(
+                "times are from the {}: {} of its steps lie within 10 % of the median step (the other stamps: {})",
+                choice.name,
+                choice.regular.get(choice.column - 1).map(percent).unwrap_or_default(),
+                others.join(", ")
+            ));
+        }
+        let found = &self.findings;
+        let slow = self.rate_hz < SLOW * DEFAULT_VN_RATE_HZ && found.steps > 0;
+        if slow && self.kind != Kind::Csv {
+            remarks.push(format!(
+                "the rate is {} Hz, where a VN-100's register 7 has {DEFAULT_VN_RATE_HZ} Hz unless it was changed: was all \
+                 that it sent recorded?",
+                rate(self.rate_hz)
+            ));
+        }
+        if let Some(commented_hz) = found.commented_rate_hz {
+            remarks.push(format!(
+                "the rate of {commented_hz} Hz is that of a comment before the header (--rate HZ tells another)"
+            ));
+        }
+        if let Some(told_hz) = self.unused_rate_hz {
+            let (differs, hz) = ((told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS, rate(self.rate_hz));
+            let but = if differs { format!(", which lie on a grid of {hz} Hz") } else { String::new() };
+            remarks.push(format!("the rate of {told_hz} Hz of a comment is not used: the recording has stamps{but}"));
+        }
+        remarks.extend(self.overridden());
+    }
+
+    fn remark_steps(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        remarks.extend(self.stamp_grid.as_ref().and_then(|grid| self.about_grid(grid)));
+        if let Some(longest_s) = found.longest_gap_s {
+            let when =
+                found.longest_gap_utc_ns.map_or_else(String::new, |utc_ns| format!(", from {}", rfc3339(utc_ns)));
+            remarks.push(format!(
+                "{} missing in {}; the longest is {longest_s:.3} s{when}",
+                counted(found.missing, "sample is", "samples are"),
+                counted(found.gaps, "gap", "gaps")
+            ));
+        }
+        if found.off_grid > 0 {
+            remarks.push(format!(
+                "stamps leave their grid {}: the clock was set, or the rate changed, so the count of missing samples is not \
+                 exact",
+                counted(found.off_grid, "time", "times")
+            ));
+        }
+    }
+
+    /// Describes how stamps differ from their grid.
+    fn about_grid(&self, grid: &StampGrid) -> Option<String> {
+        let found = &self.findings;
+        let milliseconds = |nanos: f64| shown(1e-6 * nanos);
+        let mut parts = Vec::new();
+        if grid.rounding_ns as f64 > ROUNDED_FROM * grid.period_ns {
+            parts.push(format!("rounded to {} ms", milliseconds(grid.rounding_ns as f64)));
+        }
+        if grid.jitter_ns > JITTER_FROM * grid.period_ns {
+            parts.push(format!("with a jitter of {} ms", milliseconds(grid.jitter_ns)));
+        }
+        if let Some(longest_s) = found.longest_delay_s {
+            let late = counted(found.delayed, "of them late", "of them late");
+            parts.push(format!("{late} by half a period to {} ms", shown(1e3 * longest_s)));
+        }
+        let hz = rate(self.overridden_rate_hz.unwrap_or(self.rate_hz));
+        if !grid.resolved {
+            return Some(format!(
+                "stamps are too coarse or jitter too much ({} ms) to tell single missing samples: the rate of {hz} Hz is their \
+                 mean, and only holes are counted as missing",
+                milliseconds(grid.jitter_ns.max(grid.rounding_ns as f64))
+            ));
+        }
+        (!parts.is_empty()).then(|| format!("stamps lie on a grid of {hz} Hz, {}", parts.join(", ")))
+    }
+
+    fn remark_rejected_stamps(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        if found.frozen_stamps > 0 {
+            remarks.push(format!(
+                "{} stamps repeat the one before, in {} runs of up to {} (a clock that stood still, or lines written twice): \
+                 those samples are rejected as duplicates",
+                found.frozen_stamps, found.frozen_runs, found.longest_frozen_run
+            ));
+        }
+        if let Some(latest_by_s) = found.latest_by_s {
+            remarks.push(format!(
+                "{} stamps lie before the one before, by up to {} s (out of order, or a clock that was set back): those \
+                 samples are rejected as duplicates",
+                found.late_stamps,
+                shown(latest_by_s)
+            ));
+            let share = found.late_stamps as f64 / (self.samples + found.late_stamps) as f64;
+            if let Some(line) = found.first_late_line.filter(|_| share > LATE_FROM) {
+                let entry = self.kind.entry();
+                remarks.push(format!(
+                    "{:.0} % of the samples were rejected because stamps go back: are these two runs in one file? Split it at \
+                     {entry} {line}",
+                    100.0 * share
+                ));
+            }
+        }
+        if found.stray_stamps > 0 {
+            remarks.push(format!(
+                "{} stamps lie far ahead of those that follow or are of another clock: those samples are rejected",
+                found.stray_stamps
+            ));
+        }
+    }
+
+    fn remark_values(&self, remarks: &mut Vec<String>) {
+        let found = &self.findings;
+        remarks.extend(self.absent());
+        remarks.extend(self.mixed_units());
+        remarks.extend(self.quantisation());
+        if found.repeated_samples as f64 > REPEATED_FROM * self.samples as f64 {
+            remarks.push(format!(
+                "{} samples repeat the one before in every channel: the source was frozen or wrote them twice",
+                found.repeated_samples
+            ));
+        }
+        if found.restarts > 0 {
+            remarks.push(format!(
+                "the sensor's clock restarted {} times (a reset): how long it was away nothing tells, no sample is counted missing there",
+                found.restarts
+            ));
+        }
+        if found.strong_fields > 0 && found.doubts.iter().all(|doubt| doubt.triad != "mag") {
+            remarks.push(format!(
+                "{} samples have a magnetic field above 25 gauss, which no VN-100 can tell: was it in gauss already?",
+                found.strong_fields
+            ));
+        }
+    }
+
+    /// Describes channels that lack values; those that lack equally many are listed together.
+    fn absent(&self) -> Vec<String> {
+        let mut groups: BTreeMap<u64, Vec<&'static str>> = BTreeMap::new();
+        for (channel, count) in &self.findings.absent {
+            groups.entry(*count).or_default().push(channel.name());
+        }
+        let samples = self.samples;
+        let say = |(count, names): (u64, Vec<&str>)| {
+            let has = if names.len() == 1 { "has" } else { "have" };
+            format!("{} {has} no value in {count} of {samples} samples", names.join(" "))
+        };
+        groups.into_iter().map(say).collect()
+    }
+
+    /// Describes axes of one quantity that came in different units: this may be intended, but seldom is.
+    fn mixed_units(&self) -> Vec<String> {
+        let mut triads: Vec<(_, Vec<(Channel, &'static str)>)> = Vec::new();
+        for channel in self.channels.iter() {
+            let Some(triad) = channel.triad() else { continue };
+            let converted = self.conversions.iter().find(|conversion| conversion.channel == channel);
+            let unit = converted.map_or(channel.unit(), |conversion| conversion.original_unit);
+            match triads.iter_mut().find(|(known, _)| *known == triad) {
+                Some((_, axes)) => axes.push((channel, unit)),
+                None => triads.push((triad, vec![(channel, unit)])),
+            }
+        }
+        let mixed = triads.into_iter().filter(|(_, axes)| axes.iter().any(|(_, unit)| *unit != axes[0].1));
+        mixed
+            .map(|(_, axes)| {
+                let axes: Vec<_> = axes.iter().map(|(channel, unit)| format!("{channel} in {unit}")).collect();
+                format!(
+                    "columns of one quantity have different units ({}): each was converted by its own",
+                    axes.join(", ")
+                )
+            })
+            .collect()
+    }
+
+    /// Describes the steps of the values; channels with the same step are listed together.
+    fn quantisation(&self) -> Option<String> {
+        let mut groups: Vec<(&Quantisation, &str, Vec<&'static str>)> = Vec::new();
+        for (channel, quantisation) in &self.findings.quantisation {
+            let same = |group: &&mut (&Quantisation, &str, Vec<&'static str>)| {
+                group.0.original_unit == quantisation.original_unit
+                    && (group.0.original_step / quantisation.original_step - 1.0).abs() < 1e-4
+            };
+            match groups.iter_mut().find(same) {
+                Some(group) => group.2.push(channel.name()),
+                None => groups.push((quantisation, channel.unit(), vec![channel.name()])),
+            }
+        }
+        let parts: Vec<String> = groups
+            .into_iter()
+            .map(|(found, unit, names)| {
+                let converted = if found.original_unit == unit {
+                    String::new()
+                } else {
+                    format!(" ({} {unit})", shown(found.step))
+                };
+                format!("{} {} {}{converted}", names.join(" "), shown(found.original_step), found.original_unit)
+            })
+            .collect();
+        (!parts.is_empty()).then(|| format!("values come in steps: {}", parts.join(", ")))
+    }
+}
+
+/// A count with its noun.
+fn counted(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+/// A rate for display: 40.0, 1.0, 0.04245.
+fn rate(hz: f64) -> String {
+    if hz >= 0.95 { format!("{hz:.1}") } else { shown(hz) }
+}
+
+/// UTC to the millisecond.
+fn rfc3339(utc_ns: i64) -> String {
+    let (seconds, nanos) = (utc_ns.div_euclid(NANOS_PER_SECOND as i64), utc_ns.rem_euclid(NANOS_PER_SECOND as i64));
+    chrono::DateTime::from_timestamp(seconds, nanos as u32)
+        .map_or_else(String::new, |time| time.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
+}

@@ -1,0 +1,316 @@
+//! A CSV's first lines: they determine the delimiter and what each column contains.
+//!
+//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), or by the user's map
+//! ([`ColumnMap`]). Comma, semicolon and tab separate columns. Of several in the header line the one that identifies
+//! the most columns is used. Lines before the header that begin with `#` or `%` are comments, which may state a rate.
+//! Pure.
+
+use super::error::RecordingError;
+use super::info::Conversion;
+use super::mapping::{ColumnMap, Foreign};
+use imu_core::sample::{Channel, Triad};
+use imu_core::units::{GAUSS_PER_TESLA, RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
+use std::path::Path;
+
+/// The delimiters, in the order of priority if names do not decide.
+const DELIMITERS: [u8; 3] = [b'\t', b';', b','];
+/// Names of the columns with stamps, and the decimal places from their unit to a nanosecond.
+const STAMPS: [(&str, usize); 4] = [("time_s", 9), ("time_ms", 6), ("time_us", 3), ("time_ns", 0)];
+/// The maximum number of a file's columns in a message, and of characters of each.
+const SHOWN: (usize, usize) = (30, 40);
+
+/// The content of a column.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Column {
+    /// Times in a unit of which a nanosecond is the `places`th decimal.
+    Stamp { places: usize },
+    /// A channel's values; multiplied by `factor` they are in its unit.
+    Value { channel: Channel, factor: f64 },
+    /// Nothing that is used.
+    Ignored,
+}
+
+/// The meaning of a name of docs/formats.md.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Target {
+    Stamp { places: usize },
+    Value { channel: Channel, unit: &'static str, factor: f64 },
+}
+
+/// Unit suffixes that a channel's column may have, with the unit's name and the factor to the channel's unit.
+pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static str, f64)] {
+    match channel.triad() {
+        Some(Triad::Attitude) => &[("_deg", "deg", 1.0), ("_rad", "rad", 1.0 / RAD_PER_DEG)],
+        Some(Triad::Mag) => {
+            &[("_gauss", "gauss", 1.0), ("_tesla", "T", GAUSS_PER_TESLA), ("_ut", "µT", 1e-6 * GAUSS_PER_TESLA)]
+        }
+        Some(Triad::Accel) => {
+            &[("_m_s2", "m/s²", 1.0), ("_g", "g", STANDARD_GRAVITY_M_S2), ("_mg", "mg", 1e-3 * STANDARD_GRAVITY_M_S2)]
+        }
+        Some(Triad::Gyro) => {
+            &[("_rad_s", "rad/s", 1.0), ("_deg_s", "deg/s", RAD_PER_DEG), ("_dps", "deg/s", RAD_PER_DEG)]
+        }
+        None if channel == Channel::Temperature => &[("_c", "°C", 1.0)],
+        None => &[("_kpa", "kPa", 1.0)],
+    }
+}
+
+/// The channel and unit that a column's name denotes.
+pub(super) fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
+    Channel::ALL.into_iter().find_map(|channel| {
+        let suffix = name.strip_prefix(channel.name())?;
+        let (_, unit, factor) = suffixes(channel).iter().find(|(known, ..)| *known == suffix)?;
+        Some((channel, *unit, *factor))
+    })
+}
+
+fn value_of(name: &str) -> Option<Target> {
+    known_column(name).map(|(channel, unit, factor)| Target::Value { channel, unit, factor })
+}
+
+/// The meaning of a name that the user may give to a foreign column.
+pub(super) fn target(name: &str) -> Option<Target> {
+    let stamp = STAMPS.iter().find(|(known, _)| *known == name);
+    stamp.map(|(_, places)| Target::Stamp { places: *places }).or_else(|| value_of(name))
+}
+
+/// Those names, abbreviated.
+pub(super) fn allowed_names() -> &'static str {
+    "time_{s,ms,us,ns}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,tesla,ut}, accel_{x,y,z}_{m_s2,g,mg}, \
+     gyro_{x,y,z}_{rad_s,deg_s,dps}, temperature_c and pressure_kpa"
+}
+
+/// A column's name without the space, quotes and byte-order mark that some programs put around it.
+pub(super) fn clean(name: &str) -> &str {
+    name.trim_matches(|c: char| c.is_whitespace() || c == '\u{FEFF}' || c == '"')
+}
+
+/// A parsed header line.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) delimiter: u8,
+    pub(super) columns: Vec<Column>,
+    pub(super) ignored: Vec<String>,
+    pub(super) conversions: Vec<Conversion>,
+    /// The name of the column of stamps, if there is one.
+    pub(super) stamp: Option<String>,
+    /// Whether the line is no header but the first row: columns are identified by their positions.
+    pub(super) is_row: bool,
+}
+
+impl Header {
+    /// Parses the header line.
+    pub(super) fn understand(line: &str, map: &ColumnMap, file: &Path) -> Result<Self, RecordingError> {
+        let line = without_comment_sign(line, map);
+        let (delimiter, _) = delimiter(line, map);
+        let cells = cells(line, delimiter);
+        let is_row = map.is_by_position() && is_row(&cells, map);
+        let mut header =
+            Self { delimiter, columns: Vec::new(), ignored: Vec::new(), conversions: Vec::new(), stamp: None, is_row };
+        let mut seen: Vec<(Channel, String)> = Vec::new();
+        let mut used = Vec::new();
+        for (index, name) in cells.iter().map(|name| clean(name)).enumerate() {
+            let told = map.of(index + 1, name);
+            used.extend(told.map(|(pair, _)| pair));
+            let meaning = match told {
+                Some((_, told)) => target(told),
+                None if name == STAMPS[0].0 => target(name),
+                None => value_of(name),
+            };
+            let called = if is_row { format!("#{}", index + 1) } else { name.to_owned() };
+            header.columns.push(match meaning {
+                None => {
+                    header.ignored.push(called);
+                    Column::Ignored
+                }
+                Some(Target::Stamp { places }) => {
+                    if let Some(first) = header.stamp.replace(called.clone()) {
+                        return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second: called });
+                    }
+                    Column::Stamp { places }
+                }
+                Some(Target::Value { channel, unit, factor }) => {
+                    if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
+                        let (file, first) = (file.to_owned(), first.clone());
+                        return Err(RecordingError::DuplicateColumn { file, first, second: called, channel });
+                    }
+                    seen.push((channel, called.clone()));
+                    if unit != channel.unit() {
+                        header.conversions.push(Conversion { channel, column: called, original_unit: unit, factor });
+                    }
+                    Column::Value { channel, factor }
+                }
+            });
+        }
+        if let Some((_, foreign)) = map.foreign().enumerate().find(|(pair, _)| !used.contains(pair)) {
+            let column = match foreign {
+                Foreign::Position(position) => format!("#{position} (it has {} columns)", cells.len()),
+                Foreign::Name(name) => format!("{name:?}"),
+            };
+            return Err(RecordingError::NoColumn { file: file.to_owned(), column, found: shown(&cells) });
+        }
+        if seen.is_empty() {
+            return Err(RecordingError::ForeignColumns { file: file.to_owned(), found: shown(&cells) });
+        }
+        Ok(header)
+    }
+
+    /// Whether a line, as the header of a CSV, names at least one channel with its unit or a column that the user
+    /// named.
+    pub(super) fn names_channels(line: &str, map: &ColumnMap) -> bool {
+        delimiter(without_comment_sign(line, map), map).1 > 0
+    }
+
+    /// The same, or whether it may be a row of a table whose columns are identified by their positions.
+    pub(super) fn is_known(line: &str, map: &ColumnMap) -> bool {
+        !map.is_empty() || Self::names_channels(line, map)
+    }
+
+    /// Whether a line is a comment before the header.
+    pub(super) fn is_comment(line: &str, map: &ColumnMap) -> bool {
+        let line = line.trim_start_matches('\u{FEFF}').trim_start();
+        line.starts_with(['#', '%']) && delimiter(without_comment_sign(line, map), map).1 == 0
+    }
+}
+
+/// The columns' names for a message, if several of them are words: then the line may be a foreign header.
+pub(super) fn foreign_names(line: &str) -> Option<String> {
+    let cells = cells(line, delimiter(line, &ColumnMap::default()).0);
+    let is_word = |cell: &String| {
+        let cell = clean(cell);
+        cell.contains(|c: char| c.is_alphabetic()) && !cell.contains(|c: char| c.is_control())
+    };
+    (cells.len() > 1 && cells.iter().all(is_word)).then(|| shown(&cells))
+}
+
+/// Words that precede `rate` if it is a sampling rate: not a baud rate, nor a gyro's rate of turn.
+const RATES_OF: [&str; 9] =
+    ["sample", "samples", "sampling", "output", "imu", "sensor", "update", "measurement", "acquisition"];
+
+/// The rate that a comment states: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
+pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
+    let lower = line.to_ascii_lowercase();
+    lower.match_indices("rate").find_map(|(place, rate)| {
+        let before = lower[..place].trim_end_matches([' ', '\t', '_', '-']);
+        let word = before.rsplit(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();
+        let is_meant = word.is_empty() || RATES_OF.contains(&word);
+        rate_behind(&lower[place + rate.len()..]).filter(|_| is_meant)
+    })
+}
+
+/// The number behind the word, unless it has another unit.
+fn rate_behind(behind: &str) -> Option<f64> {
+    let is_filler = |c: char| c.is_whitespace() || matches!(c, ':' | '=' | '_' | ',' | ';' | '(' | ')' | '[' | ']');
+    let mut words = behind.split(is_filler).filter(|word| !word.is_empty()).skip_while(|word| *word == "hz");
+    let number: f64 = words.next()?.trim_end_matches("hz").parse().ok()?;
+    (number.is_finite() && number > 0.0 && words.next().is_none_or(|unit| unit == "hz")).then_some(number)
+}
+
+/// Some programs write the header line as a comment.
+fn without_comment_sign<'a>(line: &'a str, map: &ColumnMap) -> &'a str {
+    let trimmed = line.trim_start_matches('\u{FEFF}').trim_start();
+    match trimmed.strip_prefix(['#', '%']) {
+        Some(bare) if delimiter(trimmed, map).1 <= delimiter(bare, map).1 => bare,
+        _ => line,
+    }
+}
+
+/// The character that separates the columns of a header line, and the number of columns it identifies.
+fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
+    let known = |delimiter: u8| {
+        let names = cells(line, delimiter);
+        let by_name = |name: &str| map.foreign().any(|foreign| *foreign == Foreign::Name(name.to_owned()));
+        names.iter().map(|name| clean(name)).filter(|name| known_column(name).is_some() || by_name(name)).count()
+    };
+    let present = DELIMITERS.into_iter().filter(|delimiter| line.as_bytes().contains(delimiter));
+    // Of equals the first is taken.
+    let counted = present.map(|delimiter| (delimiter, known(delimiter))).rev();
+    counted.max_by_key(|(_, known)| *known).unwrap_or_else(|| (b',', known(b',')))
+}
+
+/// A line's cells; a cell in quotation marks stays whole.
+fn cells(line: &str, delimiter: u8) -> Vec<String> {
+    let mut split = Split::default();
+    split.push(line.as_bytes(), delimiter);
+    split.finish();
+    split.cells().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect()
+}
+
+/// Whether every column that the user named by its position contains a number or is empty; other columns may hold text.
+fn is_row(cells: &[String], map: &ColumnMap) -> bool {
+    let told = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
+    let told: Vec<&str> = told.map(|(_, cell)| clean(cell)).collect();
+    told.iter().all(|cell| cell.is_empty() || cell.parse::<f64>().is_ok()) && told.iter().any(|cell| !cell.is_empty())
+}
+
+fn shown(cells: &[String]) -> String {
+    let mut names: Vec<String> =
+        cells.iter().take(SHOWN.0).map(|name| clean(name).chars().take(SHOWN.1).collect::<String>()).collect();
+    if cells.len() > SHOWN.0 {
+        names.push(format!("and {} more", cells.len() - SHOWN.0));
+    }
+    names.join(" | ")
+}
+
+/// Splits a row with quotation marks. They enclose a whole cell, which may hold the delimiter, and a doubled mark
+/// stands for one mark.
+#[derive(Debug, Default)]
+pub(super) struct Split {
+    bytes: Vec<u8>,
+    ends: Vec<usize>,
+    quoted: bool,
+    /// Behind the quotation mark that closes a cell, or that is the first of two.
+    closed: bool,
+    /// At the beginning of a cell.
+    inside: bool,
+}
+
+impl Split {
+    /// Takes the bytes of a line.
+    pub(super) fn push(&mut self, bytes: &[u8], delimiter: u8) {
+        for byte in bytes.iter().copied() {
+            let closed = std::mem::take(&mut self.closed);
+            match byte {
+                b'"' if self.quoted => (self.quoted, self.closed) = (false, true),
+                _ if self.quoted => self.bytes.push(byte),
+                b'"' if closed => {
+                    self.bytes.push(byte);
+                    self.quoted = true;
+                }
+                b'"' if !self.inside => self.quoted = true,
+                _ if byte == delimiter => {
+                    self.finish();
+                    continue;
+                }
+                _ => self.bytes.push(byte),
+            }
+            self.inside = true;
+        }
+    }
+
+    /// Whether a quotation mark is open.
+    pub(super) fn is_open(&self) -> bool {
+        self.quoted
+    }
+
+    /// Ends the cell.
+    pub(super) fn finish(&mut self) {
+        self.ends.push(self.bytes.len());
+        (self.quoted, self.closed, self.inside) = (false, false, false);
+    }
+
+    /// The cells.
+    pub(super) fn cells(&self) -> impl ExactSizeIterator<Item = &[u8]> {
+        let begins = std::iter::once(0).chain(self.ends.iter().copied());
+        let cells: Vec<&[u8]> =
+            begins.zip(&self.ends).map(|(begin, end)| self.bytes.get(begin..*end).unwrap_or_default()).collect();
+        cells.into_iter()
+    }
+
+    /// Clears the row.
+    pub(super) fn clear(&mut self) {
+        self.bytes.clear();
+        self.ends.clear();
+        (self.quoted, self.closed, self.inside) = (false, false, false);
+    }
+}

@@ -1,0 +1,125 @@
+//! The known facts about a recording as a whole.
+
+use super::choice::StampChoice;
+use super::detect::Kind;
+use super::findings::Findings;
+use super::grid::StampGrid;
+use super::rows::Rejected;
+use imu_core::sample::{Channel, ChannelSet, DiscardCause, Timebase};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The source of a recording's times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stamps {
+    /// There are no stamps: the row number at a given or assumed rate.
+    None,
+    /// Seconds in a column (or before each raw line), from any origin.
+    Relative,
+    /// Seconds since 1970 in a column (or before each raw line).
+    Unix,
+}
+
+/// A column whose unit differs from the channel's.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Conversion {
+    /// The channel.
+    pub channel: Channel,
+    /// The column's name in the file.
+    pub column: String,
+    /// The unit in the file.
+    pub original_unit: &'static str,
+    /// Value in the channel's unit = factor × value in the file.
+    pub factor: f64,
+}
+
+/// The number of decimals with which each channel's values were written.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Decimals {
+    /// Most decimals seen; `None` once a value had an exponent.
+    seen: [Option<Option<u8>>; Channel::COUNT],
+}
+
+impl Decimals {
+    /// Records the decimals of one value's text.
+    pub(super) fn note(&mut self, channel: Channel, text: &str) {
+        if self.seen[channel as usize] == Some(None) {
+            return;
+        }
+        let decimals = if text.bytes().any(|byte| byte.is_ascii_alphabetic()) {
+            None
+        } else {
+            u8::try_from(text.len() - text.find('.').map_or(text.len(), |point| point + 1)).ok()
+        };
+        self.note_count(channel, decimals);
+    }
+
+    /// Records the number of one value's decimals; `None` if the value was written without such a number.
+    pub(super) fn note_count(&mut self, channel: Channel, decimals: Option<u8>) {
+        let seen = &mut self.seen[channel as usize];
+        *seen = Some(match (*seen, decimals) {
+            (Some(Some(most)), Some(decimals)) => Some(most.max(decimals)),
+            (None, decimals) => decimals,
+            _ => None,
+        });
+    }
+
+    /// The most decimals that a value of the channel was written with; `None` if it has no values or some were written
+    /// with an exponent.
+    #[must_use]
+    pub fn get(&self, channel: Channel) -> Option<u8> {
+        self.seen[channel as usize].flatten()
+    }
+}
+
+/// The result of a first pass over the whole file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// Its kind.
+    pub kind: Kind,
+    /// Channels that occur in at least one sample.
+    pub channels: ChannelSet,
+    /// Decimals of the text, in the file's units.
+    pub decimals: Decimals,
+    /// Columns in other units.
+    pub conversions: Vec<Conversion>,
+    /// Columns that belong to no channel and are ignored. For raw lines: the text before `$VN` that is no stamp.
+    pub ignored_columns: Vec<String>,
+    /// The source of the times.
+    pub stamps: Stamps,
+    /// The selected stamps, if there are any.
+    pub stamp_choice: Option<StampChoice>,
+    /// The findings.
+    pub findings: Findings,
+    /// Samples per second: from the grid of the stamps, given, or assumed.
+    pub rate_hz: f64,
+    /// Whether the rate was neither in the file nor given.
+    pub rate_assumed: bool,
+    /// The rate in a comment of the file that was not used because the file has stamps.
+    pub unused_rate_hz: Option<f64>,
+    /// The rate of the stamps, Hz, if a given one overrides it.
+    pub overridden_rate_hz: Option<f64>,
+    /// The grid of the stamps; `None` without stamps.
+    pub stamp_grid: Option<StampGrid>,
+    /// UTC of the first sample, ns since 1970: its stamp, else the start that the caller gave.
+    pub started_utc_ns: i64,
+    /// Samples that the second pass will return.
+    pub samples: u64,
+    /// Lines that the second pass will reject, by cause (bytes for [`DiscardCause::GarbageBytes`]).
+    pub rejected: BTreeMap<DiscardCause, u64>,
+    /// The first rejected lines, at most [`super::REJECTED_KEPT`].
+    pub first_rejected: Vec<Rejected>,
+    /// First stamp in ns from the file's own origin; 0 without stamps.
+    pub(super) first_stamp_ns: i64,
+}
+
+impl RecordingInfo {
+    /// The timebase of the segments.
+    #[must_use]
+    pub fn timebase(&self) -> Timebase {
+        if self.stamps == Stamps::None { Timebase::Rate } else { Timebase::Stamps }
+    }
+}

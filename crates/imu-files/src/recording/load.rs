@@ -1,0 +1,123 @@
+//! Whole columns of a recording, for commands that analyse a file directly, without a database.
+
+use super::account::RecordingAccountant;
+use super::error::RecordingError;
+use super::info::RecordingInfo;
+use super::{Options, Recording};
+use imu_core::sample::{Channel, Gap, Record};
+use std::ops::Range;
+use std::path::Path;
+
+/// One channel's values.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoadedColumn {
+    /// The channel.
+    pub channel: Channel,
+    /// One value per sample of the recording, in the channel's unit; 0 if the channel is absent.
+    pub values: Vec<f64>,
+    /// Stretches of `values` without a gap in which every sample has the channel. Values outside are no measurements.
+    pub segments: Vec<Range<usize>>,
+}
+
+/// A recording in memory: 8 bytes per sample and channel, and per stamp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoadedRecording {
+    /// The facts about it.
+    pub info: RecordingInfo,
+    /// The recording's channels in column order, all of the same length.
+    pub columns: Vec<LoadedColumn>,
+    /// The samples' stamps since the first one, ns; empty if the recording has none.
+    pub stamps_ns: Vec<u64>,
+    /// Stretches of samples without a gap.
+    pub segments: Vec<Range<usize>>,
+    /// The gaps between them.
+    pub gaps: Vec<Gap>,
+    /// Samples.
+    pub samples: u64,
+    /// Missing samples.
+    pub missing: u64,
+}
+
+impl LoadedRecording {
+    /// Sample time from the first to one period after the last sample, s: (samples + missing)/rate.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        (self.samples + self.missing) as f64 / self.info.rate_hz
+    }
+    /// The column of a channel.
+    #[must_use]
+    pub fn column(&self, channel: Channel) -> Option<&LoadedColumn> {
+        self.columns.iter().find(|column| column.channel == channel)
+    }
+}
+
+/// Reads a whole recording.
+///
+/// # Errors
+/// [`RecordingError`] as [`Recording::open`].
+pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, RecordingError> {
+    columns(&Recording::open(file, options)?)
+}
+
+/// Reads all samples of an opened recording.
+///
+/// # Errors
+/// [`RecordingError`] as [`Recording::items`].
+pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError> {
+    let info = recording.info().clone();
+    let capacity = usize::try_from(info.samples).unwrap_or(0);
+    let mut columns: Vec<LoadedColumn> = info
+        .channels
+        .iter()
+        .map(|channel| LoadedColumn { channel, values: Vec::with_capacity(capacity), segments: Vec::new() })
+        .collect();
+    let mut stamps_ns = Vec::new();
+    let (mut segments, mut gaps) = (Vec::<Range<usize>>::new(), Vec::new());
+    let mut accountant = RecordingAccountant::new(&info);
+    let mut records = Vec::new();
+    let mut count = 0;
+    let mut begins = true;
+    for item in recording.items()? {
+        accountant.take(item?, &mut records);
+        for record in records.drain(..) {
+            match record {
+                Record::Gap(gap) => gaps.push(gap),
+                Record::Segment(_) => begins = true,
+                Record::Sample { sample, .. } => {
+                    extend(&mut segments, count, begins);
+                    stamps_ns.extend(sample.device_time_ns);
+                    for column in &mut columns {
+                        let value = sample.get(column.channel);
+                        column.values.push(value.unwrap_or(0.0));
+                        if value.is_some() {
+                            extend(&mut column.segments, count, begins);
+                        }
+                    }
+                    count += 1;
+                    begins = false;
+                }
+                _ => {}
+            }
+        }
+    }
+    if stamps_ns.len() != count {
+        stamps_ns.clear();
+    }
+    Ok(LoadedRecording {
+        columns,
+        stamps_ns,
+        segments,
+        gaps,
+        samples: accountant.received(),
+        missing: accountant.missing(),
+        info,
+    })
+}
+
+/// Adds position `at` to the last range, or begins a new range if `begins` is set or the last one does not reach it.
+fn extend(ranges: &mut Vec<Range<usize>>, at: usize, begins: bool) {
+    match ranges.last_mut() {
+        Some(last) if !begins && last.end == at => last.end = at + 1,
+        _ => ranges.push(at..at + 1),
+    }
+}

@@ -1,0 +1,416 @@
+//! Recordings: files of samples that other programs wrote, read as if they had been captured.
+//!
+//! In: a path to CSV (docs/formats.md) or raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1
+//! or ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a first pass over the file, then its samples one by one
+//! ([`Recording::items`]), [`Record`](imu_core::sample::Record)s ([`account`]), or whole columns ([`load_columns`]).
+//!
+//! Guarantees: memory does not grow with the file (except with [`load_columns`]). Compressed data expands to no more
+//! than [`RecordingError::Expands`] states. A reading that is no longer wanted ends within 64 KiB ([`KeepOn`]). No line
+//! is dropped without being counted, with its number, cause and text. Samples are never reordered: one whose stamp is
+//! not later than the one before is rejected as a duplicate, one whose stamp lies ahead of those that follow as
+//! malformed. Values are those of the text, converted only if the column's unit is not the channel's.
+//!
+//! Times: of several stamps the smoothest is used ([`choice`]). A sample's `device_time_ns` is its stamp counted from
+//! the first one. Its UTC is the stamp if stamps are seconds since 1970, else counted from [`Options::started_utc_ns`].
+
+pub mod account;
+pub mod choice;
+pub mod detect;
+pub mod error;
+pub mod findings;
+pub mod info;
+pub mod input;
+pub mod load;
+pub mod rows;
+
+#[cfg(test)]
+mod odd_tests;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod told_tests;
+
+mod between;
+mod csv;
+mod doubts;
+mod grid;
+mod header;
+mod mapping;
+mod meter;
+mod number;
+mod order;
+mod pairs;
+mod placing;
+mod quantum;
+mod ros;
+mod stamps;
+mod survey;
+mod turning;
+mod values;
+mod vn_binary;
+mod vn_text;
+
+pub use account::RecordingAccountant;
+pub use choice::StampChoice;
+pub use detect::{Kind, detect};
+pub use error::RecordingError;
+pub use findings::{Doubt, Findings, Pairs, Quantisation};
+pub use grid::StampGrid;
+pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
+pub use input::{Input, open_regular};
+pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
+pub use mapping::{ColumnMap, ColumnsError};
+pub use meter::KeepOn;
+pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
+pub use rows::Rejected;
+
+use choice::{Chosen, choose};
+use imu_core::sample::{ChannelSet, Sample};
+use imu_core::units::{NANOS_PER_SECOND, period_ns};
+use order::{Entry, Order};
+use placing::Placing;
+use rows::Rows;
+use stamps::UNIX_FROM_NS;
+use std::path::Path;
+use survey::Survey;
+
+/// The rate assumed for raw `$VN…` lines if nothing states it: register 7's default (docs/formats.md).
+pub const DEFAULT_VN_RATE_HZ: f64 = 40.0;
+/// Rejected lines that are kept with their text.
+pub const REJECTED_KEPT: usize = 100;
+/// A given rate that is closer than this to that of the stamps is theirs by another clock; one farther off overrides
+/// them.
+const RATE_NEAR: f64 = 0.01;
+/// If a larger share of the stamps leaves the grid, it is not that of the whole recording.
+const SLIPS_MOST: f64 = 2e-3;
+
+/// The caller's knowledge about a recording.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Options {
+    /// Samples per second. For a recording with stamps it overrides theirs; stamps that differ by more than 1 % are not
+    /// used at all.
+    pub rate_hz: Option<f64>,
+    /// UTC of its start, ns since 1970, used if it has no stamps since 1970: for example the time of the import.
+    pub started_utc_ns: i64,
+    /// Definitions of messages that a bag lacks.
+    pub definitions: Vec<MessageDefinition>,
+}
+
+/// One line's outcome.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Item {
+    /// A sample with its times, and the number of samples missing before it; `None` if no stamps determine it.
+    Sample(Sample, Option<u64>),
+    /// A line that is no sample.
+    Rejected(Rejected),
+}
+
+/// A recording after its first pass.
+#[derive(Debug)]
+pub struct Recording {
+    input: Input,
+    layout: Layout,
+    info: RecordingInfo,
+}
+
+impl Recording {
+    /// Reads the whole file once and determines its kind, channels, rate and counts.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if it is of no known kind, has no sample, or no rate can be determined.
+    pub fn open(file: &Path, options: Options) -> Result<Self, RecordingError> {
+        Self::read(Input::file(file), options)
+    }
+
+    /// As [`Self::open`], for any input.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn read(input: Input, options: Options) -> Result<Self, RecordingError> {
+        if let Some(rate_hz) = options.rate_hz.filter(|rate| !(rate.is_finite() && *rate > 0.0)) {
+            return Err(RecordingError::Rate { found: rate_hz });
+        }
+        let file = input.path();
+        let mut layout = Layout::find(&input, &options)?;
+        let mut source = layout.open(&input)?;
+        let mut survey = Survey::of(source.rows(), &layout.chosen)?;
+        if let Some(grid) = survey.another_grid(layout.chosen.grid.as_ref()) {
+            layout.chosen.grid = Some(grid);
+            source = layout.open(&input)?;
+            survey = Survey::of(source.rows(), &layout.chosen)?;
+        }
+        if survey.samples == 0 {
+            return Err(survey.no_sample(file));
+        }
+        let stamps = match survey.first_stamp_ns {
+            None => Stamps::None,
+            Some(first) if first >= UNIX_FROM_NS => Stamps::Unix,
+            Some(_) => Stamps::Relative,
+        };
+        let stamped = stamps != Stamps::None;
+        let commented_rate_hz = source.told_rate_hz().filter(|_| options.rate_hz.is_none());
+        let no_step = || RecordingError::NoStep { file: file.to_owned(), samples: survey.samples };
+        let (rate_hz, rate_assumed) = match (options.rate_hz, layout.kind) {
+            (Some(told_hz), _) => (told_hz, false),
+            _ if stamped => (NANOS_PER_SECOND as f64 / survey.period_ns().ok_or_else(no_step)?, false),
+            (None, kind) => match (commented_rate_hz, kind) {
+                (Some(rate_hz), _) => (rate_hz, false),
+                (None, Kind::VnText | Kind::Bag | Kind::Db3 | Kind::Mcap) => (DEFAULT_VN_RATE_HZ, true),
+                (None, Kind::Csv | Kind::RawBytes) => return Err(RecordingError::NoRate { file: file.to_owned() }),
+            },
+        };
+        let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
+        let started_utc_ns = if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns };
+        let (conversions, ignored_columns) = source.about();
+        let findings = survey.findings(rate_hz, stamps, &conversions, source.rows().decimals());
+        let stamps_hz = match (options.rate_hz, layout.chosen.overridden_hz) {
+            (Some(_), None) if stamped => survey.period_ns().map(|period_ns| NANOS_PER_SECOND as f64 / period_ns),
+            (_, overridden_hz) => overridden_hz,
+        };
+        let info = RecordingInfo {
+            file: file.to_owned(),
+            kind: layout.kind,
+            channels: survey.channels,
+            decimals: source.rows().decimals().clone(),
+            conversions,
+            ignored_columns,
+            stamps,
+            stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
+            findings: Findings {
+                restarts: source.restarts(),
+                absent: survey.absent(survey.channels.union(source.claimed())),
+                commented_rate_hz: commented_rate_hz.filter(|_| !stamped),
+                ..findings
+            },
+            rate_hz,
+            rate_assumed,
+            unused_rate_hz: commented_rate_hz.filter(|_| stamped),
+            overridden_rate_hz: stamps_hz,
+            stamp_grid: layout.chosen.grid.clone().filter(|_| stamped),
+            started_utc_ns,
+            samples: survey.samples,
+            rejected: survey.rejected,
+            first_rejected: survey.first_rejected,
+            first_stamp_ns,
+        };
+        Ok(Self { info, layout, input })
+    }
+
+    /// The result of the first pass.
+    #[must_use]
+    pub fn info(&self) -> &RecordingInfo {
+        &self.info
+    }
+
+    /// The second pass: samples and rejected lines in the file's order.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the file can no longer be opened.
+    pub fn items(&self) -> Result<Items, RecordingError> {
+        Ok(Items {
+            source: self.layout.open(&self.input)?,
+            placing: Placing::new(&self.layout.chosen),
+            last_ns: None,
+            first_stamp_ns: self.info.first_stamp_ns,
+            started_utc_ns: self.info.started_utc_ns,
+            period_ns: period_ns(self.info.rate_hz),
+            position: 0,
+            failed: false,
+        })
+    }
+}
+
+/// A recording's samples and rejected lines.
+pub struct Items {
+    source: Source,
+    placing: Placing,
+    /// The last sample's time since the first stamp, ns.
+    last_ns: Option<i64>,
+    first_stamp_ns: i64,
+    started_utc_ns: i64,
+    period_ns: f64,
+    /// Without stamps: the next sample's position, rejected lines included.
+    position: u64,
+    failed: bool,
+}
+
+impl std::fmt::Debug for Items {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Items").field("position", &self.position).finish_non_exhaustive()
+    }
+}
+
+impl Items {
+    fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
+        loop {
+            let Some((entry, placed)) = self.placing.next_entry(self.source.rows())? else { return Ok(None) };
+            match entry {
+                Entry::Aside => {}
+                Entry::Rejected(mut rejected, stamp_ns) => {
+                    // A line before the first sample belongs to no gap.
+                    self.position += u64::from(rejected.stands_for_sample && self.position > 0);
+                    rejected.at = stamp_ns.and_then(|stamp_ns| {
+                        let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
+                        let utc_ns = self.started_utc_ns.saturating_add(since_start_ns);
+                        u64::try_from(since_start_ns).ok().map(|device_ns| (device_ns, utc_ns))
+                    });
+                    return Ok(Some(Item::Rejected(rejected)));
+                }
+                Entry::Sample { stamp_ns, mut sample } => {
+                    let since_start_ns = match stamp_ns {
+                        Some(stamp_ns) => {
+                            let since_start_ns = stamp_ns.saturating_sub(self.first_stamp_ns);
+                            // Times increase, regardless of rounding and jitter.
+                            let since_start_ns = self.last_ns.map_or(0, |last| since_start_ns.max(last + 1));
+                            self.last_ns = Some(since_start_ns);
+                            sample.device_time_ns = u64::try_from(since_start_ns).ok();
+                            since_start_ns
+                        }
+                        None => (self.position as f64 * self.period_ns).round() as i64,
+                    };
+                    self.position += 1;
+                    sample.host_utc_ns = self.started_utc_ns.saturating_add(since_start_ns);
+                    return Ok(Some(Item::Sample(sample, placed.map(|placed| placed.missing))));
+                }
+            }
+        }
+    }
+}
+
+impl Iterator for Items {
+    type Item = Result<Item, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.failed {
+            return None;
+        }
+        let next = self.next_item();
+        self.failed = next.is_err();
+        next.transpose()
+    }
+}
+
+/// How a recording is read: determined once, the same for every pass.
+#[derive(Debug)]
+struct Layout {
+    kind: Kind,
+    chosen: Chosen,
+    /// The topics of a bag.
+    topics: Option<ros::Topics>,
+}
+
+impl Layout {
+    fn find(input: &Input, options: &Options) -> Result<Self, RecordingError> {
+        let kind = detect(input)?;
+        let told = !input.columns().is_empty();
+        let of_no_csv = |found| RecordingError::ColumnsOfNoCsv { file: input.path().to_owned(), found };
+        if let Some(found) = kind.without_columns().filter(|_| told) {
+            return Err(of_no_csv(found));
+        }
+        let (chosen, topics) = match kind {
+            Kind::Csv => (csv::CsvRows::open(input)?.chosen()?, None),
+            Kind::VnText => (choose(&mut vn_text::VnRows::open(input, None)?)?, None),
+            Kind::RawBytes => (choose(&mut vn_binary::BinaryRows::open(input)?)?, None),
+            Kind::Bag | Kind::Db3 | Kind::Mcap => {
+                let topics = ros::Topics::find(kind, input, &options.definitions)?;
+                (choose(&mut ros::RosRows::open(input, &topics)?)?, Some(topics))
+            }
+        };
+        let mut layout = Self { kind, chosen, topics };
+        layout.find_grid(input, options.rate_hz)?;
+        Ok(layout)
+    }
+
+    /// Finds the grid of the first stamps, unless the given rate overrides them.
+    fn find_grid(&mut self, input: &Input, told_hz: Option<f64>) -> Result<(), RecordingError> {
+        if self.chosen.column.is_none() {
+            return Ok(());
+        }
+        let mut source = self.open(input)?;
+        let (mut order, mut first) = (Order::new(&self.chosen), Vec::new());
+        while first.len() < grid::LOOK_AT
+            && let Some(entry) = order.next_entry(source.rows())?
+        {
+            if let Entry::Sample { stamp_ns: Some(stamp_ns), .. } = entry {
+                first.push(stamp_ns);
+            }
+        }
+        self.chosen.grid = grid::find(&first);
+        if let (Some(told_hz), Some(grid)) = (told_hz, &self.chosen.grid) {
+            let stamps_hz = NANOS_PER_SECOND as f64 / grid.period_ns;
+            if (told_hz / stamps_hz - 1.0).abs() > RATE_NEAR {
+                self.chosen = Chosen { overridden_hz: Some(stamps_hz), count: self.chosen.count, ..Chosen::default() };
+            }
+        }
+        Ok(())
+    }
+
+    fn open(&self, input: &Input) -> Result<Source, RecordingError> {
+        if let Some(topics) = &self.topics {
+            return Ok(Source::Ros(Box::new(ros::RosRows::open(input, topics)?), topics.clone()));
+        }
+        Ok(match self.kind {
+            Kind::Csv => Source::Csv(Box::new(csv::CsvRows::open(input)?)),
+            Kind::RawBytes => Source::RawBytes(Box::new(vn_binary::BinaryRows::open(input)?)),
+            _ => Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?)),
+        })
+    }
+}
+
+/// A file being read, of any kind.
+enum Source {
+    Csv(Box<csv::CsvRows>),
+    VnText(Box<vn_text::VnRows>),
+    RawBytes(Box<vn_binary::BinaryRows>),
+    Ros(Box<ros::RosRows>, ros::Topics),
+}
+
+impl Source {
+    fn rows(&mut self) -> &mut dyn Rows {
+        match self {
+            Self::Csv(rows) => rows.as_mut(),
+            Self::VnText(rows) => rows.as_mut(),
+            Self::RawBytes(rows) => rows.as_mut(),
+            Self::Ros(rows, _) => rows.as_mut(),
+        }
+    }
+    fn about(&self) -> (Vec<Conversion>, Vec<String>) {
+        match self {
+            Self::Csv(rows) => (rows.header.conversions.clone(), rows.header.ignored.clone()),
+            Self::VnText(rows) => (Vec::new(), rows.ignored().to_vec()),
+            Self::RawBytes(_) => (Vec::new(), Vec::new()),
+            Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
+        }
+    }
+    /// Channels that the file declares.
+    fn claimed(&self) -> ChannelSet {
+        let Self::Csv(rows) = self else { return ChannelSet::default() };
+        let channel = |column: &header::Column| match column {
+            header::Column::Value { channel, .. } => Some(*channel),
+            _ => None,
+        };
+        rows.header.columns.iter().filter_map(channel).collect()
+    }
+    /// How often the sensor's clock restarted.
+    fn restarts(&self) -> u64 {
+        if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
+    }
+    /// The rate that the file itself states for samples without stamps, Hz.
+    fn told_rate_hz(&self) -> Option<f64> {
+        match self {
+            Self::Csv(rows) => rows.told_rate_hz,
+            _ => None,
+        }
+    }
+    fn stamp_choice(&self, chosen: &Chosen) -> Option<StampChoice> {
+        let column = chosen.column?;
+        let name = match self {
+            Self::Csv(rows) => rows.header.stamp.clone().unwrap_or_default(),
+            Self::VnText(_) if chosen.count == 1 => "number before $VN".to_owned(),
+            Self::VnText(_) => format!("number {} of {} before $VN", column + 1, chosen.count),
+            Self::RawBytes(_) => "sensor's time since its start".to_owned(),
+            Self::Ros(..) => ros::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
+        };
+        Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone(), pairs: chosen.pairs.clone() })
+    }
+}

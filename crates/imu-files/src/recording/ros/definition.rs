@@ -1,0 +1,358 @@
+//! Definitions: converts the text of a message's type to its [`Layout`]. Pure.
+//!
+//! A definition is the text of the message's type, followed by those of all types in it, each behind a line of `=` and
+//! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the definitions that
+//! the user gave ([`MessageDefinition`]), then from the [standard ones](imu_core::ros_messages). The wanted types, at any
+//! depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`. Also wanted are numbers named as a
+//! CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The content
+//! of arrays is skipped.
+//!
+//! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
+//! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
+
+use super::super::header::known_column;
+use super::given::MessageDefinition;
+use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
+use imu_core::ros_messages;
+use imu_core::sample::{Channel, Triad};
+use imu_core::units::GAUSS_PER_TESLA;
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// The maximum nesting depth of types.
+const DEPTH_MAX: usize = 16;
+/// The maximum number of fields of a type, including those of all types in it.
+pub(super) const FIELDS_MAX: usize = 4000;
+/// Kilopascal in one pascal.
+const KPA_PER_PA: f64 = 1e-3;
+
+/// Reads the definition of `message_type`; types that `text` lacks are looked up in `given`.
+pub(super) fn layout(
+    message_type: &str,
+    text: &str,
+    encoding: Encoding,
+    given: &[MessageDefinition],
+) -> Result<Layout, MessageError> {
+    let message_type = plain_name(message_type);
+    let mut types = Types { known: HashMap::new(), encoding, given };
+    if !text.trim().is_empty() {
+        types.parse(&message_type, text)?;
+    }
+    let mut left = FIELDS_MAX;
+    let mut ops = Vec::new();
+    types.expand(&message_type, Meaning::of(&message_type), 0, &mut left, &mut ops)?;
+    Ok(Layout { ops, encoding })
+}
+
+/// Converts `package/msg/Name` to `package/Name`.
+pub(super) fn plain_name(name: &str) -> String {
+    name.trim().replacen("/msg/", "/", 1)
+}
+
+/// A field of a type.
+#[derive(Debug, Clone)]
+pub(super) struct Field {
+    kind: String,
+    name: String,
+    repeat: Repeat,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Repeat {
+    Once,
+    Times(u32),
+    Counted,
+}
+
+/// The meaning of a type's fields.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Meaning {
+    Unknown,
+    Header,
+    Imu,
+    Field,
+    Temperature,
+    Pressure,
+    Vector(Triad),
+    /// Nothing in it is wanted.
+    Array,
+}
+
+impl Meaning {
+    fn of(kind: &str) -> Self {
+        match kind {
+            "std_msgs/Header" | "roslib/Header" => Self::Header,
+            "sensor_msgs/Imu" => Self::Imu,
+            "sensor_msgs/MagneticField" => Self::Field,
+            "sensor_msgs/Temperature" => Self::Temperature,
+            "sensor_msgs/FluidPressure" => Self::Pressure,
+            _ => Self::Unknown,
+        }
+    }
+
+    /// The meaning of the type of the field `name`.
+    fn of_field(self, kind: &str, name: &str) -> Self {
+        match (self, name) {
+            (Self::Imu, "angular_velocity") => Self::Vector(Triad::Gyro),
+            (Self::Imu, "linear_acceleration") => Self::Vector(Triad::Accel),
+            (Self::Field, "magnetic_field") => Self::Vector(Triad::Mag),
+            (Self::Array, _) => Self::Array,
+            _ => Self::of(kind),
+        }
+    }
+
+    /// The channel that the number `name` contains, and its unit.
+    fn channel(self, name: &str) -> Option<(Channel, Unit)> {
+        let of_ros = |channel: Channel| {
+            let (name, factor) = match channel.triad() {
+                Some(Triad::Mag) => ("T", GAUSS_PER_TESLA),
+                None if channel == Channel::Pressure => ("Pa", KPA_PER_PA),
+                _ => (channel.unit(), 1.0),
+            };
+            (channel, Unit { name, factor })
+        };
+        match (self, name) {
+            (Self::Temperature, "temperature") => Some(of_ros(Channel::Temperature)),
+            (Self::Pressure, "fluid_pressure") => Some(of_ros(Channel::Pressure)),
+            (Self::Vector(triad), "x" | "y" | "z") => Channel::ALL
+                .into_iter()
+                .find(|channel| channel.triad() == Some(triad) && channel.name().strip_suffix(name).is_some())
+                .map(of_ros),
+            (Self::Unknown, name) => {
+                known_column(name).map(|(channel, unit, factor)| (channel, Unit { name: unit, factor }))
+            }
+            _ => None,
+        }
+    }
+
+    /// The triad whose covariance is in the array `name`.
+    fn covariance(self, name: &str) -> Option<Triad> {
+        match (self, name) {
+            (Self::Imu, "angular_velocity_covariance") => Some(Triad::Gyro),
+            (Self::Imu, "linear_acceleration_covariance") => Some(Triad::Accel),
+            _ => None,
+        }
+    }
+}
+
+/// Bytes of a built-in type; `None` for another one. `string` has no fixed size.
+fn size_of(kind: &str, encoding: Encoding) -> Option<usize> {
+    Some(match kind {
+        // In ROS 2 they are messages.
+        "time" | "duration" if encoding == Encoding::Cdr => return None,
+        "bool" | "int8" | "uint8" | "byte" | "char" => 1,
+        "int16" | "uint16" => 2,
+        "int32" | "uint32" | "float32" => 4,
+        "int64" | "uint64" | "float64" | "time" | "duration" => 8,
+        _ => return None,
+    })
+}
+
+/// The types of a definition, by their full names.
+struct Types<'a> {
+    known: HashMap<String, Rc<[Field]>>,
+    encoding: Encoding,
+    given: &'a [MessageDefinition],
+}
+
+impl Types<'_> {
+    fn parse(&mut self, message_type: &str, definition: &str) -> Result<(), MessageError> {
+        let (mut name, mut fields) = (message_type.to_owned(), Vec::new());
+        let mut count = 0;
+        let mut keep = |name: String, fields: Vec<Field>| {
+            self.known.entry(name).or_insert(fields.into());
+        };
+        for line in definition.lines() {
+            let line = line.trim();
+            if line.len() >= 3 && line.bytes().all(|byte| byte == b'=') {
+                continue;
+            }
+            if let Some(next) = line.strip_prefix("MSG:") {
+                keep(std::mem::replace(&mut name, plain_name(next)), std::mem::take(&mut fields));
+                continue;
+            }
+            if let Some(field) = parse_field(line, self.encoding)? {
+                count += 1;
+                if count > FIELDS_MAX {
+                    return Err(MessageError::TooMuch);
+                }
+                fields.push(field);
+            }
+        }
+        keep(name, fields);
+        Ok(())
+    }
+
+    /// The fields of the type `name`: from the definition, the given ones, or the standard types.
+    fn fields(&mut self, name: &str) -> Result<Option<Rc<[Field]>>, MessageError> {
+        if !self.known.contains_key(name) {
+            let given = MessageDefinition::text_of(self.given, name);
+            let Some(text) = given.or_else(|| self.standard(name)) else { return Ok(None) };
+            self.parse(name, text)?;
+        }
+        Ok(self.known.get(name).map(Rc::clone))
+    }
+
+    /// The fields of a standard type of ROS 2; those of ROS 1 differ, and its bags contain them.
+    fn standard(&self, name: &str) -> Option<&'static str> {
+        (self.encoding == Encoding::Cdr).then(|| ros_messages::fields_of(name)).flatten()
+    }
+
+    /// The full name of the type that `kind` denotes inside a type of `package`, and its fields.
+    fn resolve(&mut self, kind: &str, package: &str) -> Result<(String, Rc<[Field]>), MessageError> {
+        let kind = plain_name(kind);
+        let names = if kind.contains('/') {
+            vec![kind.clone()]
+        } else {
+            // `Header` alone is the only short name across packages.
+            [package, "std_msgs", "roslib"].map(|package| format!("{package}/{kind}")).to_vec()
+        };
+        for name in names {
+            if let Some(fields) = self.fields(&name)? {
+                return Ok((name, fields));
+            }
+        }
+        Err(MessageError::Type(kind.chars().take(80).collect()))
+    }
+
+    fn expand(
+        &mut self,
+        kind: &str,
+        meaning: Meaning,
+        depth: usize,
+        left: &mut usize,
+        ops: &mut Vec<Op>,
+    ) -> Result<(), MessageError> {
+        if depth > DEPTH_MAX {
+            return Err(MessageError::TooMuch);
+        }
+        let fields = self.fields(kind)?.ok_or_else(|| MessageError::Type(kind.chars().take(80).collect()))?;
+        let package = kind.split('/').next().unwrap_or_default();
+        if fields.is_empty() && self.encoding == Encoding::Cdr {
+            // A type without fields is sent as one byte.
+            return self.skip(ops, 1, 1);
+        }
+        for field in fields.iter() {
+            *left = left.checked_sub(1).ok_or(MessageError::TooMuch)?;
+            match size_of(&field.kind, self.encoding) {
+                Some(size) => self.plain(field, size, meaning, ops)?,
+                None if field.kind == "string" => ops.push(match field.repeat {
+                    Repeat::Once if meaning == Meaning::Header => Op::SkipCounted { align: 1, bytes: 1 },
+                    Repeat::Once => Op::Text,
+                    Repeat::Times(times) => Op::Repeat(Some(times), vec![Op::SkipCounted { align: 1, bytes: 1 }]),
+                    Repeat::Counted => Op::Repeat(None, vec![Op::SkipCounted { align: 1, bytes: 1 }]),
+                }),
+                None => self.nested(field, package, meaning, depth, left, ops)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// A field of a built-in type of `size` bytes.
+    fn plain(&self, field: &Field, size: usize, meaning: Meaning, ops: &mut Vec<Op>) -> Result<(), MessageError> {
+        let name = field.name.as_str();
+        match field.repeat {
+            Repeat::Once => {
+                let wide = field.kind == "float64";
+                let is_float = wide || field.kind == "float32";
+                match meaning.channel(name).filter(|_| is_float) {
+                    // A second sensor in one message does not overwrite the first.
+                    Some((channel, unit)) if !has(ops, channel) => ops.push(Op::Value { channel, wide, unit }),
+                    _ if meaning == Meaning::Header && field.kind == "time" => ops.push(Op::Stamp),
+                    _ => self.skip(ops, size, size)?,
+                }
+            }
+            Repeat::Times(times) => {
+                let bytes = multiply(size, times)?;
+                match meaning.covariance(name).filter(|_| field.kind == "float64" && times > 0) {
+                    Some(triad) if !ops.contains(&Op::Covariance(triad)) => {
+                        ops.push(Op::Covariance(triad));
+                        self.skip(ops, size, bytes - size)?;
+                    }
+                    _ => self.skip(ops, size, bytes)?,
+                }
+            }
+            Repeat::Counted => ops.push(Op::SkipCounted { align: size, bytes: size }),
+        }
+        Ok(())
+    }
+
+    /// A field that is itself a message, or an array of messages.
+    fn nested(
+        &mut self,
+        field: &Field,
+        package: &str,
+        meaning: Meaning,
+        depth: usize,
+        left: &mut usize,
+        ops: &mut Vec<Op>,
+    ) -> Result<(), MessageError> {
+        let (inner, _) = self.resolve(&field.kind, package)?;
+        if field.repeat == Repeat::Once {
+            if meaning == Meaning::Header && inner == "builtin_interfaces/Time" {
+                ops.push(Op::Stamp);
+                return Ok(());
+            }
+            return self.expand(&inner, meaning.of_field(&inner, &field.name), depth + 1, left, ops);
+        }
+        let mut body = Vec::new();
+        self.expand(&inner, Meaning::Array, depth + 1, left, &mut body)?;
+        let plain = match body.as_slice() {
+            [] => Some((1, 0)),
+            [Op::Skip { align, bytes }] => Some((*align, *bytes)),
+            _ => None,
+        };
+        match (plain, field.repeat) {
+            (Some((align, bytes)), Repeat::Times(times)) => self.skip(ops, align, multiply(bytes, times)?)?,
+            (Some((align, bytes)), _) => ops.push(Op::SkipCounted { align, bytes }),
+            (None, Repeat::Times(times)) => ops.push(Op::Repeat(Some(times), body)),
+            (None, _) => ops.push(Op::Repeat(None, body)),
+        }
+        Ok(())
+    }
+
+    /// Adds unwanted bytes, values of `size` bytes each; if nothing is aligned, neighbours are merged into one step.
+    fn skip(&self, ops: &mut Vec<Op>, size: usize, bytes: usize) -> Result<(), MessageError> {
+        let align = if self.encoding == Encoding::Cdr { size } else { 1 };
+        match ops.last_mut() {
+            _ if bytes == 0 => {}
+            Some(Op::Skip { align: before, bytes: sum }) if *before == align => {
+                *sum = sum.checked_add(bytes).ok_or(MessageError::TooMuch)?;
+            }
+            _ => ops.push(Op::Skip { align, bytes }),
+        }
+        Ok(())
+    }
+}
+
+fn has(ops: &[Op], wanted: Channel) -> bool {
+    ops.iter().any(|op| matches!(op, Op::Value { channel, .. } if *channel == wanted))
+}
+
+/// Parses a line of a definition; `None` if it is empty, a comment or a constant.
+pub(super) fn parse_field(line: &str, encoding: Encoding) -> Result<Option<Field>, MessageError> {
+    let line = line.split('#').next().unwrap_or_default().trim();
+    // Bounds of ROS 2 do not change the bytes.
+    let unbounded = line.replace("<=", "≤");
+    if unbounded.is_empty() || unbounded.contains('=') {
+        return Ok(None);
+    }
+    let refuse = || MessageError::Line(line.chars().take(80).collect());
+    let mut words = unbounded.split_whitespace();
+    let (Some(kind), Some(name)) = (words.next(), words.next()) else { return Err(refuse()) };
+    // In ROS 2 a default may follow.
+    if words.next().is_some() && encoding == Encoding::Ros1 {
+        return Err(refuse());
+    }
+    let (kind, repeat) = match kind.strip_suffix(']') {
+        None => (kind, Repeat::Once),
+        Some(array) => {
+            let (kind, count) = array.split_once('[').ok_or_else(refuse)?;
+            let counted = count.is_empty() || count.starts_with('≤');
+            let repeat = if counted { Repeat::Counted } else { Repeat::Times(count.parse().map_err(|_| refuse())?) };
+            (kind, repeat)
+        }
+    };
+    let kind = kind.split('≤').next().unwrap_or_default();
+    Ok(Some(Field { kind: kind.to_owned(), name: name.to_owned(), repeat }))
+}

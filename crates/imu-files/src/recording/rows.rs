@@ -1,0 +1,91 @@
+//! Rows: the common form in which every kind of recording is read, before times and rates are known.
+
+use super::error::RecordingError;
+use super::info::Decimals;
+use super::stamps::RowStamps;
+use imu_core::sample::{DiscardCause, Sample};
+
+/// The number of characters of a rejected line that are kept.
+const TEXT_CHARS: usize = 256;
+
+/// A line that did not become a sample.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Rejected {
+    /// Its number in the (decompressed) file, from 1; for a bag the number of the message among those of its topic.
+    pub line: u64,
+    /// The cause.
+    pub cause: DiscardCause,
+    /// Its text, at most 256 characters.
+    pub text: String,
+    /// Bytes of the line.
+    #[serde(skip)]
+    pub bytes: u64,
+    /// Whether it takes the place of a sample: without stamps, one sample is then missing there.
+    #[serde(skip)]
+    pub stands_for_sample: bool,
+    /// Its time: since the recording's first stamp, and UTC, ns. `None` if no stamp shows it.
+    #[serde(skip)]
+    pub at: Option<(u64, i64)>,
+    #[serde(skip)]
+    pub(super) stamps: RowStamps,
+    /// By how much its stamp lies before that of the last sample, ns; 0 if it repeats it. `None` if this is not the
+    /// cause.
+    #[serde(skip)]
+    pub(super) late_ns: Option<u64>,
+    /// Whether its stamp is of another clock, or far ahead of those that follow.
+    #[serde(skip)]
+    pub(super) astray: bool,
+}
+
+impl Rejected {
+    pub(super) fn new(line: u64, cause: DiscardCause, text: &str, stands_for_sample: bool) -> Self {
+        Self {
+            line,
+            cause,
+            text: text.chars().take(TEXT_CHARS).collect(),
+            bytes: text.len() as u64,
+            stands_for_sample,
+            at: None,
+            stamps: RowStamps::default(),
+            late_ns: None,
+            astray: false,
+        }
+    }
+
+    /// Makes it from a line of the file, whose bytes are counted, whether they are text or not.
+    pub(super) fn of_line(line: u64, cause: DiscardCause, bytes: &[u8], stands_for_sample: bool) -> Self {
+        let text = String::from_utf8_lossy(bytes.get(..4 * TEXT_CHARS).unwrap_or(bytes));
+        Self { bytes: bytes.len() as u64, ..Self::new(line, cause, &text, stands_for_sample) }
+    }
+
+    /// Adds the stamps that the line carries.
+    pub(super) fn stamped(mut self, stamps: RowStamps) -> Self {
+        self.stamps = stamps;
+        self
+    }
+
+    /// The amount that it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
+    #[must_use]
+    pub fn amount(&self) -> u64 {
+        if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }
+    }
+}
+
+/// One line of a recording.
+#[derive(Debug)]
+pub(super) enum Row {
+    /// A sample; its times are not set yet.
+    Sample { line: u64, stamps: RowStamps, sample: Sample },
+    /// A line that is no sample.
+    Rejected(Rejected),
+    /// A valid line that carries no measurement: a reply to a command.
+    Aside,
+}
+
+/// A recording, line by line.
+pub(super) trait Rows {
+    /// The next line; `None` at the end.
+    fn next_row(&mut self) -> Result<Option<Row>, RecordingError>;
+    /// How the values read so far were written.
+    fn decimals(&self) -> &Decimals;
+}

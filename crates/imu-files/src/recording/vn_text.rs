@@ -1,0 +1,203 @@
+//! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
+//!
+//! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are
+//! stamps in seconds; [`super::choice`] selects one of several. Other text there is ignored and reported.
+//!
+//! The checksum decides, by the same decoder that reads a port. A line whose checksum fails is rejected, and nothing in
+//! it is guessed. Only a complete good message behind a spliced one is still a sample. Valid messages without a
+//! measurement (replies to commands) are skipped, and measurements of other channels than ours are rejected. Every line
+//! must have as many stamps as most lines have: one with fewer is rejected.
+
+use super::detect::read_error;
+use super::error::RecordingError;
+use super::info::Decimals;
+use super::input::Input;
+use super::rows::{Rejected, Row, Rows};
+use super::stamps::{RowStamps, parse_seconds};
+use imu_core::sample::{DiscardCause, Sample};
+use std::io::{BufRead, Read};
+use std::path::PathBuf;
+use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, Event};
+
+/// Longest line that is kept whole; the rest is read as another line. Messages are shorter than 300 bytes.
+const LINE_BYTES: u64 = 4096;
+/// The beginning of every message.
+const START: &[u8] = b"$VN";
+/// The name of text before the message that is no stamp, in the list of ignored columns.
+const UNREAD_PREFIX: &str = "text before $VN";
+
+/// The content of a line's message.
+pub(super) enum Message {
+    /// A measurement with its values.
+    Measurement(Sample),
+    /// Something else that is valid.
+    Other,
+    /// Nothing that can be used.
+    Nothing,
+}
+
+/// The lines of a file of raw messages, one at a time.
+pub(super) struct VnRows {
+    file: PathBuf,
+    reader: Box<dyn BufRead>,
+    line: u64,
+    bytes: Vec<u8>,
+    /// The number of stamps of a measurement; `None` accepts any number.
+    stamp_count: Option<usize>,
+    ignored: Vec<String>,
+    decimals: Decimals,
+    decoder: Decoder,
+    /// The row of the line read last that is still to be returned.
+    waiting: Option<Row>,
+}
+
+impl VnRows {
+    pub(super) fn open(input: &Input, stamp_count: Option<usize>) -> Result<Self, RecordingError> {
+        Ok(Self {
+            file: input.path().to_owned(),
+            reader: input.open()?,
+            line: 0,
+            bytes: Vec::new(),
+            stamp_count,
+            ignored: Vec::new(),
+            decimals: Decimals::default(),
+            decoder: line_decoder(),
+            waiting: None,
+        })
+    }
+
+    /// The ignored parts of the lines read so far.
+    pub(super) fn ignored(&self) -> &[String] {
+        &self.ignored
+    }
+
+    /// Reads one line into `bytes`; returns whether there was one.
+    fn read_line(&mut self) -> Result<bool, RecordingError> {
+        self.bytes.clear();
+        let read = self.reader.by_ref().take(LINE_BYTES).read_until(b'\n', &mut self.bytes);
+        let read = read.map_err(|source| read_error(&self.file, self.line, source))?;
+        self.line += 1;
+        Ok(read > 0)
+    }
+
+    /// The line's outcome. A line in which a good message follows a spliced one is both rejected and a sample: the sample
+    /// waits.
+    fn understand(&mut self) -> Row {
+        let line = self.bytes.trim_ascii();
+        let number = self.line;
+        let rejected = |cause, stands_for_sample| Rejected::of_line(number, cause, line, stands_for_sample);
+        let garbage = |cause| rejected(cause, false);
+        let Some(start) = line.windows(START.len()).position(|window| window == START) else {
+            return Row::Rejected(garbage(DiscardCause::GarbageBytes));
+        };
+        let (prefix, message) = line.split_at(start);
+        let message = unquoted(message);
+        let (message, bad) = read_message(message, &mut self.decoder, &mut self.decimals);
+        let (stamps, is_text) = stamps(prefix);
+        let bad = bad.map(|cause| rejected(cause, true));
+        let sample = match message {
+            Message::Measurement(sample) if sample.channels().is_empty() => {
+                return Row::Rejected(garbage(DiscardCause::UnexpectedFormat));
+            }
+            Message::Measurement(sample) => sample,
+            // Nothing but the rejected part belongs to the line's stamps.
+            Message::Other => return bad.map_or(Row::Aside, |bad| Row::Rejected(bad.stamped(stamps))),
+            Message::Nothing => {
+                let bad = bad.map(|bad| bad.stamped(stamps));
+                return Row::Rejected(bad.unwrap_or_else(|| garbage(DiscardCause::GarbageBytes)));
+            }
+        };
+        if is_text && self.stamp_count == Some(0) && self.ignored.is_empty() {
+            self.ignored.push(UNREAD_PREFIX.to_owned());
+        }
+        let row = match self.stamp_count {
+            Some(count) if stamps.count() < count => Row::Rejected(rejected(DiscardCause::Malformed, true)),
+            _ => Row::Sample { line: number, stamps, sample },
+        };
+        match bad {
+            Some(bad) => {
+                self.waiting = Some(row);
+                Row::Rejected(bad)
+            }
+            None => row,
+        }
+    }
+}
+
+impl Rows for VnRows {
+    fn next_row(&mut self) -> Result<Option<Row>, RecordingError> {
+        if let Some(row) = self.waiting.take() {
+            return Ok(Some(row));
+        }
+        while self.read_line()? {
+            if !self.bytes.trim_ascii().is_empty() {
+                return Ok(Some(self.understand()));
+            }
+        }
+        Ok(None)
+    }
+    fn decimals(&self) -> &Decimals {
+        &self.decimals
+    }
+}
+
+/// A decoder of single lines.
+pub(super) fn line_decoder() -> Decoder {
+    Decoder::new(DecoderOptions { binary: BinaryAcceptance::Never })
+}
+
+/// Reads a line from its `$`: returns its content, and why a part of it was rejected.
+pub(super) fn read_message(
+    line: &[u8],
+    decoder: &mut Decoder,
+    decimals: &mut Decimals,
+) -> (Message, Option<DiscardCause>) {
+    let (mut message, mut bad) = (Message::Nothing, None);
+    let mut take = |event: Event<'_>| match event {
+        Event::Measurement(measurement) => {
+            let sample = measurement.to_sample(0, 0);
+            for channel in sample.channels().iter() {
+                decimals.note_count(channel, measurement.decimals(channel));
+            }
+            message = Message::Measurement(sample);
+        }
+        // The bytes of a rejected message follow as garbage; they count once.
+        Event::Rejected { cause: DiscardCause::GarbageBytes, .. } => {}
+        Event::Rejected { cause, .. } => bad = bad.or(Some(cause)),
+        _ => message = Message::Other,
+    };
+    decoder.push(line, &mut take);
+    decoder.push(b"\r\n", &mut take);
+    // Lines are read one by one: a part of one must not complete another.
+    decoder.flush(&mut take);
+    (message, bad)
+}
+
+/// A message without the quotation marks and the written-out line end behind it, which it has if it was a table's cell.
+fn unquoted(message: &[u8]) -> &[u8] {
+    let bare =
+        |message: &'_ [u8]| message.len() - message.iter().rev().take_while(|byte| b"\"'".contains(byte)).count();
+    let message = &message[..bare(message)];
+    let message = message.strip_suffix(br"\n").unwrap_or(message);
+    message.strip_suffix(br"\r").unwrap_or(message)
+}
+
+/// The stamps before a message, and whether there is also something that is no stamp: then none of it is used.
+fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
+    let mut stamps = RowStamps::default();
+    let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };
+    // The message may be a table's cell in quotation marks, or Python's bytes.
+    let bare = text.trim_end_matches(['"', '\'']);
+    let text =
+        if bare.len() < text.len() { bare.strip_suffix('b').unwrap_or(bare).trim_end_matches('"') } else { text };
+    // A stamp may be a cell in quotation marks as well.
+    let words =
+        text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').map(|word| word.trim_matches(['"', '\'']));
+    for word in words.filter(|word| !word.is_empty()) {
+        match parse_seconds(word) {
+            Some(nanos) => stamps.push(nanos),
+            None => return (RowStamps::default(), true),
+        }
+    }
+    (stamps, false)
+}

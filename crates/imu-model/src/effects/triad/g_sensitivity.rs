@@ -1,0 +1,73 @@
+//! g-sensitivity: gyroscopes feel acceleration.
+
+use super::{Axes, Drive, TriadEffect};
+use crate::effects::spec::{Form, Kind, Need, Parameter};
+use crate::effects::stream::number as streams;
+use crate::effects::{Spec, Stage};
+use imu_core::sample::Triad;
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// The gyroscope shows M·a more, a being the specific force.
+///
+/// Source: IEEE Std 528-2019 (acceleration-sensitive drift rate).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GSensitivity {
+    /// Row: gyroscope axis; column: acceleration axis; (rad/s)/(m/s²).
+    pub m: [Axes; 3],
+}
+
+static SPEC: Spec = Spec {
+    name: "g_sensitivity",
+    stream: streams::NONE,
+    stage: Stage::Bias,
+    parameters: &[Parameter {
+        name: "m",
+        form: Form::Matrix,
+        need: Need::Always,
+        meaning: "row: gyro axis, column: acceleration axis; (rad/s)/(m/s²)",
+    }],
+    forms: &[],
+    meaning: "gyroscopes show a part of the specific force; on the gyro triad",
+};
+pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(GSensitivity { m: values.matrix("m") }) };
+
+impl TriadEffect for GSensitivity {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("m", json!(self.m))]
+    }
+    fn triads(&self) -> &'static [Triad] {
+        &[Triad::Gyro]
+    }
+    fn deviation(&self, drive: Drive) -> Axes {
+        self.m.map(|row| row.iter().zip(drive.accel_m_s2).map(|(m, a)| m * a).sum())
+    }
+    /// Row by row.
+    fn coefficients(&self) -> Vec<f64> {
+        self.m.concat()
+    }
+    fn regress(&self, drive: Drive) -> Vec<Axes> {
+        let column = |row: usize, a: f64| {
+            let mut axes = [0.0; 3];
+            axes[row] = a;
+            axes
+        };
+        (0..3).flat_map(|row| drive.accel_m_s2.map(|a| column(row, a))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_gyro_axes_and_columns_acceleration_axes() {
+        let effect = GSensitivity { m: [[0.0, 1e-4, 0.0], [0.0; 3], [2e-4, 0.0, 0.0]] };
+        let found = effect.deviation(Drive { input: [5.0; 3], accel_m_s2: [1.0, 10.0, 100.0] });
+        assert_eq!(found, [1e-3, 0.0, 2e-4]);
+    }
+}

@@ -1,0 +1,138 @@
+//! Latency: the triad shows the motion of a moment ago.
+
+use super::{Axes, TriadEffect};
+use crate::effects::spec::{Kind, Range, number};
+use crate::effects::stream::number as streams;
+use crate::effects::{Refusal, Spec, Stage};
+use imu_core::sample::Triad;
+use serde_json::Value;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// The motion arrives this much late; noise does not come from the motion and is left alone.
+///
+/// Between samples the motion is a cubic through four of them (Lagrange). Before its start it is what it was at the start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Latency {
+    /// s, 0 to [`Latency::SECONDS_MAX`].
+    pub seconds: f64,
+}
+
+impl Latency {
+    /// The longest, s: it bounds the memory.
+    pub const SECONDS_MAX: f64 = 10.0;
+}
+
+static SPEC: Spec = Spec {
+    name: "latency",
+    stream: streams::NONE,
+    stage: Stage::Latency,
+    parameters: &[number("seconds", Range::FromZero, "by how much the motion is late, s; at most 10")],
+    forms: &[],
+    meaning: "the triad shows the motion of a moment ago",
+};
+pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
+    Kind { spec: &SPEC, make: |values| Arc::new(Latency { seconds: values.number("seconds") }) };
+
+impl TriadEffect for Latency {
+    fn spec(&self) -> &'static Spec {
+        &SPEC
+    }
+    fn parameters(&self) -> Vec<(&'static str, Value)> {
+        vec![("seconds", self.seconds.into())]
+    }
+    fn check(&self, triad: Triad) -> Result<(), Refusal> {
+        if !self.triads().contains(&triad) {
+            return Err(SPEC.refuse("effect", format!("`latency` on {}", triad.name()), "accel or gyro"));
+        }
+        SPEC.check(&self.parameters())?;
+        if self.seconds <= Self::SECONDS_MAX {
+            return Ok(());
+        }
+        Err(SPEC.refuse("seconds", format!("{} s", self.seconds), format!("at most {} s", Self::SECONDS_MAX)))
+    }
+    fn delay_s(&self) -> f64 {
+        self.seconds
+    }
+}
+
+/// A delay by any number of samples, whole or not.
+#[derive(Debug)]
+pub struct DelayLine {
+    /// Weights of the samples from `skip` back on.
+    weights: [f64; 4],
+    skip: usize,
+    /// The latest first.
+    past: VecDeque<Axes>,
+}
+
+impl DelayLine {
+    /// A delay by `samples` (0 or more).
+    #[must_use]
+    pub fn new(samples: f64) -> Self {
+        let (skip, weights) = Self::nodes(samples);
+        Self { weights, skip, past: VecDeque::new() }
+    }
+
+    /// Which samples a delay by `samples` (0 or more) is made of: how many of the latest to skip, and the weights of the
+    /// four from there back.
+    #[must_use]
+    pub fn nodes(samples: f64) -> (usize, [f64; 4]) {
+        // The four nodes skip, skip + 1 … lie around the delay, as far as there are samples that young.
+        let skip = (samples.floor() - 1.0).max(0.0);
+        let at = samples - skip;
+        let weights = std::array::from_fn(|node| {
+            let others = (0..4).filter(|other| *other != node);
+            others.map(|other| (at - f64::from(other as u8)) / (node as f64 - f64::from(other as u8))).product()
+        });
+        (skip as usize, weights)
+    }
+
+    /// Takes the present values and returns the delayed ones.
+    pub fn next(&mut self, present: Axes) -> Axes {
+        if self.past.is_empty() {
+            self.past.resize(self.skip + 4, present);
+        }
+        self.past.pop_back();
+        self.past.push_front(present);
+        std::array::from_fn(|axis| {
+            self.weights.iter().zip(self.past.iter().skip(self.skip)).map(|(weight, past)| weight * past[axis]).sum()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_motion_of_a_moment_ago_is_shown() {
+        for delay in [0.0, 0.3, 1.0, 1.5, 2.25, 7.0, 40.6] {
+            let mut line = DelayLine::new(delay);
+            let motion = |time: f64| [(0.05 * time).sin(), 2.0, 0.1 * time];
+            for index in 0..300_u32 {
+                let found = line.next(motion(f64::from(index)));
+                if f64::from(index) > delay + 4.0 {
+                    for (found, expected) in found.into_iter().zip(motion(f64::from(index) - delay)) {
+                        // A cubic misses a sine of 0.05 rad per sample by less than 0.05⁴.
+                        assert!((found - expected).abs() < 0.05_f64.powi(4), "{delay} {index}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn before_its_start_the_motion_is_as_at_the_start() {
+        let mut line = DelayLine::new(2.0);
+        let found: Vec<f64> = [5.0, 6.0, 7.0, 8.0].map(|x| line.next([x, 0.0, 0.0])[0]).to_vec();
+        assert_eq!(found, [5.0, 5.0, 5.0, 6.0]);
+    }
+
+    #[test]
+    fn a_latency_without_bound_is_refused() {
+        assert!(Latency { seconds: 11.0 }.check(Triad::Gyro).is_err());
+        assert!(Latency { seconds: -1.0 }.check(Triad::Gyro).is_err());
+        assert!(Latency { seconds: 0.01 }.check(Triad::Gyro).is_ok());
+    }
+}

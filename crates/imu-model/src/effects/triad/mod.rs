@@ -1,0 +1,177 @@
+//! Effects on a triad: the response of its axes to a motion. They are deterministic and use no random numbers.
+//!
+//! In: the triad's input (rad/s or m/s²) and the specific force, both in the sensor's axes. Out: the triad's deviation
+//! from its input, and the derivatives of that by the parameters it is linear in, on which a diagnosis regresses.
+//!
+//! Within a stage every effect sees the same input and their contributions are summed: misalignment and cross-axis
+//! sensitivity together are the matrix 1 + θ× + S, for any order in a file.
+
+pub mod bias;
+pub mod g_sensitivity;
+pub mod latency;
+pub mod misalignment;
+pub mod saturation;
+pub mod scale_factor;
+pub mod scale_factor_nonlinearity;
+
+pub use bias::Bias;
+pub use g_sensitivity::GSensitivity;
+pub use latency::{DelayLine, Latency};
+pub use misalignment::{CrossAxisSensitivity, Misalignment};
+pub use saturation::Saturation;
+pub use scale_factor::ScaleFactor;
+pub use scale_factor_nonlinearity::ScaleFactorNonlinearity;
+
+use super::{Refusal, Spec, Stage};
+use imu_core::sample::Triad;
+use serde_json::Value;
+
+/// A value per axis.
+pub type Axes = [f64; 3];
+
+/// The inputs of a triad's effects at an instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
+pub struct Drive {
+    /// The triad's own input: angular rate in rad/s or specific force in m/s².
+    pub input: Axes,
+    /// Specific force, m/s².
+    pub accel_m_s2: Axes,
+}
+
+/// One error source of a triad. U is the unit of its channels.
+pub trait TriadEffect: std::fmt::Debug + Send + Sync {
+    /// Its name, place in the chain and parameters with their ranges.
+    fn spec(&self) -> &'static Spec;
+
+    /// Its parameters as they stand in a model's file.
+    fn parameters(&self) -> Vec<(&'static str, Value)>;
+
+    /// The triads it makes sense on: those that a motion drives, if it needs one.
+    fn triads(&self) -> &'static [Triad] {
+        &[Triad::Accel, Triad::Gyro]
+    }
+
+    /// The name in files and messages (docs/formats.md).
+    fn name(&self) -> &'static str {
+        self.spec().name
+    }
+
+    /// The stage of the chain at which it acts.
+    fn stage(&self) -> Stage {
+        self.spec().stage
+    }
+
+    /// Whether the parameters are in their ranges and the effect may stand on this triad.
+    ///
+    /// # Errors
+    /// [`Refusal`] with the parameter, what was found and what is allowed.
+    fn check(&self, triad: Triad) -> Result<(), Refusal> {
+        if !self.triads().contains(&triad) {
+            let allowed = self.triads().iter().map(|triad| triad.name()).collect::<Vec<_>>().join(" or ");
+            return Err(self.spec().refuse("effect", format!("`{}` on {}", self.name(), triad.name()), allowed));
+        }
+        self.spec().check(&self.parameters())
+    }
+
+    /// The triad's deviation from its input, for memoryless effects; 0 for the others.
+    fn deviation(&self, drive: Drive) -> Axes {
+        let _ = drive;
+        [0.0; 3]
+    }
+
+    /// The parameters that the deviation is linear in.
+    fn coefficients(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// The deviation's derivative by each of them: as many axes' values as there are coefficients.
+    fn regress(&self, drive: Drive) -> Vec<Axes> {
+        let _ = drive;
+        Vec::new()
+    }
+
+    /// By how much the motion is late, s.
+    fn delay_s(&self) -> f64 {
+        0.0
+    }
+
+    /// The largest magnitude an axis shows, U.
+    fn range(&self) -> Option<f64> {
+        None
+    }
+}
+
+/// The derivatives by x, y and z for effects of which each acts on its own axis alone.
+fn diagonal(values: Axes) -> Vec<Axes> {
+    let [x, y, z] = values;
+    vec![[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]
+}
+
+fn xyz(values: Axes) -> Vec<(&'static str, Value)> {
+    let [x, y, z] = values;
+    vec![("x", x.into()), ("y", y.into()), ("z", z.into())]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::registry;
+    use serde_json::json;
+
+    /// One of each kind, through the registry.
+    fn all() -> Vec<std::sync::Arc<dyn TriadEffect>> {
+        [
+            ("bias", json!({"x": 0.1, "y": -0.2, "z": 0.3})),
+            ("scale_factor", json!({"x": 0.002, "y": -0.001, "z": 0.003})),
+            (
+                "scale_factor_nonlinearity",
+                json!({"x": 1e-3, "y": 2e-3, "z": -1e-3, "full_scale": 35.0, "form": "unsigned"}),
+            ),
+            (
+                "scale_factor_nonlinearity",
+                json!({"x": 1e-3, "y": 2e-3, "z": -1e-3, "full_scale": 35.0, "form": "signed"}),
+            ),
+            ("misalignment", json!({"x": 0.001, "y": 0.002, "z": -0.003})),
+            ("cross_axis_sensitivity", json!({"xy": 0.001, "xz": 0.002, "yz": -0.003})),
+            ("g_sensitivity", json!({"m": [[1e-4, 2e-4, 3e-4], [0, 5e-4, 6e-4], [7e-4, 8e-4, -9e-4]]})),
+            ("latency", json!({"seconds": 0.004})),
+            ("saturation", json!({"range": 35.0})),
+        ]
+        .into_iter()
+        .map(|(name, entry)| registry::find(&registry::TRIAD, name).unwrap().read(entry.as_object().unwrap()).unwrap())
+        .collect()
+    }
+
+    #[test]
+    fn the_deviation_is_the_sum_of_coefficients_times_derivatives() {
+        let drive = Drive { input: [0.3, -1.2, 2.0], accel_m_s2: [1.0, -9.0, 3.0] };
+        for effect in all() {
+            let (coefficients, columns) = (effect.coefficients(), effect.regress(drive));
+            assert_eq!(coefficients.len(), columns.len(), "{}", effect.name());
+            for (axis, deviation) in effect.deviation(drive).into_iter().enumerate() {
+                let sum: f64 = coefficients.iter().zip(&columns).map(|(c, column)| c * column[axis]).sum();
+                assert!((deviation - sum).abs() < 1e-15, "{} axis {axis}", effect.name());
+            }
+        }
+    }
+
+    #[test]
+    fn parameters_come_back_as_they_were_read() {
+        for effect in all() {
+            let entry = effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+            let again = registry::find(&registry::TRIAD, effect.name()).unwrap().read(&entry).unwrap();
+            assert_eq!(again.parameters(), effect.parameters());
+            assert!(effect.check(Triad::Gyro).is_ok());
+        }
+    }
+
+    #[test]
+    fn an_effect_on_a_triad_that_no_motion_drives_is_refused() {
+        for effect in all() {
+            let free = matches!(effect.name(), "bias" | "saturation");
+            assert_eq!(effect.check(Triad::Mag).is_ok(), free, "{}", effect.name());
+            assert_eq!(effect.check(Triad::Accel).is_ok(), effect.name() != "g_sensitivity", "{}", effect.name());
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! A triad's response to the reference motion: latency, then cross-axis, scale factor and bias effects.
+
+use super::reference::Motion;
+use crate::effects::triad::{Axes, DelayLine, Drive};
+use crate::effects::{Stage, TriadEffect};
+use imu_core::sample::Triad;
+use std::sync::Arc;
+
+/// The memoryless stages in the chain's order.
+pub const STAGES: [Stage; 3] = [Stage::CrossAxis, Stage::Scale, Stage::Bias];
+
+/// One triad's motion chain and the block it made last.
+#[derive(Debug)]
+pub(super) struct Response {
+    triad: Triad,
+    delay: Option<DelayLine>,
+    /// The specific force that acts on a gyroscope is as late.
+    force_delay: Option<DelayLine>,
+    stages: [Vec<Arc<dyn TriadEffect>>; 3],
+    /// Whether an effect acts at rest.
+    acts_at_rest: bool,
+    /// One block per axis.
+    pub(super) axes: [Vec<f64>; 3],
+}
+
+impl Response {
+    pub(super) fn new(triad: Triad, effects: &[Arc<dyn TriadEffect>], internal_rate_hz: f64) -> Self {
+        let delay_s: f64 = effects.iter().map(|effect| effect.delay_s()).sum();
+        let of = |stage| effects.iter().filter(|effect| effect.stage() == stage).cloned().collect();
+        Self {
+            triad,
+            delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
+            force_delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
+            acts_at_rest: effects.iter().any(|effect| STAGES.contains(&effect.stage())),
+            stages: STAGES.map(of),
+            axes: Default::default(),
+        }
+    }
+
+    /// Whether the triad shows more than its channels' biases.
+    pub(super) fn acts(&self, moved: bool) -> bool {
+        (moved && matches!(self.triad, Triad::Accel | Triad::Gyro)) || self.acts_at_rest
+    }
+
+    pub(super) fn triad(&self) -> Triad {
+        self.triad
+    }
+
+    /// The triad's response to these motions, before any noise.
+    pub(super) fn run(&mut self, motions: &[Motion]) {
+        for axis in &mut self.axes {
+            axis.clear();
+        }
+        for motion in motions {
+            let mut values = match self.triad {
+                Triad::Gyro => motion.gyro_rad_s,
+                Triad::Accel => motion.accel_m_s2,
+                Triad::Attitude | Triad::Mag => [0.0; 3],
+            };
+            if let Some(delay) = &mut self.delay {
+                values = delay.next(values);
+            }
+            let accel_m_s2 = match &mut self.force_delay {
+                Some(delay) => delay.next(motion.accel_m_s2),
+                None => motion.accel_m_s2,
+            };
+            for effects in &self.stages {
+                values = stage(effects, Drive { input: values, accel_m_s2 });
+            }
+            for (axis, value) in self.axes.iter_mut().zip(values) {
+                axis.push(value);
+            }
+        }
+    }
+}
+
+/// The stage's input and the sum of its effects' additions, each from that input.
+#[must_use]
+pub fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
+    let mut values = drive.input;
+    for effect in effects {
+        for (value, deviation) in values.iter_mut().zip(effect.deviation(drive)) {
+            *value += deviation;
+        }
+    }
+    values
+}

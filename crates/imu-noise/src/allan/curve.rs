@@ -1,0 +1,322 @@
+//! Curves: deviation against averaging time with its confidence, as docs/formats.md has it.
+
+use super::edf::{CONFIDENCE_68, confidence_factors, total_bias};
+use super::identify::noise_of_phases;
+use super::point::{AllanPoint, noise_by_slope};
+use super::{AllanSums, Estimator, NoiseType, Phases, SquareSum, TauGrid, equivalent_degrees_of_freedom};
+use imu_core::sample::Channel;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A deviation curve of one channel. All lists have one entry per averaging time; times without a term are left out.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AllanCurve {
+    /// Unit of the deviation: the channel's.
+    pub unit: String,
+    /// Averaging times τ in s, ascending.
+    pub tau_s: Vec<f64>,
+    /// Deviations.
+    pub deviation: Vec<f64>,
+    /// Lower ends of the 68.3 % intervals.
+    pub ci68_low: Vec<f64>,
+    /// Upper ends of the 68.3 % intervals.
+    pub ci68_high: Vec<f64>,
+    /// Equivalent degrees of freedom.
+    pub edf: Vec<f64>,
+    /// Numbers of differences averaged.
+    pub n: Vec<u64>,
+    /// The noise that dominates: `edf` and with it the interval follow from it.
+    #[serde(default)]
+    pub noise: Vec<NoiseType>,
+    /// From this averaging time on, in s, differences are taken at every sixteenth of it instead of at every sample; absent
+    /// where all have full overlap. For white noise the uncertainty of a variance grows by 0.25 % through that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stride_from_s: Option<f64>,
+}
+
+impl AllanCurve {
+    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. If that is
+    /// angle noise, white or flicker, the intervals are those of flicker.
+    #[must_use]
+    pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
+        Self::from_points(&sums.points(), rate_hz, unit)
+    }
+
+    /// The curve of overlapping points at `rate_hz`.
+    #[must_use]
+    pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
+        let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
+        for (point, noise) in points.iter().zip(noise_by_slope(points)) {
+            // The slope cannot separate white from flicker angle noise: the wider interval holds for both.
+            let edf = match noise {
+                NoiseType::WhiteAngle => point.edf(noise).min(point.edf(NoiseType::FlickerAngle)),
+                _ => point.edf(noise),
+            };
+            curve.push(point.m, rate_hz, point.variance, edf, point.taken(), noise, 1.0);
+        }
+        curve.stride_from_s = points.iter().find(|point| point.stride > 1).map(|point| point.m as f64 / rate_hz);
+        curve
+    }
+
+    /// The curve of any estimator over whole segments in memory.
+    ///
+    /// Intervals are those of the estimated quantity. For a total deviation that is the Allan deviation, from which its
+    /// expectation departs at long averaging times; `deviation` is as defined, without a correction.
+    #[must_use]
+    pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
+        let sums: Vec<(usize, SquareSum, ByLength)> = grid
+            .factors()
+            .iter()
+            .map(|m| {
+                let (mut whole, mut by_length) = (SquareSum::default(), ByLength::new());
+                for phases in segments {
+                    let own = phases.square_sum(estimator, *m);
+                    by_length.entry(phases.len() as u64).or_insert((own.terms, 0)).1 += 1;
+                    whole = whole.plus(own);
+                }
+                (*m, whole, by_length)
+            })
+            .filter(|(_, sum, _)| sum.terms > 0)
+            .collect();
+        let factors: Vec<usize> = sums.iter().map(|(m, ..)| *m).collect();
+        let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
+        for ((m, sum, by_length), noise) in sums.iter().zip(noise_of_phases(segments, &factors)) {
+            let lengths = || segments.iter().map(|phases| phases.len() as u64);
+            let degrees =
+                pooled_degrees(by_length, |phases| equivalent_degrees_of_freedom(estimator, noise, *m, phases));
+            let bias = if estimator == Estimator::Totdev { total_bias(noise, *m, lengths()) } else { 1.0 };
+            curve.push(*m, rate_hz, sum.sum / sum.terms as f64, degrees, sum.terms, noise, bias);
+        }
+        curve
+    }
+
+    /// `bias`: expectation of the variance over what it estimates.
+    #[expect(clippy::too_many_arguments, reason = "one of each column")]
+    fn push(&mut self, m: usize, rate_hz: f64, variance: f64, edf: f64, terms: u64, noise: NoiseType, bias: f64) {
+        let Some(factors) = confidence_factors(edf, CONFIDENCE_68) else { return };
+        let (deviation, unbiased) = (variance.sqrt(), (variance / bias).sqrt());
+        self.tau_s.push(m as f64 / rate_hz);
+        self.deviation.push(deviation);
+        self.ci68_low.push(unbiased * factors.low);
+        self.ci68_high.push(unbiased * factors.high);
+        self.edf.push(edf);
+        self.n.push(terms);
+        self.noise.push(noise);
+    }
+
+    /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
+    ///
+    /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one. The noise that it
+    /// passes at short averaging times is not a lowest point, and the search begins where the curve begins to fall.
+    #[must_use]
+    pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
+        let rows = self.tau_s.iter().zip(&self.deviation).zip(&self.edf);
+        let rows = rows.map(|((tau_s, deviation), edf)| (*tau_s, *deviation, *edf));
+        let rows: Vec<(f64, f64, f64)> = rows.filter(|row| row.2 >= least_edf).collect();
+        let from = first_fall(rows.iter().map(|row| (row.1, row.2)));
+        rows.iter().skip(from).map(|row| (row.0, row.1)).min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+/// Place of the deviation from which on the curve first falls, beyond chance; 0 if it never does. `rows`: deviations
+/// with their degrees of freedom.
+pub(crate) fn first_fall(rows: impl Iterator<Item = (f64, f64)>) -> usize {
+    /// Standard errors of a logarithm: 1/√(2 edf) each.
+    const BEYOND: f64 = 3.0;
+    let mut top: Option<(usize, f64, f64)> = None;
+    for (place, (deviation, edf)) in rows.enumerate() {
+        match top {
+            Some((_, most, _)) if deviation >= most => top = Some((place, deviation, edf)),
+            None => top = Some((place, deviation, edf)),
+            Some((at, most, own)) if (most / deviation).ln() > BEYOND * (0.5 / edf + 0.5 / own).sqrt() => return at,
+            Some(_) => {}
+        }
+    }
+    0
+}
+
+/// By a segment's phases: the terms that one gives, and how many there are.
+type ByLength = BTreeMap<u64, (u64, u64)>;
+
+/// Degrees of freedom of a mean over all terms of independent segments: (Σ n)²/Σ (n²/edf).
+fn pooled_degrees(by_length: &ByLength, edf: impl Fn(u64) -> f64) -> f64 {
+    let (mut terms, mut variance) = (0.0, 0.0);
+    for (phases, (own, count)) in by_length.iter().filter(|(_, (own, _))| *own > 0) {
+        let (own, count) = (*own as f64, *count as f64);
+        terms += count * own;
+        variance += count * own * own / edf(*phases).max(1.0);
+    }
+    if variance > 0.0 { terms * terms / variance } else { 0.0 }
+}
+
+impl AllanSums {
+    /// The points of the curve: factors without a term are left out.
+    #[must_use]
+    pub fn points(&self) -> Vec<AllanPoint> {
+        (0..self.grid().factors().len())
+            .filter_map(|index| {
+                let m = self.grid().factors()[index];
+                let (segments, stride) = (self.segments()[index], self.grid().stride(m));
+                let terms = AllanPoint::spanned(self.terms()[index], segments, stride);
+                Some(AllanPoint { m, variance: self.variance(index)?, terms, segments, stride })
+            })
+            .collect()
+    }
+}
+
+/// Deviation curves of a capture, as `GET /v1/captures/{id}/allan` and `vn100d allan --format json` answer them
+/// (docs/formats.md).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct AllanReport {
+    /// [`AllanReport::FORMAT`].
+    pub format: String,
+    /// Which deviation.
+    pub estimator: Estimator,
+    /// Sampling rate in Hz.
+    pub rate_hz: f64,
+    /// Whether the capture has ended.
+    pub complete: bool,
+    /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub samples: Option<u64>,
+    /// Samples at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_rest_s: Option<f64>,
+    /// In motion, s: left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_s: Option<f64>,
+    /// Several captures of one sensor: what each gave. Samples are then their sum.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub captures: Vec<crate::Contribution>,
+    /// Samples missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing: Option<u64>,
+    /// What about the input a reader should know: gaps, samples that were left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
+    /// One curve per channel.
+    pub channels: BTreeMap<Channel, AllanCurve>,
+}
+
+impl AllanReport {
+    /// The name of this format.
+    pub const FORMAT: &'static str = "vn100d-allan-1";
+
+    /// A report of these curves.
+    #[must_use]
+    pub fn new(
+        estimator: Estimator,
+        rate_hz: f64,
+        complete: bool,
+        channels: impl IntoIterator<Item = (Channel, AllanCurve)>,
+    ) -> Self {
+        Self {
+            format: Self::FORMAT.to_owned(),
+            estimator,
+            rate_hz,
+            complete,
+            samples: None,
+            at_rest_s: None,
+            moving_s: None,
+            captures: Vec::new(),
+            missing: None,
+            warnings: Vec::new(),
+            channels: channels.into_iter().collect(),
+        }
+    }
+
+    /// Marks the averaging time from which on differences are no longer taken at every sample
+    /// ([`AllanCurve::stride_from_s`]).
+    #[must_use]
+    pub fn stride_warning(&self) -> Option<String> {
+        let from_s = self.channels.values().filter_map(|curve| curve.stride_from_s).min_by(f64::total_cmp)?;
+        Some(format!("from {from_s:.0} s on, differences are taken at every sixteenth of the averaging time"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::allan::{FixedPoint, Overlapping};
+
+    fn samples() -> Vec<f64> {
+        let mut state = 1u64;
+        (0..5000)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1u64 << 53) as f64
+            })
+            .collect()
+    }
+
+    #[test]
+    fn sums_and_phases_draw_the_same_curve() {
+        let grid = TauGrid::log(5000).unwrap();
+        let mut estimator = Overlapping::new(FixedPoint::for_range(0, 1).unwrap(), grid.clone());
+        estimator.push(&samples());
+        let exact = AllanCurve::from_sums(estimator.sums(), 40.0, "rad/s");
+        let phases = Phases::integrate(&samples()).unwrap();
+        let plain = AllanCurve::from_phases(&[phases], Estimator::Oadev, &grid, 40.0, "rad/s");
+        assert_eq!((&exact.tau_s, &exact.n), (&plain.tau_s, &plain.n));
+        for index in 0..exact.tau_s.len() {
+            assert!((exact.deviation[index] / plain.deviation[index] - 1.0).abs() < 1e-10);
+            assert!((exact.edf[index] / plain.edf[index] - 1.0).abs() < 1e-9);
+            assert!(exact.ci68_low[index] < exact.deviation[index] && exact.deviation[index] < exact.ci68_high[index]);
+        }
+        assert_eq!(exact.tau_s[0], 0.025);
+        assert!(exact.minimum(5.0).is_some_and(|(tau_s, _)| tau_s > 1.0));
+    }
+
+    #[test]
+    fn a_curve_tells_where_its_stride_begins() {
+        let curve = |grid: TauGrid| {
+            let mut estimator = Overlapping::new(FixedPoint::for_range(0, 1).unwrap(), grid);
+            estimator.push(&samples());
+            AllanCurve::from_sums(estimator.sums(), 40.0, "rad/s")
+        };
+        let report = |curve| AllanReport::new(Estimator::Oadev, 40.0, true, [(Channel::GyroX, curve)]);
+        let full = curve(TauGrid::custom([1, 64, 800]).unwrap());
+        assert_eq!((full.stride_from_s, report(full.clone()).stride_warning()), (None, None));
+        let strided = curve(TauGrid::with_full_overlap([1, 64, 800], 7).unwrap());
+        assert_eq!((strided.stride_from_s, strided.n[2]), (Some(20.0), (5001 - 1600usize).div_ceil(50) as u64));
+        assert!((strided.deviation[2] / full.deviation[2] - 1.0).abs() < 0.02);
+        assert!((strided.edf[2] / full.edf[2] - 1.0).abs() < 0.02);
+        let warning = report(strided).stride_warning().unwrap();
+        assert!(warning.starts_with("from 20 s on"), "{warning}");
+    }
+
+    #[test]
+    fn a_report_is_written_as_documented() {
+        let curve = AllanCurve {
+            unit: "rad/s".into(),
+            tau_s: vec![0.025],
+            deviation: vec![1e-3],
+            ci68_low: vec![9e-4],
+            ci68_high: vec![1.1e-3],
+            edf: vec![50.0],
+            n: vec![99],
+            stride_from_s: None,
+            noise: vec![NoiseType::WhiteRate],
+        };
+        let report = AllanReport::new(Estimator::Oadev, 40.0, true, [(Channel::GyroX, curve)]);
+        assert_eq!(
+            serde_json::to_value(&report).unwrap(),
+            serde_json::json!({
+                "format": "vn100d-allan-1", "estimator": "oadev", "rate_hz": 40.0, "complete": true,
+                "channels": { "gyro_x": { "unit": "rad/s", "tau_s": [0.025], "deviation": [1e-3], "ci68_low": [9e-4],
+                                          "ci68_high": [1.1e-3], "edf": [50.0], "n": [99],
+                                          "noise": ["white_rate"] } }
+            })
+        );
+    }
+
+    #[test]
+    fn constant_data_gives_a_curve_of_zeros_without_nan() {
+        let grid = TauGrid::octave(1000).unwrap();
+        let mut estimator = Overlapping::new(FixedPoint::for_channel(Channel::AccelZ), grid);
+        estimator.push(&[-9.80665; 1000]);
+        let curve = AllanCurve::from_sums(estimator.sums(), 40.0, "m/s²");
+        assert!(curve.deviation.iter().chain(&curve.ci68_high).all(|value| *value == 0.0));
+        assert!(curve.edf.iter().all(|edf| edf.is_finite()));
+    }
+}

@@ -1,0 +1,147 @@
+//! Sampling: the effect of the sensor's filter window and the choice of every n-th sample on a white noise density.
+//!
+//! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
+//! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
+
+use crate::whittle::{self, density_factor};
+use imu_core::sample::Triad;
+use imu_core::units::IMU_RATE_HZ;
+
+/// Rate at which the magnetometer is taken to sample, Hz. No document gives it. A unit's 200 Hz output without averaging has
+/// 1.7e-3 to 2.4e-3 gauss, where 140 µgauss/√Hz at 200 Hz makes 2.0e-3 and at 800 Hz 4.0e-3.
+const MAG_RATE_HZ: f64 = 200.0;
+
+use serde::{Deserialize, Serialize};
+
+/// Window lengths in internal samples; 0 and 1 are no averaging.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FilterWindows {
+    /// Magnetometer.
+    pub mag: u32,
+    /// Accelerometer.
+    pub accel: u32,
+    /// Gyroscope.
+    pub gyro: u32,
+}
+
+/// Samples of the sensor's own rate to one that is sent, if the rates fit.
+pub(super) fn every(own_rate_hz: f64, rate_hz: f64) -> Option<u32> {
+    whittle::Sampling { internal_rate_hz: own_rate_hz, window: 1, source: String::new() }.every(rate_hz)
+}
+
+impl FilterWindows {
+    /// The factory's setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of a
+    /// unit's 800 Hz output).
+    pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
+
+    /// The windows of a capture, by its configuration: those of register 85, else as its import stated.
+    #[must_use]
+    pub fn of_configuration(configuration: &serde_json::Value) -> Option<Self> {
+        let stated = || u32::try_from(configuration["sampling"]["filter_window"].as_u64()?).ok();
+        let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
+        register_85.or_else(|| stated().map(Self::stated))
+    }
+
+    /// The windows as a user states them. There is no such statement for the magnetometer.
+    #[must_use]
+    pub fn stated(window: u32) -> Self {
+        Self { mag: 0, accel: window, gyro: window }
+    }
+}
+
+/// How a capture's samples came about.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Sampling {
+    /// Rate at which accelerometer and gyroscope are sampled, Hz.
+    pub internal_rate_hz: f64,
+    /// Rate at which the magnetometer is sampled, Hz: inferred, no document tells it.
+    pub mag_rate_hz: f64,
+    /// Rate of the capture, Hz.
+    pub rate_hz: f64,
+    /// The windows of register 85.
+    pub filter_window: FilterWindows,
+    /// Whether the windows are the factory's because the capture does not have them.
+    pub assumed: bool,
+}
+
+impl Sampling {
+    /// The sampling of a capture at `rate_hz`; windows as its register 85 gives them, else the factory's.
+    #[must_use]
+    pub fn new(rate_hz: f64, windows: Option<FilterWindows>) -> Self {
+        Self {
+            internal_rate_hz: IMU_RATE_HZ,
+            mag_rate_hz: MAG_RATE_HZ,
+            rate_hz,
+            filter_window: windows.unwrap_or(FilterWindows::FACTORY),
+            assumed: windows.is_none(),
+        }
+    }
+
+    /// Factor from the sensor's own white density to the one that shows in its output, at low frequencies.
+    ///
+    /// [`density_factor`] of the triad's window and rates.
+    #[must_use]
+    pub fn density_factor(&self, triad: Triad) -> f64 {
+        let window = match triad {
+            Triad::Gyro => self.filter_window.gyro,
+            Triad::Accel => self.filter_window.accel,
+            Triad::Mag => self.filter_window.mag,
+            Triad::Attitude => 1,
+        };
+        let own_rate_hz = if triad == Triad::Mag { self.mag_rate_hz } else { self.internal_rate_hz };
+        // A VN-100 sends at no rates other than its own divided by whole numbers. The exception is the magnetometer,
+        // whose rate is inferred.
+        let nearest = || (own_rate_hz / self.rate_hz).round().clamp(1.0, 1e5) as u32;
+        density_factor(window, every(own_rate_hz, self.rate_hz).unwrap_or_else(nearest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A datasheet was compared at the factory's windows, for any stated window.
+    #[test]
+    fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
+        let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });
+        let windows = |mag, window| Some(FilterWindows { mag, accel: window, gyro: window });
+        assert_eq!(FilterWindows::of_configuration(&json!({ "sampling": stated })), windows(0, 8));
+        let register_85 = json!({ "mag": 3, "accel": 5, "gyro": 5 });
+        let both = json!({ "filter_window": register_85, "sampling": stated });
+        assert_eq!(FilterWindows::of_configuration(&both), windows(3, 5));
+        assert_eq!(FilterWindows::of_configuration(&json!({})), None);
+    }
+
+    fn factor(rate_hz: f64, window: u32) -> f64 {
+        let windows = FilterWindows { mag: 0, accel: window, gyro: window };
+        Sampling::new(rate_hz, Some(windows)).density_factor(Triad::Gyro)
+    }
+
+    #[test]
+    fn the_factory_window_at_forty_hertz_shows_more_than_twice_the_density() {
+        assert!((factor(40.0, 4) - 5f64.sqrt()).abs() < 1e-12);
+        for (rate, window, expected) in
+            [(40.0, 1, 4.472), (40.0, 5, 2.0), (200.0, 4, 1.0), (100.0, 4, 1.414), (40.0, 20, 1.0)]
+        {
+            assert!((factor(rate, window) - expected).abs() < 1e-3, "{rate} {window}: {}", factor(rate, window));
+        }
+        // A window longer than the output period leaves low frequencies as they are.
+        assert!((factor(800.0, 4) - 1.0).abs() < 1e-12);
+        assert!((factor(200.0, 8) - 1.0).abs() < 1e-12);
+        assert!((Sampling::new(40.0, None).density_factor(Triad::Mag) - 5f64.sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_factor_is_that_of_simulated_white_noise() {
+        use rand::SeedableRng;
+        use rand_distr::{Distribution, StandardNormal};
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let white: Vec<f64> = (0..4_000_000).map(|_| StandardNormal.sample(&mut rng)).collect();
+        // Every 20th mean of 4: its variance times the output period against the internal one.
+        let means: Vec<f64> = white.chunks_exact(20).map(|chunk| chunk[..4].iter().sum::<f64>() / 4.0).collect();
+        let variance = means.iter().map(|mean: &f64| mean * mean).sum::<f64>() / means.len() as f64;
+        let seen = (variance / 40.0 * 800.0).sqrt();
+        assert!((seen / factor(40.0, 4) - 1.0).abs() < 0.01, "{seen}");
+    }
+}

@@ -1,0 +1,476 @@
+//! Noise parameters of one channel as docs/formats.md has them: with units, intervals, and the parameters that the data does not
+//! support.
+
+use super::term::Term;
+use crate::RecordNeeded;
+use imu_core::sample::{Channel, Triad};
+use imu_core::units::{
+    MICROTESLA_PER_GAUSS as UT, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR,
+    STANDARD_GRAVITY_M_S2,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One parameter. Either identified, with value and interval, or not, with an upper limit where there is one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Estimate {
+    /// The value in `unit`; null where the data does not support one.
+    pub value: Option<f64>,
+    /// 95 % interval of the value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+    /// The value is below this with 95 % confidence; only where it is not identified.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub upper_limit95: Option<f64>,
+    /// Whether the data supports a value (1 % level, some terms stricter).
+    pub identified: bool,
+    /// Unit of value, interval and limit.
+    pub unit: String,
+    /// The value in the units people quote.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub also: BTreeMap<String, f64>,
+    /// Of N: the sensor's own density in front of its filter and decimation, where these are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub internal: Option<f64>,
+    /// Where the number comes from if not from the fit: `allan deviation` where the fit contradicts the measured curve.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
+}
+
+impl Estimate {
+    /// A value with its 95 % interval.
+    #[must_use]
+    pub fn identified(channel: Channel, term: Term, value: f64, ci95: [f64; 2]) -> Self {
+        let also = quoted(channel, term).iter().map(|(unit, factor)| ((*unit).to_owned(), value * factor)).collect();
+        Self {
+            value: Some(value),
+            ci95: Some(ci95),
+            upper_limit95: None,
+            identified: true,
+            unit: unit(channel, term),
+            also,
+            internal: None,
+            source: None,
+        }
+    }
+
+    /// A value with its 95 % interval in its own unit.
+    #[must_use]
+    pub fn of(unit: &str, value: f64, ci95: [f64; 2]) -> Self {
+        Self {
+            value: Some(value),
+            ci95: Some(ci95),
+            upper_limit95: None,
+            identified: true,
+            unit: unit.to_owned(),
+            also: BTreeMap::new(),
+            internal: None,
+            source: None,
+        }
+    }
+
+    /// No value, and an upper limit where the data sets one.
+    #[must_use]
+    pub fn unidentified(channel: Channel, term: Term, upper_limit95: Option<f64>) -> Self {
+        Self {
+            value: None,
+            ci95: None,
+            upper_limit95,
+            identified: false,
+            unit: unit(channel, term),
+            also: BTreeMap::new(),
+            internal: None,
+            source: None,
+        }
+    }
+}
+
+/// A first-order Gauss–Markov process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct GaussMarkov {
+    /// Its standard deviation, channel's unit.
+    pub sigma: Estimate,
+    /// Its correlation time, s.
+    pub tc_s: Estimate,
+}
+
+/// What keeps noise away from half the rate: a filter of the sensor or of whoever recorded it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Bandwidth {
+    /// `moving_average`, `low_pass` or `other`.
+    pub kind: String,
+    /// Its length, or its −3 dB frequency; null where an `other` shape does not fall that far.
+    pub value: Option<f64>,
+    /// Unit of value and interval: `samples`, `samples at the internal rate` or `Hz`.
+    pub unit: String,
+    /// Order of a low pass.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub order: Option<u32>,
+    /// 95 % interval of the value; null for a whole number.
+    pub ci95: Option<[f64; 2]>,
+    /// Frequencies above were not described and took no part in the fit, Hz.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up_to_hz: Option<f64>,
+    /// Density of white noise that comes in behind the filter, U/√Hz; a part of N.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub white_behind: Option<f64>,
+    /// Of a known sampling: the rate that the samples of a moving average have, Hz.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub internal_rate_hz: Option<f64>,
+    /// A low pass of order 1 that is an exponential average, y += a (x − y), rather than Butterworth's.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub exponential: bool,
+    /// Where it is known from: a register, an option, or `fitted`.
+    pub source: String,
+}
+
+/// How the parameters were found, and whether the model describes the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FitSummary {
+    /// `whittle-dst`: the Whittle likelihood of the sine transform of the differences, for samples at hand; `wls-avar`:
+    /// weighted least squares on Allan variances with the model's own covariance, while a capture runs.
+    pub method: String,
+    /// Squared residuals in units of their covariance; null where nothing could be fitted.
+    pub chi2: Option<f64>,
+    /// Bands of frequency, or averaging times, whose correlations count through the covariance, less parameters.
+    pub degrees_of_freedom: Option<usize>,
+    /// How often residuals as large come by chance.
+    pub p_value: Option<f64>,
+    /// The fitted Allan deviation and what each term gives to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curve: Option<FittedCurve>,
+}
+
+/// The Allan deviation of a fitted model, for plots; all lists have one entry per averaging time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct FittedCurve {
+    /// Averaging times τ in s: octaves up to a quarter of the longest stretch.
+    pub tau_s: Vec<f64>,
+    /// Deviation of the whole model.
+    pub deviation: Vec<f64>,
+    /// Deviation of each term alone: `N`, `B`, `K`, `Q`, `R`, `gauss_markov`. Their squares add up to that of the whole.
+    pub parts: BTreeMap<String, Vec<f64>>,
+}
+
+impl FittedCurve {
+    /// Averaging factors of a fitted curve.
+    pub(crate) fn octaves(longest_s: f64, dt_s: f64) -> Vec<usize> {
+        let quarter = longest_s / dt_s / 4.0;
+        (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect()
+    }
+
+    /// The curve of named variances as functions of the averaging factor, at these.
+    pub(crate) fn at<'a>(
+        factors: Vec<usize>,
+        dt_s: f64,
+        parts: impl Iterator<Item = (&'a str, Box<dyn Fn(usize) -> f64 + 'a>)>,
+    ) -> Self {
+        let mut variances = vec![0.0; factors.len()];
+        let mut curve = Self {
+            tau_s: factors.iter().map(|m| *m as f64 * dt_s).collect(),
+            deviation: Vec::new(),
+            parts: BTreeMap::new(),
+        };
+        for (name, variance) in parts {
+            let own: Vec<f64> = factors.iter().map(|m| variance(*m)).collect();
+            for (sum, own) in variances.iter_mut().zip(&own) {
+                *sum += own;
+            }
+            curve.parts.insert(name.to_owned(), own.iter().map(|variance| variance.sqrt()).collect());
+        }
+        curve.deviation = variances.iter().map(|variance| variance.sqrt()).collect();
+        curve
+    }
+}
+
+/// Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose correlation time is
+/// 1/`decay` samples.
+///
+/// The samples are an AR(1) sequence with φ = e^(−decay). A sum of m of them has the variance m (1 + φ)/(1 − φ) − 2 φ
+/// (1 − φᵐ)/(1 − φ)².
+///
+/// # Source
+/// IEEE Std 952-1997, annex C, has the same for a process that is averaged without sampling it: 2/3 of it at m = 1.
+///
+/// # Validation
+/// `a_sampled_processs_variance_is_that_of_its_covariance`, by summing covariances.
+#[must_use]
+pub fn gauss_markov_variance(m: usize, decay: f64) -> f64 {
+    let count = m as f64;
+    let (phi, rest) = ((-decay).exp(), -(-decay).exp_m1());
+    let x = count * decay;
+    if x < 1e-5 {
+        // That of a random walk of the same steps, where differences would lose their digits.
+        return rest * (1.0 + phi) * (2.0 * count * count + 1.0) / (6.0 * count);
+    }
+    let sum = |count: f64| count * (1.0 + phi) / rest + 2.0 * phi * (-count * decay).exp_m1() / (rest * rest);
+    (4.0 * sum(count) - sum(2.0 * count)) / (2.0 * count * count)
+}
+
+/// Something to know about a channel's data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Flag {
+    /// `insufficient`, `constant`, `misfit`, `out_of_range`, …
+    pub kind: String,
+    /// Where it begins, s from the start of the capture; absent where it concerns the whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_s: Option<f64>,
+    /// Where it ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to_s: Option<f64>,
+    /// One sentence.
+    pub note: String,
+}
+
+impl Flag {
+    /// A flag that concerns the whole capture.
+    #[must_use]
+    pub fn whole(kind: &str, note: impl Into<String>) -> Self {
+        Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
+    }
+
+    /// `out_of_range`, if that many values were no measurements; none if all were.
+    #[must_use]
+    pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
+        let note =
+            || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
+        (samples > 0).then(|| Self::whole("out_of_range", note()))
+    }
+
+    /// `other_rate`, if that many samples came at another rate than the one analysed; none if none did.
+    #[must_use]
+    pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
+        let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
+        (samples > 0).then(|| Self::whole("other_rate", note()))
+    }
+}
+
+/// The noise parameters of one channel (docs/formats.md; names of IEEE Std 952).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct NoiseParameters {
+    /// The channel's unit.
+    pub unit: String,
+    /// Angle or velocity random walk.
+    #[serde(rename = "N")]
+    pub n: Estimate,
+    /// Bias instability: coefficient of flicker noise, not divided by or multiplied with 0.664.
+    #[serde(rename = "B")]
+    pub b: Estimate,
+    /// Rate random walk.
+    #[serde(rename = "K")]
+    pub k: Estimate,
+    /// Quantization noise.
+    #[serde(rename = "Q")]
+    pub q: Estimate,
+    /// Rate ramp, with its sign; while a capture runs, its size alone.
+    #[serde(rename = "R")]
+    pub r: Estimate,
+    /// Gauss–Markov process; null where there is none.
+    pub gauss_markov: Option<GaussMarkov>,
+    /// The filter that B, K, Q, R and the process lie in front of; null where noise is white up to half the rate.
+    #[serde(default)]
+    pub bandwidth: Option<Bandwidth>,
+    /// Whether the parameters may be used: false where they contradict the measured deviation, or there are none.
+    #[serde(default = "yes")]
+    pub usable: bool,
+    /// Why they may not be used.
+    #[serde(default)]
+    pub reason: Option<String>,
+    /// Lowest point of the measured Allan deviation; null where it is not known well enough.
+    #[serde(default)]
+    pub minimum: Option<Minimum>,
+    /// How long the sensor has to be at rest, without a gap, until B and K are known to ±20 %, s.
+    #[serde(default)]
+    pub record_needed: crate::RecordNeeded,
+    /// Where no walk is identified: the averaging time from which on one as large as the limit of K would rise above the lowest
+    /// deviation with a slope of +½, s.
+    #[serde(default)]
+    pub walk_shows_beyond_s: Option<f64>,
+    /// The fit.
+    pub fit: FitSummary,
+    /// What else is to be known.
+    pub flags: Vec<Flag>,
+}
+
+/// Earlier documents do not have this key.
+fn yes() -> bool {
+    true
+}
+
+/// The lowest point of a measured Allan deviation beside B.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Minimum {
+    /// The deviation, channel's unit.
+    pub deviation: f64,
+    /// Its averaging time, s.
+    pub tau_s: f64,
+    /// The deviation over 0.664. B is at most this, to within the scatter of the curve, since the curve holds all other noise as well.
+    pub over_0_664: f64,
+}
+
+impl NoiseParameters {
+    /// Withholds the parameters for a reason, and clears the values that follow from them.
+    pub fn refuse(&mut self, reason: String) {
+        (self.usable, self.reason) = (false, Some(reason));
+        (self.record_needed, self.walk_shows_beyond_s) = (RecordNeeded::default(), None);
+    }
+
+    /// The estimate of a term.
+    #[must_use]
+    pub fn estimate(&self, term: Term) -> &Estimate {
+        match term {
+            Term::N => &self.n,
+            Term::B => &self.b,
+            Term::K => &self.k,
+            Term::Q => &self.q,
+            Term::R => &self.r,
+        }
+    }
+}
+
+/// Noise parameters of a capture, as `GET /v1/captures/{id}/noise` and `vn100d noise --format json` answer them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct NoiseReport {
+    /// [`NoiseReport::FORMAT`].
+    pub format: String,
+    /// The capture's name; of several their names with ` + ` between them.
+    pub capture: String,
+    /// Several captures of one sensor: what each gave. Durations, samples and missing ones are then sums.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub captures: Vec<crate::Contribution>,
+    /// Sampling rate in Hz.
+    pub rate_hz: f64,
+    /// Sample time covered, s.
+    pub duration_s: f64,
+    /// Of these at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at_rest_s: Option<f64>,
+    /// In motion, s: left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moving_s: Option<f64>,
+    /// Samples received.
+    pub samples: u64,
+    /// Samples missing.
+    pub missing: u64,
+    /// Whether the capture has ended.
+    pub complete: bool,
+    /// One entry per analysed channel.
+    pub channels: BTreeMap<Channel, NoiseParameters>,
+    /// What happened to each channel while it was recorded; absent while a capture runs.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub disturbances: BTreeMap<Channel, crate::robust::Disturbances>,
+    /// Comparison with a data sheet, where one was asked for.
+    pub datasheet: Option<serde_json::Value>,
+}
+
+impl NoiseReport {
+    /// The name of this format.
+    pub const FORMAT: &'static str = "vn100d-noise-1";
+
+    /// The reasons why parameters of this report should not be used: the `concerned` channels that are not usable, with their
+    /// reasons. None if all are.
+    #[must_use]
+    pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
+        let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));
+        let reasons: Vec<String> = unusable
+            .map(|(channel, of)| {
+                format!("{channel}: {}", of.reason.as_deref().unwrap_or("the parameters are not usable"))
+            })
+            .collect();
+        (!reasons.is_empty()).then(|| reasons.join("; "))
+    }
+}
+
+/// Unit of a term's coefficient.
+#[must_use]
+pub fn unit(channel: Channel, term: Term) -> String {
+    let u = channel.unit();
+    match term {
+        Term::N => format!("{u}/√Hz"),
+        Term::B => u.to_owned(),
+        Term::K => format!("{u}/√s"),
+        Term::Q if channel.triad() == Some(Triad::Gyro) => "rad".to_owned(),
+        Term::Q if channel.triad() == Some(Triad::Accel) => "m/s".to_owned(),
+        Term::Q => format!("{u}·s"),
+        Term::R => format!("{u}/s"),
+    }
+}
+
+/// The units that people quote and the factors from the SI unit to them.
+fn quoted(channel: Channel, term: Term) -> &'static [(&'static str, f64)] {
+    const DEG: f64 = 1.0 / RAD_PER_DEG;
+    const MG: f64 = 1e3 / STANDARD_GRAVITY_M_S2;
+    const UG: f64 = 1e6 / STANDARD_GRAVITY_M_S2;
+    match (channel.triad(), term) {
+        (Some(Triad::Gyro), Term::N) => &[("deg/√h", DEG * SQRT_HOUR), ("deg/s/√Hz", DEG)],
+        (Some(Triad::Gyro), Term::B) => &[("deg/h", DEG * SECONDS_PER_HOUR)],
+        (Some(Triad::Gyro), Term::K) => &[("deg/h/√h", DEG * SECONDS_PER_HOUR * SQRT_HOUR)],
+        (Some(Triad::Gyro), Term::Q) => &[("arcsec", DEG * 3600.0)],
+        (Some(Triad::Gyro), Term::R) => &[("deg/h/h", DEG * SECONDS_PER_HOUR * SECONDS_PER_HOUR)],
+        (Some(Triad::Accel), Term::N) => &[("m/s/√h", SQRT_HOUR), ("µg/√Hz", UG)],
+        (Some(Triad::Accel), Term::B) => &[("mg", MG)],
+        (Some(Triad::Accel), Term::K) => &[("mg/√h", MG * SQRT_HOUR)],
+        (Some(Triad::Accel), Term::R) => &[("mg/h", MG * SECONDS_PER_HOUR)],
+        (Some(Triad::Mag), Term::N) => &[("µT/√Hz", UT), ("µgauss/√Hz", 1e6)],
+        (Some(Triad::Mag), Term::B) => &[("µT", UT)],
+        _ => &[],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sampled_processs_variance_is_that_of_its_covariance() {
+        for decay in [1e-7, 1e-5, 1e-3, 0.02, 0.3, 2.0] {
+            for m in [1_usize, 2, 7, 64] {
+                let weight = |at: usize| if at < m { -1.0 } else { 1.0 };
+                let mut sum = 0.0;
+                for one in 0..2 * m {
+                    for other in 0..2 * m {
+                        // Less the variance itself, which the weights cancel: digits stay.
+                        sum += weight(one) * weight(other) * (-(one.abs_diff(other) as f64) * decay).exp_m1();
+                    }
+                }
+                let expected = sum / (2.0 * (m * m) as f64);
+                let found = gauss_markov_variance(m, decay);
+                assert!((found / expected - 1.0).abs() < 2e-5, "{decay} {m}: {found} for {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_identified_parameter_is_written_as_documented() {
+        let estimate = Estimate::identified(Channel::GyroX, Term::N, 1.2e-4, [1.19e-4, 1.21e-4]);
+        let written = serde_json::to_value(&estimate).unwrap();
+        assert_eq!(written["value"], 1.2e-4);
+        assert_eq!(written["ci95"], serde_json::json!([1.19e-4, 1.21e-4]));
+        assert_eq!(written["identified"], true);
+        assert_eq!(written["unit"], "rad/s/√Hz");
+        let quoted = written["also"]["deg/√h"].as_f64().unwrap();
+        assert!((quoted - 0.4125).abs() < 1e-3, "{quoted}");
+        assert!(written.get("upper_limit95").is_none());
+    }
+
+    #[test]
+    fn an_unidentified_parameter_is_null_with_a_limit() {
+        assert_eq!(
+            serde_json::to_value(Estimate::unidentified(Channel::GyroX, Term::K, Some(3e-7))).unwrap(),
+            serde_json::json!({ "value": null, "upper_limit95": 3e-7, "identified": false, "unit": "rad/s/√s" })
+        );
+    }
+
+    #[test]
+    fn quoted_units_are_those_of_the_handbooks() {
+        let also = |channel, term, value: f64| Estimate::identified(channel, term, value, [0.0, 1.0]).also;
+        // Bias instability of 5.36 °/h, 210 µg/√Hz, 0.112 mg, 1 (deg/h)/√h.
+        assert!((also(Channel::GyroX, Term::B, 2.6e-5)["deg/h"] - 5.363).abs() < 1e-3);
+        assert!((also(Channel::AccelX, Term::N, 0.0021)["µg/√Hz"] - 214.14).abs() < 1e-2);
+        assert!((also(Channel::AccelX, Term::N, 0.0021)["m/s/√h"] - 0.126).abs() < 1e-12);
+        assert!((also(Channel::AccelX, Term::B, 0.0011)["mg"] - 0.112_17).abs() < 1e-5);
+        let k = RAD_PER_DEG / 3600.0 / 60.0;
+        assert!((also(Channel::GyroX, Term::K, k)["deg/h/√h"] - 1.0).abs() < 1e-12);
+        assert!((also(Channel::MagX, Term::N, 140e-6)["µgauss/√Hz"] - 140.0).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,184 @@
+//! Keys: the contents of a sealed case, and the manifest that binds the keys before any case is diagnosed.
+//!
+//! A manifest lists SHA-256 of every case's key as compact JSON. A key holds 16 bytes of salt, so that it cannot be found by
+//! trying. The manifest is written first. The keys are opened last and have to have the digests that it lists.
+
+use super::class::{Class, Sense};
+use super::kind::Kind;
+use super::stamps::Stamps;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+use std::collections::BTreeMap;
+
+/// The manifest's format.
+pub const MANIFEST_FORMAT: &str = "vn100d-trial-manifest-1";
+
+/// An effect that a case has.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
+pub struct TrueEffect {
+    /// Which.
+    pub kind: Kind,
+    /// The documented name; none outside the library.
+    pub effect: Option<String>,
+    /// How sensor and model differ in it.
+    pub sense: Sense,
+    /// In the units of [`super::limit::limit`].
+    pub size: f64,
+    /// Over the limit; of an effect that both have at different sizes that of the difference.
+    pub over_limit: f64,
+    /// The channels.
+    pub channels: Vec<String>,
+    /// By channel, in the documented form, as far as known before there are samples. For an effect that the sensor lacks, they
+    /// are the model's.
+    pub parameters: BTreeMap<String, Value>,
+    /// The model's statement, if it has the effect.
+    #[serde(rename = "told")]
+    pub declared: Option<BTreeMap<String, Value>>,
+}
+
+impl TrueEffect {
+    /// The parameters that a cause of this sense refers to. For an effect that both have at two places, a cause of an effect that
+    /// the sensor lacks refers to the model's.
+    #[must_use]
+    pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
+        match &self.declared {
+            Some(declared) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => declared,
+            _ => &self.parameters,
+        }
+    }
+}
+
+/// The contents of a case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
+pub struct Key {
+    /// Its number.
+    pub case: usize,
+    /// What it is a test of.
+    pub class: Class,
+    /// Samples per second.
+    pub rate_hz: f64,
+    /// Samples per channel.
+    pub samples: usize,
+    /// The channels.
+    pub channels: Vec<String>,
+    /// The effects, in the order in which they act.
+    pub effects: Vec<TrueEffect>,
+    /// N, B, K of each channel as they are.
+    pub true_nbk: BTreeMap<String, [f64; 3]>,
+    /// How samples are stamped, if they are.
+    pub stamps: Option<Stamps>,
+    /// 16 random bytes.
+    pub salt: String,
+}
+
+/// A key that does not fit its manifest.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum KeyError {
+    /// The key of a case is not the one that was sealed.
+    #[error("the key of case {case} has SHA-256 {found}; the manifest has {expected}")]
+    Digest {
+        /// Its number.
+        case: usize,
+        /// The manifest's.
+        expected: String,
+        /// Its own.
+        found: String,
+    },
+    /// The numbers of keys and digests differ.
+    #[error("the manifest has {expected} cases; there are keys of {found}")]
+    Count {
+        /// The manifest's.
+        expected: usize,
+        /// Those there are.
+        found: usize,
+    },
+}
+
+impl Key {
+    /// SHA-256 of the key, in hexadecimal digits.
+    #[must_use]
+    pub fn digest(&self) -> String {
+        // A key has numbers, texts and lists alone, all finite: it always has a text.
+        let text = serde_json::to_string(self).unwrap_or_default();
+        Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// The document that is published before a trial.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
+pub struct Manifest {
+    /// [`MANIFEST_FORMAT`].
+    pub format: String,
+    /// SHA-256 of each case's key.
+    pub digests: Vec<String>,
+}
+
+impl Manifest {
+    /// Of these keys.
+    #[must_use]
+    pub fn of(keys: &[Key]) -> Self {
+        Self::of_digests(keys.iter().map(Key::digest).collect())
+    }
+
+    /// Of keys with these digests.
+    #[must_use]
+    pub fn of_digests(digests: Vec<String>) -> Self {
+        Self { format: MANIFEST_FORMAT.to_owned(), digests }
+    }
+
+    /// Whether these are the keys that were sealed.
+    ///
+    /// # Errors
+    /// [`KeyError`], the first one.
+    pub fn verify(&self, keys: &[Key]) -> Result<(), KeyError> {
+        self.verify_digests(keys.iter().map(|key| (key.case, key.digest())).collect())
+    }
+
+    /// The same of keys with these numbers and digests.
+    ///
+    /// # Errors
+    /// [`KeyError`], the first one.
+    pub fn verify_digests(&self, keys: Vec<(usize, String)>) -> Result<(), KeyError> {
+        if keys.len() != self.digests.len() {
+            return Err(KeyError::Count { expected: self.digests.len(), found: keys.len() });
+        }
+        for ((case, found), expected) in keys.into_iter().zip(&self.digests) {
+            if found != *expected {
+                return Err(KeyError::Digest { case, expected: expected.clone(), found });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::case::Case;
+
+    #[test]
+    fn keys_fit_their_manifest_also_after_a_file_and_no_other_does() {
+        let keys: Vec<Key> =
+            Kind::LIBRARY.iter().enumerate().map(|(case, kind)| Case::draw(5, case, &[*kind]).unwrap().key()).collect();
+        let manifest = Manifest::of(&keys);
+        let read: Vec<Key> = serde_json::from_str(&serde_json::to_string_pretty(&keys).unwrap()).unwrap();
+        assert_eq!(manifest.verify(&read), Ok(()));
+        assert_eq!(manifest.verify(&read[1..]), Err(KeyError::Count { expected: 22, found: 21 }));
+        let mut other = read;
+        other[3].effects[0].size *= 1.0 + 1e-15;
+        other[3].effects[0].size += 1e-9;
+        assert!(matches!(manifest.verify(&other), Err(KeyError::Digest { case: 3, .. })));
+    }
+
+    #[test]
+    fn a_salt_is_the_cases_own() {
+        let key = |case| Case::draw(5, case, &[]).unwrap().key();
+        assert_ne!(key(1).salt, key(2).salt);
+        assert_eq!(key(1).salt.len(), 32);
+    }
+}

@@ -1,0 +1,270 @@
+//! Kinds: the effects that a sealed case with a motion may lack.
+
+use crate::draw::Draw;
+use imu_core::sample::Triad;
+use serde::{Deserialize, Serialize};
+
+/// An effect that a case lacks in its model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[expect(clippy::exhaustive_enums, reason = "the kinds of the trial")]
+pub enum Kind {
+    /// A constant per axis.
+    Bias,
+    /// A fraction per axis.
+    ScaleFactor,
+    /// Its square.
+    UnsignedNonlinearity,
+    /// Its square with its sign.
+    SignedNonlinearity,
+    /// A rotation.
+    Misalignment,
+    /// The symmetric part.
+    CrossAxisSensitivity,
+    /// The gyro feels the specific force.
+    GSensitivity,
+    /// It is late.
+    Latency,
+    /// It is cut off.
+    Saturation,
+    /// Its bandwidth is less.
+    LowPass,
+    /// Its level follows the temperature.
+    TemperatureBias,
+    /// It follows with play.
+    Hysteresis,
+    /// It creeps after its input.
+    Creep,
+    /// It does not move near 0.
+    DeadBand,
+    /// It stands off the reference's point.
+    LeverArm,
+    /// Its scale factor follows the temperature.
+    WarmScale,
+}
+
+impl Kind {
+    /// The kinds of the library.
+    pub const LIBRARY: [Self; 11] = [
+        Self::Bias,
+        Self::ScaleFactor,
+        Self::UnsignedNonlinearity,
+        Self::SignedNonlinearity,
+        Self::Misalignment,
+        Self::CrossAxisSensitivity,
+        Self::GSensitivity,
+        Self::Latency,
+        Self::Saturation,
+        Self::LowPass,
+        Self::TemperatureBias,
+    ];
+    /// The kinds outside it.
+    pub const OUTSIDE: [Self; 5] = [Self::Hysteresis, Self::Creep, Self::DeadBand, Self::LeverArm, Self::WarmScale];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bias => "bias",
+            Self::ScaleFactor => "scale_factor",
+            Self::UnsignedNonlinearity => "unsigned_nonlinearity",
+            Self::SignedNonlinearity => "signed_nonlinearity",
+            Self::Misalignment => "misalignment",
+            Self::CrossAxisSensitivity => "cross_axis_sensitivity",
+            Self::GSensitivity => "g_sensitivity",
+            Self::Latency => "latency",
+            Self::Saturation => "saturation",
+            Self::LowPass => "low_pass",
+            Self::TemperatureBias => "temperature_bias",
+            Self::Hysteresis => "hysteresis",
+            Self::Creep => "creep",
+            Self::DeadBand => "dead_band",
+            Self::LeverArm => "lever_arm",
+            Self::WarmScale => "warm_scale",
+        }
+    }
+
+    /// The kind of that name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::LIBRARY.into_iter().chain(Self::OUTSIDE).find(|kind| kind.name() == name)
+    }
+
+    /// The documented name of its effect; None outside the library.
+    #[must_use]
+    pub fn effect(self) -> Option<&'static str> {
+        match self {
+            Self::UnsignedNonlinearity | Self::SignedNonlinearity => Some("scale_factor_nonlinearity"),
+            of if Self::LIBRARY.contains(&of) => Some(of.name()),
+            _ => None,
+        }
+    }
+
+    /// The triads it may be on.
+    #[must_use]
+    pub fn triads(self) -> &'static [Triad] {
+        match self {
+            Self::GSensitivity => &[Triad::Gyro],
+            Self::LeverArm => &[Triad::Accel],
+            _ => &[Triad::Gyro, Triad::Accel],
+        }
+    }
+
+    /// Whether it stands in the model with its channels rather than with its triad.
+    #[must_use]
+    pub fn on_channels(self) -> bool {
+        matches!(self, Self::LowPass | Self::TemperatureBias)
+    }
+
+    /// The unit of its numbers on a triad; for those outside the library, of the numbers that are drawn for them.
+    #[must_use]
+    pub fn unit(self, triad: Triad) -> &'static str {
+        let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
+        match self {
+            Self::Bias | Self::DeadBand => of("rad/s", "m/s²"),
+            Self::TemperatureBias => of("rad/s/°C", "m/s²/°C"),
+            Self::Misalignment => "rad",
+            Self::GSensitivity => "rad/s per m/s²",
+            Self::Latency => "s",
+            Self::LowPass => "of the rate",
+            Self::Saturation => "of the samples",
+            Self::LeverArm => "m",
+            Self::WarmScale => "per °C",
+            Self::ScaleFactor | Self::CrossAxisSensitivity => "",
+            Self::UnsignedNonlinearity | Self::SignedNonlinearity => "at full scale",
+            Self::Hysteresis | Self::Creep => "",
+        }
+    }
+
+    /// How many numbers it has that a regression finds; None if its size is another.
+    #[must_use]
+    pub fn numbers(self) -> Option<usize> {
+        match self {
+            Self::Saturation | Self::LowPass => None,
+            Self::GSensitivity => Some(9),
+            Self::Latency => Some(1),
+            _ => Some(3),
+        }
+    }
+}
+
+impl std::fmt::Display for Kind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// One effect of a case: its kind and its triad.
+pub type Wish = (Kind, Triad);
+
+/// Words that choose classes of cases, beside the kinds' names.
+pub const CLASSES: [&str; 4] = ["none", "single", "pair", "outside"];
+
+/// The effects of every case: of `cases`, a fifth have none, half one of the library, a fifth two, a tenth one outside it; of the
+/// classes and kinds that `words` choose, all if there is no word. Each kind comes as often as the others of its class.
+///
+/// # Errors
+/// The word that names no class and no kind.
+pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str>) -> Result<Vec<Vec<Wish>>, String> {
+    let mut draw = Draw::device(seed, u64::MAX, "motion plan");
+    let (mut classes, mut kinds): (Vec<&str>, Vec<Kind>) = (Vec::new(), Vec::new());
+    for word in words {
+        match (CLASSES.iter().find(|class| **class == word), Kind::from_name(word)) {
+            (Some(class), _) => classes.push(class),
+            (_, Some(kind)) => kinds.push(kind),
+            _ => {
+                let all: Vec<&str> = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).map(Kind::name).collect();
+                return Err(format!("`{word}`: expected {}, or some of {}", CLASSES.join(", "), all.join(", ")));
+            }
+        }
+    }
+    let some = |of: &[Kind]| -> Vec<Kind> {
+        let own: Vec<Kind> = of.iter().copied().filter(|kind| kinds.contains(kind)).collect();
+        if own.is_empty() { of.to_vec() } else { own }
+    };
+    if classes.is_empty() {
+        if kinds.is_empty() {
+            classes.extend(CLASSES);
+        }
+        if kinds.iter().any(|kind| kind.effect().is_some()) {
+            classes.push("single");
+        }
+        if kinds.iter().any(|kind| kind.effect().is_none()) {
+            classes.push("outside");
+        }
+    }
+    let share = |class: &str| match class {
+        "single" => 5.0,
+        "outside" => 1.0,
+        _ => 2.0,
+    };
+    let total: f64 = classes.iter().map(|class| share(class)).sum();
+    let single = |of: &[Kind]| -> Vec<Vec<Wish>> {
+        of.iter().flat_map(|kind| kind.triads().iter().map(move |triad| vec![(*kind, *triad)])).collect()
+    };
+    let mut made: Vec<Vec<Wish>> = Vec::new();
+    let mut until = 0.0;
+    for class in classes {
+        until += share(class) / total * cases as f64;
+        let count = (until.round() as usize).saturating_sub(made.len());
+        let mut list: Vec<Vec<Wish>> = match class {
+            "none" => vec![Vec::new()],
+            "outside" => in_turn(&single(&some(&Kind::OUTSIDE))),
+            "pair" => {
+                let all = single(&some(&Kind::LIBRARY)).concat();
+                let pairs = all.iter().enumerate().flat_map(|(at, one)| {
+                    all[at + 1..].iter().filter(|other| goes_with(*one, **other)).map(|other| vec![*one, *other])
+                });
+                let mut pairs: Vec<Vec<Wish>> = pairs.collect();
+                draw.shuffle(&mut pairs);
+                pairs
+            }
+            _ => in_turn(&single(&some(&Kind::LIBRARY))),
+        };
+        if list.is_empty() {
+            list.push(Vec::new());
+        }
+        made.extend(list.into_iter().cycle().take(count));
+    }
+    draw.shuffle(&mut made);
+    Ok(made)
+}
+
+/// Each kind once before any comes on its second triad.
+fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
+    let mut kinds: Vec<Kind> = all.iter().flatten().map(|(kind, _)| *kind).collect();
+    kinds.dedup();
+    let of = |turn: usize| {
+        kinds.iter().map(move |kind| vec![(*kind, kind.triads()[turn % kind.triads().len()])]).collect::<Vec<_>>()
+    };
+    [of(0), of(1)].concat()
+}
+
+/// Whether two effects can be separated: not two of the same kind on one triad, not two delays of one sensor's clock, and no
+/// effect beside a filter or a limit that would hide it.
+fn goes_with(one: Wish, other: Wish) -> bool {
+    let alone = |kind: Kind| matches!(kind, Kind::Saturation | Kind::LowPass);
+    let late = |kind: Kind| matches!(kind, Kind::Latency | Kind::LowPass);
+    one != other && !(late(one.0) && late(other.0)) && !(alone(one.0) && alone(other.0)) && one.0 != other.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plans_have_their_shares_and_words_choose() {
+        let all = plan(1, 1000, []).unwrap();
+        let count = |of: &dyn Fn(&Vec<Wish>) -> bool| all.iter().filter(|wishes| of(wishes)).count();
+        assert_eq!(count(&Vec::is_empty), 200);
+        assert_eq!(count(&|wishes| wishes.len() == 2), 200);
+        assert_eq!(count(&|wishes| wishes.len() == 1 && wishes[0].0.effect().is_none()), 100);
+        for kind in Kind::LIBRARY {
+            let own = count(&|wishes| wishes.len() == 1 && wishes[0].0 == kind);
+            assert!((44..=48).contains(&own), "{kind}: {own}");
+        }
+        let own = plan(1, 20, ["misalignment"]).unwrap();
+        assert!(own.iter().all(|wishes| wishes.len() == 1 && wishes[0].0 == Kind::Misalignment));
+        assert!(plan(1, 5, ["mislignment"]).unwrap_err().contains("mislignment"));
+    }
+}
