@@ -77,6 +77,7 @@ mod taken_back;
 pub mod tiles;
 pub mod transform;
 pub mod translate;
+mod variances;
 mod zero_rows;
 
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};

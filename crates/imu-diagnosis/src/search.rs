@@ -73,12 +73,14 @@ pub(super) const FREE: Beliefs = [None, None, None];
 /// Nats that B and K of any size have to give: the model's statement about them is rarely wrong by a large factor.
 const ANY_LEVELS: f64 = 12.0;
 
+/// From so many named effects on, no more are looked for on a channel.
+const EFFECTS_MAX: usize = 12;
+
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
-    const MOST: usize = 12;
     /// Steps may be taken back after they are made, and found again. After this number of turns the search ends in its
     /// current state.
-    const TURNS: usize = 3 * MOST;
+    const TURNS: usize = 3 * EFFECTS_MAX;
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
     // The peaks are classified once all else is known.
@@ -92,7 +94,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     // An effect that was taken back at once would be found again.
     let mut refused: Vec<Kind> = Vec::new();
     for _ in 0..TURNS {
-        if steps.len() >= MOST {
+        if steps.len() >= EFFECTS_MAX {
             break;
         }
         let mut candidates = everything(series, prices);
@@ -328,8 +330,7 @@ fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Expla
 
 /// Names the effects on single samples.
 fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    const MOST: usize = 12;
-    for _ in 0..MOST {
+    for _ in 0..EFFECTS_MAX {
         let candidates = evidence::of_samples(series);
         let others = candidates.clone();
         let Some((step, chosen)) = best_of(candidates, prices, steps) else { break };

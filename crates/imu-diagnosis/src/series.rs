@@ -3,14 +3,16 @@
 use super::censored::{self, Censored};
 use super::course::{Course, Courses};
 use super::equaliser::Equaliser;
-use super::explanation::{Explanation, LOUD, Loud, Scedasticity, Sine, per_product, profile, turning};
+use super::explanation::{Explanation, LOUD, Loud, Sine, per_product, turning};
 use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Beliefs, Data, Fitted, Law, Term};
 use super::phase;
 use super::transform::Cosines;
+use super::variances::Varied;
 use nalgebra::{DMatrix, DVector};
 use std::borrow::Cow;
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 
 /// Spectra on a grid without the model's effects at these places of its list.
@@ -81,6 +83,8 @@ pub struct Series<'a> {
     unfiltered: Vec<f64>,
     /// The variance that the explanation gives the residual at each sample; empty if it is 1.
     pub variance: Vec<f64>,
+    /// What [`Series::raw_variances`] computed last.
+    pub(super) varied: RefCell<Option<Varied>>,
     /// The equaliser of the white noise, if there is one.
     pub(super) equaliser: Option<Equaliser>,
 }
@@ -125,6 +129,7 @@ impl<'a> Series<'a> {
             residual: Vec::new(),
             unfiltered: Vec::new(),
             variance: Vec::new(),
+            varied: RefCell::new(None),
             equaliser: None,
         }
     }
@@ -211,6 +216,7 @@ impl<'a> Series<'a> {
         self.fit_means();
         self.interpolate();
         self.transformed();
+        self.spectrum = self.grid.fill(&self.fitted.logarithms);
         self.whiten();
     }
 
@@ -241,7 +247,7 @@ impl<'a> Series<'a> {
         }
     }
 
-    /// Transforms the rest, fits the law to it and whitens it.
+    /// Transforms the rest and fits the law to it. What is whitened stays that of the law before.
     fn refit(&mut self, several: bool) {
         self.transformed();
         self.worth = self.worth_on(&self.grid, &self.base);
@@ -249,7 +255,7 @@ impl<'a> Series<'a> {
         let fitted = if several { law.fit_from_several(self.data()) } else { law.fit(self.data()) };
         self.explanation.law = fitted.law.clone();
         self.fitted = fitted;
-        self.whiten();
+        self.spectrum = self.grid.fill(&self.fitted.logarithms);
     }
 
     /// The number of independent coefficients in the bins of a grid.
@@ -404,10 +410,10 @@ impl<'a> Series<'a> {
         }
     }
 
-    /// Fits the factors of courses and sines once more, all together, at the law as it is now.
+    /// Fits the factors of courses and sines once more, all together, at the law as it is now, and whitens the rest.
     fn refine_means(&mut self) {
         if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
-            return;
+            return self.whiten();
         }
         /// Standard deviations of white noise that a step may still move by: its size and what is filled in about it
         /// depend on each other.
@@ -418,6 +424,10 @@ impl<'a> Series<'a> {
         let mut before = f64::INFINITY;
         for _ in 0..rounds {
             let moved = self.refine_courses();
+            // Fast sines are read off the residual.
+            if self.explanation.sines.iter().any(|sine| !self.is_slow(sine.cycles)) {
+                self.whiten();
+            }
             self.refine_sines();
             self.fit_means();
             self.interpolate();
@@ -428,6 +438,7 @@ impl<'a> Series<'a> {
             }
             before = moved;
         }
+        self.whiten();
     }
 
     /// Fits the factors of courses once more; the most that a step of the level moves by.
@@ -565,8 +576,8 @@ impl<'a> Series<'a> {
         self.censored.iter_mut().for_each(|of| of.bound -= mean);
     }
 
-    fn whiten(&mut self) {
-        self.spectrum = self.grid.fill(&self.fitted.logarithms);
+    /// Whitens the rest by the spectrum.
+    pub(super) fn whiten(&mut self) {
         self.whitened = self.coefficients.iter().zip(&self.spectrum).map(|(c, s)| c / s.sqrt()).collect();
         let mut residual = self.whitened.clone();
         self.transform.backward(&mut residual);
@@ -623,35 +634,6 @@ impl<'a> Series<'a> {
         }
         let logarithms: Vec<f64> = gain.into_iter().map(|gain| gain.max(f64::MIN_POSITIVE).ln()).collect();
         Some(self.grid.fill(&logarithms))
-    }
-
-    /// By how much the white part's variance is on average above its variance at times when nothing changes it: the law's level
-    /// of white noise is the average.
-    #[must_use]
-    pub fn average_variance(&self) -> f64 {
-        let raw = self.raw_variances();
-        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
-    }
-
-    /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
-    pub(super) fn variances(&self) -> Vec<f64> {
-        normalised(self.raw_variances())
-    }
-
-    /// The same over the variance at times when nothing changes it.
-    fn raw_variances(&self) -> Vec<f64> {
-        let n = self.len();
-        let temperature = self.setting.courses.temperature().unwrap_or_default();
-        let mut variance: Vec<f64> = match &self.explanation.scedasticity {
-            None => Vec::new(),
-            Some(Scedasticity::PerDegree(slope)) => temperature.iter().map(|t| (slope * t).exp()).collect(),
-            Some(Scedasticity::Profile(values)) => (0..n).map(|t| profile(values, t, n).exp()).collect(),
-        };
-        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio <= LOUD) {
-            variance.resize(n, 1.0);
-            variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
-        }
-        variance
     }
 
     /// The transform for records of this length.
@@ -772,10 +754,4 @@ pub struct Drift {
     pub covariance: DMatrix<f64>,
     /// The law beside them.
     pub law: Law,
-}
-
-fn normalised(mut variance: Vec<f64>) -> Vec<f64> {
-    let mean = variance.iter().sum::<f64>() / variance.len().max(1) as f64;
-    variance.iter_mut().for_each(|value| *value /= mean);
-    variance
 }

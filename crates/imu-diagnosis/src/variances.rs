@@ -1,0 +1,128 @@
+//! The variance that an explanation gives the white part at each sample.
+
+use super::explanation::{LOUD, Loud, Scedasticity, profile};
+use super::series::Series;
+use std::rc::Rc;
+
+/// The variances that parts of an explanation give: they are asked for many times while those parts stay. They also depend on the
+/// number of samples and on the temperature, which stay as long as the series.
+#[derive(Debug, Clone)]
+pub(super) struct Varied {
+    scedasticity: Option<Scedasticity>,
+    quiet: Vec<Loud>,
+    values: Rc<[f64]>,
+}
+
+impl Series<'_> {
+    /// By how much the white part's variance is on average above its variance at times when nothing changes it: the law's level
+    /// of white noise is the average.
+    #[must_use]
+    pub fn average_variance(&self) -> f64 {
+        let raw = self.raw_variances();
+        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+    }
+
+    /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
+    pub(super) fn variances(&self) -> Vec<f64> {
+        normalised(self.raw_variances().to_vec())
+    }
+
+    /// The same over the variance at times when nothing changes it.
+    pub(super) fn raw_variances(&self) -> Rc<[f64]> {
+        let own = &self.explanation;
+        let quiet: Vec<Loud> = own.loud.iter().copied().filter(|loud| loud.ratio <= LOUD).collect();
+        let mut kept = self.varied.borrow_mut();
+        match &*kept {
+            Some(of) if of.scedasticity == own.scedasticity && of.quiet == quiet => of.values.clone(),
+            _ => {
+                let values: Rc<[f64]> = self.computed_variances(&quiet).into();
+                let scedasticity = own.scedasticity.clone();
+                *kept = Some(Varied { scedasticity, quiet, values: values.clone() });
+                values
+            }
+        }
+    }
+
+    /// `quiet`: the stretches that are not so loud that they are left out.
+    fn computed_variances(&self, quiet: &[Loud]) -> Vec<f64> {
+        let n = self.len();
+        let temperature = self.setting().courses.temperature().unwrap_or_default();
+        let mut variance: Vec<f64> = match &self.explanation.scedasticity {
+            None => Vec::new(),
+            Some(Scedasticity::PerDegree(slope)) => temperature.iter().map(|t| (slope * t).exp()).collect(),
+            Some(Scedasticity::Profile(values)) => (0..n).map(|t| profile(values, t, n).exp()).collect(),
+        };
+        for loud in quiet {
+            variance.resize(n, 1.0);
+            variance[loud.from..loud.to].iter_mut().for_each(|value| *value *= loud.ratio);
+        }
+        variance
+    }
+}
+
+fn normalised(mut variance: Vec<f64>) -> Vec<f64> {
+    let mean = variance.iter().sum::<f64>() / variance.len().max(1) as f64;
+    variance.iter_mut().for_each(|value| *value /= mean);
+    variance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::explanation::{Explanation, Sine};
+    use crate::grid::Grid;
+    use crate::prepare;
+    use crate::round_trip::{model, recording};
+    use std::collections::BTreeSet;
+
+    /// Calls with a series whose variance changes, and that has a sine and samples that are left out.
+    fn with_uneven(each: impl FnOnce(Series<'_>)) {
+        let model = model(None);
+        let ready = prepare::prepare(&recording(&model, 3, 8_000), &model).unwrap();
+        let prepared = &ready.channels[0];
+        let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(&model, prepared, grid, without);
+        let setting = ready.setting(prepared, &base);
+        let mut start = Explanation::noise(prepared.declared.clone());
+        start.scedasticity = Some(Scedasticity::Profile(vec![0.0, 0.7, 0.2]));
+        start.loud = vec![Loud { from: 100, to: 900, ratio: 1.5 }, Loud { from: 2000, to: 2100, ratio: 30.0 }];
+        start.sines = vec![Sine { cycles: 0.21, quadratures: [0.1, 0.2] }];
+        start.outliers = vec![5, 6, 7, 4000];
+        each(Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), start));
+    }
+
+    fn is_fresh(series: &Series<'_>) -> bool {
+        let quiet: Vec<Loud> = series.explanation.loud.iter().copied().filter(|loud| loud.ratio <= LOUD).collect();
+        series.raw_variances().to_vec() == series.computed_variances(&quiet)
+    }
+
+    #[test]
+    fn variances_follow_the_explanation_whatever_was_computed_before() {
+        with_uneven(|mut series| {
+            assert!(is_fresh(&series));
+            let kept = series.clone();
+            series.explanation.scedasticity = Some(Scedasticity::Profile(vec![0.0, 0.1, 0.2]));
+            assert!(is_fresh(&series) && series.raw_variances() != kept.raw_variances());
+            series.explanation.loud[0].to = 1000;
+            assert!(is_fresh(&series));
+            series.explanation.loud[0].ratio = 5.0;
+            assert!(is_fresh(&series));
+            series.explanation.scedasticity = None;
+            assert!(series.raw_variances().is_empty());
+            assert!(is_fresh(&kept) && kept.raw_variances().len() == kept.len());
+        });
+    }
+
+    #[test]
+    fn a_series_that_was_built_is_whitened_by_its_own_law() {
+        with_uneven(|mut series| {
+            for _ in 0..2 {
+                let state = |of: &Series<'_>| (of.whitened.clone(), of.residual.clone(), of.variance.clone());
+                let before = state(&series);
+                series.whiten();
+                assert_eq!(before, state(&series));
+                series.explanation.sines.clear();
+                series.rebuild(false);
+            }
+        });
+    }
+}
