@@ -1,8 +1,9 @@
 //! The store: SQLite, and the only room that uses `rusqlite`.
 //!
-//! In: [`Record`]s of captures through [`RecordSender`], commands as methods of [`Store`]. Out: typed rows through
-//! [`Reader`]. One process writes a database ([`StoreError::Locked`] names the other), through one thread and one
-//! connection (`writer`). Any number of processes read beside it, never for longer than one short query.
+//! In: [`Record`](imu_core::sample::Record)s of captures through [`RecordSender`], commands as methods of [`Store`].
+//! Out: typed rows through [`Reader`]. One process writes a database ([`StoreError::Locked`] names the other), through
+//! one thread and one connection (`writer`). Any number of processes read beside it, never for longer than one short
+//! query.
 //!
 //! Guarantees: what [`WriterProgress::committed`] counts survives kill -9 and power loss (WAL, `synchronous=FULL`). A
 //! record waits at most a second for its commit. A commit that fails loses nothing: it is tried again while the queue

@@ -3,7 +3,7 @@
 //! Records arrive through a bounded queue, commands (closures, each in a separate transaction) through a channel.
 //! Records are committed when the oldest has waited [`COMMIT_AFTER`] or [`COMMIT_RECORDS`] have accumulated, whichever
 //! is first. They are kept in memory until a commit has succeeded. While commits fail, the thread leaves the queue
-//! alone (it absorbs new records), tries again with a capped delay, and reports it in [`WriterProgress`].
+//! alone (it absorbs new records), tries again with a capped delay, and reports it in `WriterProgress`.
 //!
 //! A failed commit may nevertheless be on disk, and after a failed fsync the kernel may have dropped its data. So after
 //! an I/O error the connection is closed and reopened, the file checked, and the batch's number read back. If the batch
