@@ -6,6 +6,7 @@
 
 pub mod action;
 pub mod backoff;
+pub mod book;
 pub mod description;
 pub mod host_watch;
 pub mod output;

@@ -2,9 +2,10 @@
 
 use super::args::ProbeArgs;
 use super::{CliError, Context, Failure, Outcome, print_json, table};
+use crate::capture::book::Sink;
 use crate::capture::output::Output;
 use crate::capture::session::SessionOptions;
-use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
+use crate::capture::task::{self, Progress, TaskCommand, TaskOptions};
 use crate::clock::{Clock, SystemClock};
 use crate::config::Overrides;
 use imu_core::sample::Record;

@@ -18,10 +18,11 @@ pub mod schedule;
 pub mod watchdog;
 
 use crate::api;
+use crate::capture::book::Sink;
 use crate::capture::output::{Output, check_fit};
 use crate::capture::recorder::ResumePoint;
 use crate::capture::session::SessionOptions;
-use crate::capture::task::{self, Progress, Sink, TaskCommand, TaskOptions};
+use crate::capture::task::{self, Progress, TaskCommand, TaskOptions};
 use crate::clock::Clock;
 use crate::config::{Baud, Config, Device};
 use crate::control::{CaptureControl, CaptureRequest};
