@@ -28,7 +28,6 @@ pub use parameters::{
 pub use term::Term;
 pub(crate) use term::response;
 
-use crate::RecordNeeded;
 use crate::allan::AllanPoint;
 use crate::whittle::{Filter, MISFIT, Sampling};
 use imu_core::sample::Channel;
@@ -131,51 +130,20 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
         );
         flags.push(Flag::whole("misfit", note));
     }
-    NoiseParameters {
-        unit: channel.unit().to_owned(),
-        n: estimate(Term::N),
-        b: estimate(Term::B),
-        k: estimate(Term::K),
-        q: estimate(Term::Q),
-        r: estimate(Term::R),
-        gauss_markov: None,
-        bandwidth: None,
-        usable: true,
-        reason: None,
-        minimum: None,
-        record_needed: RecordNeeded::default(),
-        walk_shows_beyond_s: None,
-        fit: FitSummary {
-            method: METHOD.to_owned(),
-            chi2: choice.residual.map(|residual| residual.chi2),
-            degrees_of_freedom: choice.residual.map(|residual| residual.degrees_of_freedom),
-            p_value: choice.residual.map(|residual| residual.p_value),
-            curve: Some(fit.curve(&choice.model)),
-        },
-        flags,
-    }
+    let summary = FitSummary::of(
+        METHOD,
+        choice.residual.map(|of| (of.chi2, of.degrees_of_freedom, of.p_value)),
+        Some(fit.curve(&choice.model)),
+    );
+    NoiseParameters::of(channel, estimate, summary, flags)
 }
 
 /// The result if no parameter can be determined.
 pub(crate) fn nothing(channel: Channel, method: &str, flag: Flag) -> NoiseParameters {
     let estimate = |term| Estimate::unidentified(channel, term, None);
-    NoiseParameters {
-        unit: channel.unit().to_owned(),
-        n: estimate(Term::N),
-        b: estimate(Term::B),
-        k: estimate(Term::K),
-        q: estimate(Term::Q),
-        r: estimate(Term::R),
-        gauss_markov: None,
-        bandwidth: None,
-        usable: false,
-        reason: Some(flag.note.clone()),
-        minimum: None,
-        record_needed: RecordNeeded::default(),
-        walk_shows_beyond_s: None,
-        fit: FitSummary { method: method.to_owned(), chi2: None, degrees_of_freedom: None, p_value: None, curve: None },
-        flags: vec![flag],
-    }
+    let reason = Some(flag.note.clone());
+    let summary = FitSummary::of(method, None, None);
+    NoiseParameters { usable: false, reason, ..NoiseParameters::of(channel, estimate, summary, vec![flag]) }
 }
 
 /// Panics if a number is not finite. JSON has null for it, which a list of numbers cannot be read back from and an optional

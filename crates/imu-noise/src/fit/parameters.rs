@@ -141,6 +141,19 @@ pub struct FitSummary {
     pub curve: Option<FittedCurve>,
 }
 
+impl FitSummary {
+    /// `residual`: χ², its degrees of freedom and its p-value.
+    pub(crate) fn of(method: &str, residual: Option<(f64, usize, f64)>, curve: Option<FittedCurve>) -> Self {
+        Self {
+            method: method.to_owned(),
+            chi2: residual.map(|(chi2, ..)| chi2),
+            degrees_of_freedom: residual.map(|(_, degrees, _)| degrees),
+            p_value: residual.map(|(.., p_value)| p_value),
+            curve,
+        }
+    }
+}
+
 /// The Allan deviation of a fitted model, for plots; all lists have one entry per averaging time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FittedCurve {
@@ -290,6 +303,29 @@ pub struct NoiseParameters {
     pub fit: FitSummary,
     /// What else is to be known.
     pub flags: Vec<Flag>,
+}
+
+impl NoiseParameters {
+    /// Usable parameters with an estimate of each term; what is computed from elsewhere is absent.
+    pub(crate) fn of(channel: Channel, estimate: impl Fn(Term) -> Estimate, fit: FitSummary, flags: Vec<Flag>) -> Self {
+        Self {
+            unit: channel.unit().to_owned(),
+            n: estimate(Term::N),
+            b: estimate(Term::B),
+            k: estimate(Term::K),
+            q: estimate(Term::Q),
+            r: estimate(Term::R),
+            gauss_markov: None,
+            bandwidth: None,
+            usable: true,
+            reason: None,
+            minimum: None,
+            record_needed: crate::RecordNeeded::default(),
+            walk_shows_beyond_s: None,
+            fit,
+            flags,
+        }
+    }
 }
 
 /// Earlier documents do not have this key.

@@ -32,7 +32,6 @@ pub use sums::DstSums;
 use super::fit::{
     Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, NoiseParameters, Term, gauss_markov_variance, nothing,
 };
-use crate::RecordNeeded;
 use choice::Choice;
 use imu_core::sample::Channel;
 use likelihood::{Likelihood, SIGMA, place};
@@ -155,29 +154,12 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
         );
         flags.push(Flag::whole("misfit", note));
     }
-    NoiseParameters {
-        unit: channel.unit().to_owned(),
-        n: estimate(Term::N),
-        b: estimate(Term::B),
-        k: estimate(Term::K),
-        q: estimate(Term::Q),
-        r: estimate(Term::R),
-        gauss_markov,
-        bandwidth: None,
-        usable: true,
-        reason: None,
-        minimum: None,
-        record_needed: RecordNeeded::default(),
-        walk_shows_beyond_s: None,
-        fit: FitSummary {
-            method: METHOD.to_owned(),
-            chi2: choice.residual.map(|residual| residual.chi2),
-            degrees_of_freedom: choice.residual.map(|residual| residual.degrees_of_freedom),
-            p_value: choice.residual.map(|residual| residual.p_value),
-            curve: Some(curve(likelihood, choice)),
-        },
-        flags,
-    }
+    let summary = FitSummary::of(
+        METHOD,
+        choice.residual.map(|of| (of.chi2, of.degrees_of_freedom, of.p_value)),
+        Some(curve(likelihood, choice)),
+    );
+    NoiseParameters { gauss_markov, ..NoiseParameters::of(channel, estimate, summary, flags) }
 }
 
 /// The chosen model's Allan deviation and its parts, from where the filter is described.
