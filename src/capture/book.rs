@@ -46,16 +46,16 @@ pub(super) struct Book {
     /// The doubt about the rate that the arrivals raise, not yet passed to the session.
     pub(super) doubt: Option<RateDoubt>,
     /// While no capture runs: determines when the sensor's clock restarted, and whether the rate is the same.
-    pub(super) idle: Option<Accountant>,
+    idle: Option<Accountant>,
     /// The number of streams accepted without a capture.
-    pub(super) idle_runs: i64,
+    idle_runs: i64,
     pub(super) description: Option<serde_json::Value>,
     /// The number of samples of the capture when an unset clock was last set back.
-    pub(super) set_back_seq: Option<u64>,
+    set_back_seq: Option<u64>,
     pub(super) sink: Box<dyn Sink>,
     /// Records that found no room: never samples.
-    pub(super) overflow: VecDeque<(i64, Record)>,
-    pub(super) out: Vec<Record>,
+    overflow: VecDeque<(i64, Record)>,
+    out: Vec<Record>,
     /// The binary frames that the decoder must accept from the next read on, if they changed.
     pub(super) filter: Option<BinaryAcceptance>,
 }
@@ -70,6 +70,24 @@ pub(super) fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
 }
 
 impl Book {
+    /// A book without a capture, whose records go into `sink`.
+    pub(super) fn new(sink: Box<dyn Sink>) -> Self {
+        Self {
+            recorder: None,
+            accepted: None,
+            counted: false,
+            doubt: None,
+            idle: None,
+            idle_runs: 0,
+            description: None,
+            set_back_seq: None,
+            sink,
+            overflow: VecDeque::new(),
+            out: Vec::new(),
+            filter: None,
+        }
+    }
+
     /// Performs the actions that concern the capture at once, in order, and leaves those that concern the port.
     pub(super) fn note(&mut self, actions: &mut Vec<Action>, utc_ns: i64) {
         for action in std::mem::take(actions) {
@@ -279,7 +297,7 @@ impl Book {
     }
 
     /// Puts the records into the queue, in order; those without room wait (samples reserved theirs before).
-    pub(super) fn flush(&mut self) {
+    fn flush(&mut self) {
         if let Some(recorder) = &self.recorder {
             self.sink.tally(recorder.tally());
         }

@@ -11,7 +11,6 @@ use crate::observe::{SensorState, SensorStatus};
 use imu_core::sample::device_clock::DeviceClock;
 use imu_core::sample::{DiscardCause, EventKind, GapCause};
 use rand::SeedableRng;
-use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -114,20 +113,7 @@ pub async fn run(
         session: Session::new(SessionOptions { host_jitter_ns: host_jitter_ns as u64, ..options.session }, random),
         host_jitter_ns,
         decoder: Decoder::new(DecoderOptions::default()),
-        book: Book {
-            recorder: None,
-            accepted: None,
-            counted: false,
-            doubt: None,
-            idle: None,
-            idle_runs: 0,
-            description: None,
-            set_back_seq: None,
-            sink,
-            overflow: VecDeque::new(),
-            out: Vec::new(),
-            filter: None,
-        },
+        book: Book::new(sink),
         waiting: None,
         actions: Vec::new(),
         host: HostWatch::default(),
