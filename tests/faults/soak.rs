@@ -174,12 +174,12 @@ fn end_jobs(world: &World, daemon: &Process) {
     world.until("every job has ended", Duration::from_secs(60), ended, daemon);
 }
 
-/// What a process needs until its memory no longer grows: caches fill, and a job's work space comes and goes.
+/// The time after which a process's growth is judged by its rate, s, and how far it may grow before.
 const FIRST_S: f64 = 3600.0;
+const FIRST_GROWTH_BYTES: f64 = (4 << 20) as f64;
 
 /// Growth of memory in bytes per hour, from (s, bytes) after `from_s`; `None` from less than ten minutes. Of each minute the
-/// least counts: a job's work space comes and goes. Only what lies behind the first hour and spans 25 minutes is judged: one
-/// step of the allocator would be all of it.
+/// least counts: a job's work space comes and goes.
 fn slope(points: &[(f64, f64)], from_s: f64) -> Option<Slope> {
     let late: Vec<(f64, f64)> = points.iter().copied().filter(|(time, _)| *time > from_s).collect();
     let least = |minute: &[(f64, f64)]| minute.iter().copied().min_by(|one, other| one.1.total_cmp(&other.1));
@@ -333,6 +333,9 @@ fn everything_at_once_loses_nothing_silently() {
     assert_eq!(asked.server_errors.load(Ordering::Relaxed), 0);
     assert!(calm || duration < Duration::from_secs(600) || asked.diagnoses.load(Ordering::Relaxed) > 0);
     assert!(found.samples > 0 && asked.answered.load(Ordering::Relaxed) > 0);
+    for slope in &slopes {
+        assert!(slope.bytes_per_h * slope.span_s.min(FIRST_S) / 3600.0 < FIRST_GROWTH_BYTES, "memory grows: {slope:?}");
+    }
     for slope in late.iter().filter(|slope| slope.span_s >= 1500.0) {
         assert!(slope.bytes_per_h < f64::from(1 << 20), "memory grows: {slope:?}");
     }
