@@ -96,7 +96,6 @@ pub struct ScaledClock {
 
 impl ScaledClock {
     /// A clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's present time.
-    #[must_use]
     pub fn new(speed: f64) -> Self {
         let origin_mono_ns = real_mono_ns();
         Self {
@@ -109,7 +108,6 @@ impl ScaledClock {
     }
 
     /// The scaled time without regard to any hold: the emulator's schedule.
-    #[must_use]
     pub fn schedule_mono_ns(&self) -> u64 {
         let real = real_mono_ns().saturating_sub(self.origin_mono_ns);
         self.origin_mono_ns + (real as f64 * self.speed) as u64
@@ -152,7 +150,6 @@ pub struct ManualClock {
 
 impl ManualClock {
     /// A clock whose monotonic time is 0 and whose civil time is `utc_ns`.
-    #[must_use]
     pub fn new(utc_ns: i64) -> Self {
         Self {
             mono_ns: AtomicU64::new(0),
@@ -188,14 +185,12 @@ impl Clock for ManualClock {
 }
 
 /// RFC 3339 text in UTC with nanoseconds, as every interface writes a time.
-#[must_use]
 pub fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }
 
 /// The offset of local time from UTC, s, at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the rules of
 /// the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
-#[must_use]
 pub fn local_offset_s(utc_s: i64) -> i64 {
     use chrono::{Local, Offset, TimeZone};
     let instant = chrono::DateTime::from_timestamp(utc_s, 0).unwrap_or_default();

@@ -20,7 +20,6 @@ pub struct CaptureRequest {
 
 /// The reasons why a request was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ControlError {
     /// One capture at a time.
     #[error("capture {running} is running until it is complete or stopped: stop it first")]
@@ -72,7 +71,6 @@ pub struct CaptureControl(mpsc::Sender<Command>);
 
 impl CaptureControl {
     /// A pair of requesting and replying side.
-    #[must_use]
     pub fn pair() -> (Self, mpsc::Receiver<Command>) {
         let (sender, receiver) = mpsc::channel(16);
         (Self(sender), receiver)
@@ -202,7 +200,6 @@ pub struct ConversionReport {
 
 /// The reasons why a recording was not imported.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ImportError {
     /// The file cannot be read, or is no recording.
     #[error("{reason}")]

@@ -55,7 +55,6 @@ pub struct Nights {
 
 impl Schedule {
     /// The nights around `now_utc_ns`, in a zone with these rules.
-    #[must_use]
     pub fn nights(&self, now_utc_ns: i64, zone: Zone) -> Nights {
         let now_s = now_utc_ns.div_euclid(1_000_000_000);
         let local_s = now_s.saturating_add(zone(now_s));
@@ -125,7 +124,6 @@ pub enum Doubt {
 }
 
 /// The reason why a clock that shows `now`, with this verdict, must not start a night; `None` if it may.
-#[must_use]
 pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
     // The monotonic clock counts from the machine's start.
     let settles = !now.synchronised && Duration::from_nanos(now.mono_ns) < SETTLING;
@@ -134,7 +132,6 @@ pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
 
 impl Doubt {
     /// A description of the problem of a clock that shows `now_utc_ns`, and the remedy.
-    #[must_use]
     pub fn message(self, now_utc_ns: i64) -> String {
         let now = rfc3339(now_utc_ns);
         match self {

@@ -33,7 +33,6 @@ pub(super) fn head() -> Document {
 }
 
 /// The whole document as text, as docs/openapi.json holds it.
-#[must_use]
 pub fn document() -> String {
     text(&documented().into_openapi())
 }

@@ -55,7 +55,6 @@ impl ProblemType {
     ];
 
     /// The member `type` (docs/api.md lists them).
-    #[must_use]
     pub fn uri(self) -> &'static str {
         match self {
             Self::BadRequest => "urn:vn100d:problem:bad-request",
@@ -76,7 +75,6 @@ impl ProblemType {
     }
 
     /// The member `title`: the same for every problem of this type.
-    #[must_use]
     pub fn title(self) -> &'static str {
         match self {
             Self::BadRequest => "The request cannot be understood",
@@ -97,7 +95,6 @@ impl ProblemType {
     }
 
     /// The status code that goes with it.
-    #[must_use]
     pub fn status(self) -> StatusCode {
         match self {
             Self::BadRequest => StatusCode::BAD_REQUEST,
@@ -172,13 +169,11 @@ pub struct ApiError {
 
 impl ApiError {
     /// Of which type it is.
-    #[must_use]
     pub fn kind(&self) -> ProblemType {
         self.kind
     }
 
     /// An error of this type. `detail` is for whoever asked.
-    #[must_use]
     pub fn new(kind: ProblemType, detail: impl Into<String>) -> Self {
         Self {
             kind,
@@ -190,12 +185,10 @@ impl ApiError {
         }
     }
     /// The request cannot be understood.
-    #[must_use]
     pub fn bad_request(detail: impl Into<String>) -> Self {
         Self::new(ProblemType::BadRequest, detail)
     }
     /// The request comes from another site's page in a browser.
-    #[must_use]
     pub fn foreign_site() -> Self {
         let error = Self::new(
             ProblemType::NotAuthorized,
@@ -204,7 +197,6 @@ impl ApiError {
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
     /// On loopback the request names a host that is not this machine.
-    #[must_use]
     pub fn foreign_host(host: &str) -> Self {
         let host: String = host.chars().take(100).collect();
         let error = Self::new(
@@ -217,27 +209,22 @@ impl ApiError {
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
     /// This cannot be answered now.
-    #[must_use]
     pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Unavailable, detail) }
     }
     /// The body does not come.
-    #[must_use]
     pub fn body_timeout(detail: impl Into<String>) -> Self {
         Self::new(ProblemType::BodyTimeout, detail)
     }
     /// As many as may ask for this at once do so already.
-    #[must_use]
     pub fn busy(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Busy, detail) }
     }
     /// The daemon is not ready, for these reasons.
-    #[must_use]
     pub fn not_ready(reasons: Vec<String>) -> Self {
         Self { reasons, ..Self::unavailable("the daemon is not ready", 5) }
     }
     /// A fault of this program; `cause` goes to the log.
-    #[must_use]
     pub fn internal(cause: impl Into<String>) -> Self {
         Self {
             cause: Some(cause.into()),
@@ -245,7 +232,6 @@ impl ApiError {
         }
     }
     /// The status code.
-    #[must_use]
     pub fn status(&self) -> StatusCode {
         self.status
     }

@@ -62,7 +62,6 @@ const READER_FILES: u64 = 3;
 impl Limits {
     /// The usual limits, or smaller ones where the process may have few files open: a connection too many is refused
     /// before the sensor's port or the database could not be opened again.
-    #[must_use]
     pub fn fitting(open_files: u64) -> Self {
         let usual = Self::default();
         let left = open_files.saturating_sub(OWN_FILES);

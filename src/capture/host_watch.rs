@@ -81,7 +81,6 @@ const AWAY_SLEW: f64 = 500e-6;
 
 /// The step of civil time, ns, between two instants of one boot of the host while no daemon watched: `(monotonic,
 /// civil)` of each. `None` if there was no step.
-#[must_use]
 pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
     let away_ns = now.0.checked_sub(before.0)?;
     let by_ns = now.1.saturating_sub(before.1).saturating_sub_unsigned(away_ns);
@@ -94,7 +93,6 @@ const UNSET_STEP_NS: i64 = 10_000_000_000;
 /// If a step shows that the host's clock had not been set: the limit, UTC ns, below which times are of the clock as it
 /// was. `utc_ns` is civil time after it. A clock that is still not plausible after the step is set once more later,
 /// starting from the result of this step. Half of the step then determines which times precede it.
-#[must_use]
 pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
     let was_unset = by_ns > 0 && utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS;
     match utc_ns >= UTC_UNSET_BEFORE_NS {
@@ -105,7 +103,6 @@ pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
 
 /// Whether a clock was set back to, or within, an implausible time: earlier rows then have later times than those to
 /// come, so that a later correction would move them too far.
-#[must_use]
 pub fn set_back_unset(by_ns: i64, utc_ns: i64) -> bool {
     by_ns <= -UNSET_STEP_NS && utc_ns < UTC_UNSET_BEFORE_NS
 }

@@ -27,7 +27,6 @@ pub enum Output {
 
 impl Output {
     /// The frames that this output consists of and their rate in Hz; `None` for `Keep`.
-    #[must_use]
     pub fn kind_and_rate(&self) -> Option<(MeasurementKind, f64)> {
         match self {
             Self::Binary { fields, divisor } => binary_output(75, &format!("1,{divisor},{fields}")),

@@ -12,7 +12,6 @@ const LATENCY_TIMER_MS: u32 = 1;
 
 /// Why a port could not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum OpenError {
     /// There is no such port (any more).
     #[error("{path} is not there")]
@@ -59,7 +58,6 @@ pub enum Latency {
 
 impl Latency {
     /// A sentence for the user, if an action remains.
-    #[must_use]
     pub fn hint(self) -> Option<String> {
         match self {
             Self::High(ms) => Some(format!(
@@ -69,7 +67,6 @@ impl Latency {
         }
     }
     /// The timer in milliseconds, if there is one.
-    #[must_use]
     pub fn timer_ms(self) -> Option<u32> {
         match self {
             Self::NotApplicable => None,
@@ -80,7 +77,6 @@ impl Latency {
 
 /// The ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual places
 /// are searched. An invalid pattern matches nothing.
-#[must_use]
 pub fn find(device: Option<&str>) -> Vec<PathBuf> {
     let patterns: &[&str] = match &device {
         Some(device) => std::slice::from_ref(device),
@@ -107,7 +103,6 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
 }
 
 /// As [`find`], with the device behind each name.
-#[must_use]
 pub fn look(device: Option<&str>) -> Vec<Port> {
     find(device)
         .into_iter()
@@ -157,7 +152,6 @@ pub fn set_baud(stream: &mut SerialStream, path: &Path, baud: u32) -> Result<(),
 }
 
 /// Sets the USB adapter's latency timer through sysfs, if it exists and is writable.
-#[must_use]
 pub fn lower_latency(path: &Path) -> Latency {
     let Ok(target) = std::fs::canonicalize(path) else { return Latency::NotApplicable };
     let Some(name) = target.file_name() else { return Latency::NotApplicable };

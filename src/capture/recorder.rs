@@ -111,7 +111,6 @@ pub struct Recorder {
 impl Recorder {
     /// A recorder of a new capture, or of one that an earlier run of the daemon left; `host_jitter_ns` as
     /// [`Accountant::with_host_jitter`] takes it.
-    #[must_use]
     pub fn new(plan: Plan, resume: Option<ResumePoint>, host_jitter_ns: f64) -> Self {
         let counts = resume.as_ref().map_or_else(Counts::default, |point| Counts {
             samples: point.samples,
@@ -146,29 +145,24 @@ impl Recorder {
 
     /// The same, on a host whose present boot has this id: its monotonic times are comparable with those of segments
     /// with the same id.
-    #[must_use]
     pub fn of_boot(self, boot_id: Option<String>) -> Self {
         Self { boot_id, ..self }
     }
 
     /// The boot of the host; `None` if it is not known.
-    #[must_use]
     pub fn boot_id(&self) -> Option<String> {
         self.boot_id.clone()
     }
 
     /// The plan.
-    #[must_use]
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
     /// The counts so far.
-    #[must_use]
     pub fn counts(&self) -> Counts {
         self.counts
     }
     /// Whether the capture has ended.
-    #[must_use]
     pub fn has_ended(&self) -> bool {
         self.ended
     }
@@ -233,7 +227,6 @@ impl Recorder {
     }
 
     /// The present counts of all received measurements by their state.
-    #[must_use]
     pub fn tally(&self) -> Tally {
         Tally {
             capture_id: self.plan.id,
@@ -246,13 +239,11 @@ impl Recorder {
     }
 
     /// The present run of the sensor's clock; `None` before the first sample.
-    #[must_use]
     pub fn epoch(&self) -> Option<u32> {
         self.accountant.as_ref().filter(|accountant| accountant.last().is_some()).map(Accountant::epoch)
     }
 
     /// Rate and timebase of the stream in the capture.
-    #[must_use]
     pub fn stream(&self) -> Option<(f64, Timebase)> {
         self.accountant.as_ref().map(|accountant| (accountant.rate_hz(), accountant.timebase()))
     }

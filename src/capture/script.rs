@@ -23,12 +23,10 @@ pub struct Step {
 
 impl Step {
     /// A command that the script fails without.
-    #[must_use]
     pub fn required(command: Command) -> Self {
         Self { command, required: true }
     }
     /// A command whose refusal or silence does no harm.
-    #[must_use]
     pub fn optional(command: Command) -> Self {
         Self { command, required: false }
     }
@@ -50,7 +48,6 @@ pub struct Script {
 
 impl Script {
     /// A script without commands. The time limit for answers is [`ANSWER_NS`], or `host_jitter_ns` if that is longer.
-    #[must_use]
     pub fn patient(host_jitter_ns: u64) -> Self {
         Self { patience_ns: ANSWER_NS.max(host_jitter_ns), ..Self::default() }
     }
@@ -64,22 +61,18 @@ impl Script {
         *self = Self::patient(self.patience_ns);
     }
     /// Whether every command has been answered or abandoned, or a required one failed.
-    #[must_use]
     pub fn is_done(&self) -> bool {
         self.steps.is_empty() || self.failure.is_some()
     }
     /// The cause of a failure.
-    #[must_use]
     pub fn failure(&self) -> Option<&str> {
         self.failure.as_deref()
     }
     /// Registers read so far.
-    #[must_use]
     pub fn read(&self) -> &BTreeMap<u16, String> {
         &self.read
     }
     /// Commands that were refused, with the sensor's error.
-    #[must_use]
     pub fn refused(&self) -> &BTreeMap<String, DeviceError> {
         &self.refused
     }
@@ -88,7 +81,6 @@ impl Script {
         self.sent_ns = self.sent_ns.map(|_| now_ns);
     }
     /// The time at which the present command is due, ns.
-    #[must_use]
     pub fn deadline_ns(&self) -> u64 {
         self.sent_ns.filter(|_| !self.is_done()).map_or(u64::MAX, |sent| sent + self.patience_ns)
     }

@@ -109,7 +109,6 @@ pub struct Session {
 
 impl Session {
     /// A session that has not begun; `seed` feeds the jitter of its waits.
-    #[must_use]
     pub fn new(options: SessionOptions, random: ChaCha8Rng) -> Self {
         Self {
             phase: Phase::Absent,
@@ -145,13 +144,11 @@ impl Session {
     }
 
     /// The present state of the sensor, for the user.
-    #[must_use]
     pub fn status(&self) -> &SensorStatus {
         &self.status
     }
 
     /// The latest time at which [`Input::Tick`] is due, ns.
-    #[must_use]
     pub fn deadline_ns(&self) -> u64 {
         match &self.phase {
             Phase::Absent => self.next_look_ns,

@@ -356,7 +356,6 @@ pub struct SamplingArgs {
 
 impl SamplingArgs {
     /// What the options state, if they are given.
-    #[must_use]
     pub fn stated(self) -> Option<StatedSampling> {
         Some(StatedSampling { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
     }
@@ -598,7 +597,6 @@ pub enum TrialPart {
 
 impl TrialPart {
     /// Its name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Manifest => "manifest",

@@ -20,7 +20,6 @@ const ANSWER_BYTES: u64 = 16 << 20;
 
 /// Why the daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ClientError {
     /// Nobody answers there: exit code 69.
     #[error("no daemon answers at {base_url}: {reason}; start it with `vn100d run`, or name its address with --listen")]
@@ -94,7 +93,6 @@ impl ClientError {
     }
 
     /// Whether nobody answers: exit code 69.
-    #[must_use]
     pub fn is_unreachable(&self) -> bool {
         matches!(self, Self::Unreachable { .. })
     }

@@ -221,7 +221,6 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
 }
 
 /// Parses the arguments, runs the command, says what failed.
-#[must_use]
 pub fn main() -> ExitCode {
     use std::io::Write as _;
     let cli = Cli::parse();

@@ -41,7 +41,6 @@ pub const JOIN_GROUP: &str = "; the package's token is for the group vn100d: add
 
 /// The reasons why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ConfigError {
     /// A file that was named explicitly cannot be read.
     #[error("cannot read the configuration {file}: {source}")]

@@ -15,7 +15,6 @@ impl Environment {
         ["VN100D_CONFIG", "VN100D_DATA_DIR", "STATE_DIRECTORY", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "HOME"];
 
     /// The variables of this process.
-    #[must_use]
     pub fn from_process() -> Self {
         Self(
             Self::NAMES
@@ -26,7 +25,6 @@ impl Environment {
     }
 
     /// The given variables; for tests.
-    #[must_use]
     pub fn of<'a>(variables: impl IntoIterator<Item = (&'a str, &'a str)>) -> Self {
         Self(variables.into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect())
     }

@@ -52,7 +52,6 @@ impl SensorConfig {
     ///
     /// # Source
     /// VN-100 user manual, register 75: `RateDivisor`. A rate may be written with a few decimals: 33.33 means 800/24.
-    #[must_use]
     pub fn rate_divisor(&self) -> Option<u16> {
         let exact = IMU_RATE_HZ / self.rate_hz;
         let divisor = exact.round();
@@ -108,7 +107,6 @@ impl ScheduleConfig {
     pub const NAME_MAX: usize = 80;
 
     /// The minimum time from the start of one night to that of the next; `None` if there is no night.
-    #[must_use]
     pub fn shortest_interval(&self) -> Option<Duration> {
         let chosen = |day: usize| self.days.contains(&Day::ALL[day % Day::ALL.len()]);
         let following = |day: usize| (1..=Day::ALL.len()).find(|later| chosen(day + later));
@@ -157,12 +155,10 @@ impl StorageConfig {
     pub const QUEUE_SAMPLES_MIN: usize = 24_000;
 
     /// The number of samples that the queue between reader and writer holds at the highest rate of a sensor.
-    #[must_use]
     pub fn queue_samples(&self) -> usize {
         ((self.queue.as_secs_f64() * IMU_RATE_HZ).ceil() as usize).max(Self::QUEUE_SAMPLES_MIN)
     }
     /// The reserve in bytes.
-    #[must_use]
     pub fn reserve_bytes(&self) -> u64 {
         self.reserve_mib << 20
     }

@@ -135,17 +135,14 @@ pub struct Token(String);
 
 impl Token {
     /// The secret itself; empty if there is none.
-    #[must_use]
     pub fn secret(&self) -> &str {
         &self.0
     }
     /// Whether the token is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
     /// A token of this text.
-    #[must_use]
     pub fn new(secret: impl Into<String>) -> Self {
         Self(secret.into())
     }
@@ -163,12 +160,10 @@ pub struct Webhook(String);
 
 impl Webhook {
     /// The whole address; empty if there is none.
-    #[must_use]
     pub fn secret(&self) -> &str {
         &self.0
     }
     /// Whether the address is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -272,7 +267,6 @@ impl Day {
     pub const ALL: [Self; 7] = [Self::Mon, Self::Tue, Self::Wed, Self::Thu, Self::Fri, Self::Sat, Self::Sun];
 
     /// The day in the calendar's type.
-    #[must_use]
     pub fn weekday(self) -> Weekday {
         match self {
             Self::Mon => Weekday::Mon,

@@ -39,7 +39,6 @@ pub struct Keeper {
 
 impl Keeper {
     /// A keeper without a capture.
-    #[must_use]
     pub fn new(
         store: Store,
         jobs: Jobs,

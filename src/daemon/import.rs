@@ -19,7 +19,6 @@ use tokio_util::task::TaskTracker;
 
 /// The reasons why a file was not imported.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ImportError {
     /// The recording cannot be read.
     #[error(transparent)]
@@ -67,7 +66,6 @@ pub struct Imported {
 
 impl Imported {
     /// The outcome in the form for programs.
-    #[must_use]
     pub fn report(&self) -> ImportReport {
         let (samples, missing, gaps) = self.counts;
         let conversions = self.info.conversions.iter().map(|conversion| ConversionReport {
@@ -132,7 +130,6 @@ pub struct Source<'a> {
 
 impl<'a> Source<'a> {
     /// A file under its own name, without further options.
-    #[must_use]
     pub fn of(file: &'a Path) -> Self {
         Self {
             file,
@@ -232,7 +229,6 @@ pub struct DaemonImporter {
 impl DaemonImporter {
     /// An importer that leaves `reserve_bytes` of the disk free. It removes the files that an earlier run of the daemon
     /// had put aside when it was killed: the store's lock shows that no other process uses them.
-    #[must_use]
     pub fn new(store: Store, jobs: Jobs, clock: Arc<dyn Clock>, reserve_bytes: u64) -> Self {
         let folder = store.path().parent().unwrap_or(Path::new("."));
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

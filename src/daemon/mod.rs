@@ -61,7 +61,6 @@ pub struct Options {
 
 /// The reasons why the daemon did not run.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum DaemonError {
     /// The database returned an error.
     #[error(transparent)]
@@ -331,7 +330,6 @@ fn open_files() -> u64 {
 }
 
 /// The configured port or pattern; `None` is the usual places.
-#[must_use]
 pub fn device(config: &Config) -> Option<String> {
     match &config.sensor.device {
         Device::Auto => None,

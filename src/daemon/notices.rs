@@ -17,7 +17,6 @@ use tokio_util::sync::CancellationToken;
 const PATIENCE: Duration = Duration::from_secs(3600);
 
 /// The configured recipients and topics.
-#[must_use]
 pub fn options(config: &Config, database: &Path) -> NotifyOptions {
     let notify = &config.notify;
     let mut receivers = Vec::new();

@@ -18,7 +18,6 @@ const EVERY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_
 const LISTED: usize = 100;
 
 /// The limits of the configuration.
-#[must_use]
 pub fn limits(config: &Config) -> Limits {
     let storage = &config.storage;
     Limits {

@@ -24,7 +24,6 @@ const EVERY: Duration = Duration::from_secs(60);
 const SHORTEST: Duration = Duration::from_millis(250);
 
 /// The schedule of the configuration; `None` if there is none.
-#[must_use]
 pub fn schedule(config: &Config) -> Option<Schedule> {
     let schedule = &config.schedule;
     Some(Schedule {

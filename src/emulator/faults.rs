@@ -12,7 +12,6 @@ use vn100_proto::{AsciiType, BinaryHeader};
 
 /// A fault of a sensor or its line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Fault {
     /// The terminal disappears and its link is removed; after this time there is a new terminal with the link to it.
     Unplug(Duration),
@@ -220,14 +219,12 @@ impl Schedule {
     }
 
     /// The tick of the next fault.
-    #[must_use]
     pub fn next_tick(&self) -> Option<u64> {
         self.coming.last().map(|(tick, _)| *tick)
     }
 }
 
 /// A duration in ticks of 1/800 s.
-#[must_use]
 pub fn ticks(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos() / u128::from(TICK_NS)).unwrap_or(u64::MAX)
 }

@@ -46,7 +46,6 @@ fn times(matrix: Matrix, [x, y, z]: Vector) -> Vector {
 
 /// The measurement of that kind at an instant. `interval_s` is the time since the last message of the kind, over which
 /// delta theta and delta velocity are integrated.
-#[must_use]
 pub fn measure(kind: MeasurementKind, values: &Values, interval_s: f64) -> Measurement {
     use Channel::{
         AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Pressure, Roll, Temperature, Yaw,

@@ -23,7 +23,6 @@ pub struct Frame {
 
 /// The fate of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Fate {
     /// It is in the terminal, complete and in its order.
     Sent,
@@ -49,7 +48,6 @@ pub enum Fate {
 
 impl Fate {
     /// The word for it in the log.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Sent => "sent",
@@ -99,7 +97,6 @@ pub struct Line {
 
 impl Line {
     /// A line without faults; `seed` determines the bits and the noise of its faults.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
             garbage: 0,
@@ -116,7 +113,6 @@ impl Line {
     }
 
     /// Whether the sensor is silent at this tick.
-    #[must_use]
     pub fn is_silent(&self, tick: u64) -> bool {
         tick < self.silent_until
     }

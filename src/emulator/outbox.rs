@@ -17,13 +17,11 @@ pub struct Outbox {
 
 impl Outbox {
     /// The bytes that the terminal does not have yet.
-    #[must_use]
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.sent..]
     }
 
     /// Whether nothing waits.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sent == self.bytes.len()
     }

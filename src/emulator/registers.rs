@@ -137,7 +137,6 @@ fn expect_count(found: usize, expected: usize) -> Result<(), DeviceError> {
 
 impl RegisterFile {
     /// The registers of a sensor as delivered, accessed through serial port `port` (1 or 2).
-    #[must_use]
     pub fn new(options: &super::SensorOptions) -> Self {
         let settings = Settings { user_tag: options.user_tag.clone(), ..Settings::default() };
         let mut version = options.firmware.split('.').map(|part| part.parse().unwrap_or(0));
@@ -159,27 +158,22 @@ impl RegisterFile {
     }
 
     /// The settings in force.
-    #[must_use]
     pub fn settings(&self) -> &Settings {
         &self.ram
     }
     /// The serial port in use, 1 or 2.
-    #[must_use]
     pub fn port(&self) -> u8 {
         self.port
     }
     /// Index of that port in the settings.
-    #[must_use]
     pub fn port_index(&self) -> usize {
         usize::from(self.port) - 1
     }
     /// Major and minor number of the firmware.
-    #[must_use]
     pub fn firmware(&self) -> (u32, u32) {
         self.firmware
     }
     /// How often the flash was written since the sensor was made.
-    #[must_use]
     pub fn flash_writes(&self) -> u64 {
         self.flash_writes
     }
@@ -432,7 +426,6 @@ impl RegisterFile {
     }
 
     /// Ticks of 1/800 s between two ASCII messages of the port in use; `None` if none is sent.
-    #[must_use]
     pub fn ascii_period_ticks(&self) -> Option<u64> {
         let rate = self.ram.ascii_rate_hz[self.port_index()];
         (rate != 0).then(|| u64::from(link::INTERNAL_RATE_HZ / rate))

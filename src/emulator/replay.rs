@@ -24,7 +24,6 @@ pub struct Replay {
 
 impl Replay {
     /// A recording of these lines, without their line ends, at `speed` times real time.
-    #[must_use]
     pub fn new(mut lines: Box<dyn Iterator<Item = Vec<u8>> + Send>, speed: f64) -> Self {
         let next = lines.next();
         Self { lines, next, asked_ns: None, first_ns: None, start: None, speed: speed.max(1.0) }
@@ -63,7 +62,6 @@ impl Replay {
     }
 
     /// Whether every line was sent.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         self.next.is_none()
     }

@@ -119,7 +119,6 @@ pub struct VirtualSensor {
 
 impl VirtualSensor {
     /// A running sensor with its settings as delivered.
-    #[must_use]
     pub fn new(options: &SensorOptions) -> Self {
         Self {
             registers: RegisterFile::new(options),
@@ -143,7 +142,6 @@ impl VirtualSensor {
     }
 
     /// Its registers.
-    #[must_use]
     pub fn registers(&self) -> &RegisterFile {
         &self.registers
     }
@@ -154,7 +152,6 @@ impl VirtualSensor {
     }
 
     /// Baud rate of the port in use.
-    #[must_use]
     pub fn baud(&self) -> u32 {
         self.registers.settings().baud[self.registers.port_index()]
     }
@@ -166,7 +163,6 @@ impl VirtualSensor {
     }
 
     /// Whether asynchronous output goes out at this tick: the sensor runs and is not paused.
-    #[must_use]
     pub fn may_send(&self, tick: u64) -> bool {
         tick >= self.silent_until && !self.paused
     }
@@ -177,7 +173,6 @@ impl VirtualSensor {
     }
 
     /// TimeStartup at a tick, ns.
-    #[must_use]
     pub fn device_time_ns(&self, tick: u64) -> u64 {
         (self.clock_ticks(tick) * TICK_NS).wrapping_add(self.clock_offset_ns)
     }
@@ -446,7 +441,6 @@ impl VirtualSensor {
 
     /// The next tick at which the sensor sends something, later than every tick emitted so far; `None` if it has
     /// nothing to send until the next command.
-    #[must_use]
     pub fn next_output_tick(&self) -> Option<u64> {
         let from = self.emitted.map_or(0, |emitted| emitted + 1).max(self.silent_until);
         // a reply may be due while the output rests
@@ -509,7 +503,6 @@ impl VirtualSensor {
 
     /// The positions of the messages of the last [`VirtualSensor::emit`] in the output; the bytes before and between
     /// are replies.
-    #[must_use]
     pub fn frames(&self) -> &[Range<usize>] {
         &self.frames
     }
@@ -544,7 +537,6 @@ impl VirtualSensor {
     }
 
     /// The binary output of the port in use with the lowest register number: the one that a logger configured.
-    #[must_use]
     pub fn binary_output(&self) -> Option<(u16, vn100_proto::register::BinaryOutput)> {
         let port = self.registers.port();
         (BINARY_OUTPUT_1..).zip(self.registers.settings().outputs).find(|(_, output)| output.is_sent_on(port))

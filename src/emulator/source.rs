@@ -62,7 +62,6 @@ impl Stream {
 impl Source {
     /// Noise of this model. The simulation begins with the first message after each change of the output, so that a
     /// stream's noise depends on the seed and not on the time of the request.
-    #[must_use]
     pub fn model(model: SensorModel, seed: u64) -> Self {
         Self::Model(Box::new(Noise { model, seed, running: None }))
     }

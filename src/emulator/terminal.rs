@@ -48,7 +48,6 @@ const FAULT_SEED: u64 = 0x5eed;
 
 /// The reasons why the emulator failed.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum EmulatorError {
     /// The system provided no pseudo-terminal.
     #[error("the system gives no pseudo-terminal ({source}): is /dev/pts mounted?")]
@@ -163,7 +162,6 @@ impl Terminal {
     }
 
     /// The terminal's name, such as /dev/pts/7; empty while there is no terminal.
-    #[must_use]
     pub fn path(&self) -> &Path {
         self.pair.as_ref().map_or(Path::new(""), |pair| &pair.path)
     }

@@ -5,7 +5,6 @@ const BITS: usize = 10;
 
 /// The bytes that a receiver at `heard_baud` reads from `bytes` sent without pause at `sent_baud`, with an idle line
 /// before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
-#[must_use]
 pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
     if sent_baud == heard_baud || bytes.is_empty() {
         return bytes.to_vec();

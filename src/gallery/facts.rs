@@ -15,7 +15,6 @@ const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 
 /// JSON documents of a capture.
 #[derive(Debug, Clone)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Facts {
     /// Its row.
     pub row: CaptureRow,
@@ -53,7 +52,6 @@ impl Facts {
     }
 
     /// The report with the datasheet beside it, unless the sensor is known to be another maker's.
-    #[must_use]
     pub fn compared(&self, mut report: NoiseReport) -> NoiseReport {
         let model = self.row.sensor["model"].as_str().unwrap_or_default();
         let (sheet, family) = DATASHEET;
@@ -67,7 +65,6 @@ impl Facts {
     }
 
     /// The pictures that can be drawn from it and from the available analyses.
-    #[must_use]
     pub fn pictures(&self, there: &Documents, noise: Option<&NoiseReport>) -> Vec<Picture> {
         let row = &self.row;
         let deviations = there.allan.as_deref().and_then(|text| serde_json::from_str::<Value>(text).ok());

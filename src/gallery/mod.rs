@@ -19,7 +19,6 @@ const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 
 /// One picture of a capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented names")]
 pub enum Picture {
     /// `timeseries-<channel>`: samples over time.
     Timeseries(Channel),
@@ -39,7 +38,6 @@ pub enum Picture {
 
 impl Picture {
     /// All pictures of a capture with these channels.
-    #[must_use]
     pub fn all(channels: &[Channel]) -> Vec<Self> {
         let there = |triad: &Triad| triad.channels().iter().any(|channel| channels.contains(channel));
         let triads: Vec<Triad> = TRIADS.into_iter().filter(there).collect();
@@ -55,7 +53,6 @@ impl Picture {
     }
 
     /// The picture with that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         let triad = |of: &str| TRIADS.into_iter().find(|triad| triad.name() == of);
         let analysed = |of: &str| Channel::from_name(of).filter(|channel| Channel::ANALYSED.contains(channel));
@@ -71,7 +68,6 @@ impl Picture {
     }
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("timeseries-{}", channel.name()),
@@ -85,7 +81,6 @@ impl Picture {
     }
 
     /// The channels that it requires.
-    #[must_use]
     pub fn channels(self) -> Vec<Channel> {
         match self {
             Self::Timeseries(channel)
@@ -98,7 +93,6 @@ impl Picture {
     }
 
     /// The analyses that it requires.
-    #[must_use]
     pub fn needs(self) -> Needs {
         match self {
             Self::Timeseries(_) | Self::Gaps => Needs::default(),
@@ -110,7 +104,6 @@ impl Picture {
     }
 
     /// Its height in units in which its width is 560.
-    #[must_use]
     pub fn height(self) -> u32 {
         match self {
             Self::Gaps => 130,
@@ -123,7 +116,6 @@ impl Picture {
     }
 
     /// A description of the picture for users who cannot see it.
-    #[must_use]
     pub fn told(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("{} over time", channel.name()),
@@ -139,7 +131,6 @@ impl Picture {
     }
 
     /// Names that a message can list: `timeseries-<channel>, …`.
-    #[must_use]
     pub fn forms() -> &'static str {
         "timeseries-<channel>, histogram-<channel>, allan-<triad>, allan-<channel>, hourly-<channel>, psd-<triad> and gaps, with the \
          triads gyro, accel and mag"
@@ -148,7 +139,6 @@ impl Picture {
 
 /// The analyses that a picture requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "the three analyses")]
 pub struct Needs {
     /// `vn100d-statistics-1`.
     pub statistics: bool,
@@ -160,7 +150,6 @@ pub struct Needs {
 
 /// Documents of a capture's analyses, as JSON; `None` if there is none.
 #[derive(Debug, Clone, Default)]
-#[expect(clippy::exhaustive_structs, reason = "the three analyses")]
 pub struct Documents {
     /// `vn100d-statistics-1`.
     pub statistics: Option<String>,
@@ -172,7 +161,6 @@ pub struct Documents {
 
 /// The part of a capture for a time series: all of it if both ends are `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "two ends")]
 pub struct Window {
     /// From this time on.
     pub from: Option<Moment>,
@@ -182,7 +170,6 @@ pub struct Window {
 
 /// The reasons why there is no picture.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum GalleryError {
     /// The error that the database reports.
     #[error(transparent)]

@@ -30,7 +30,6 @@ const MODEL: &str = "model-";
 /// The simulator that a capture is compared with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
-#[expect(clippy::exhaustive_enums, reason = "the documented ones, once ids are looked up")]
 pub enum Simulator {
     /// A capture that a simulator made, by its id.
     Capture(i64),
@@ -40,7 +39,6 @@ pub enum Simulator {
 
 /// Parameters of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "documented")]
 pub struct DiagnosisParameters {
     /// The simulator that the capture is compared with. A model is included as a whole, so that the job outlives it.
     pub sim: Simulator,

@@ -8,7 +8,6 @@ use imu_noise::allan::AllanError;
 
 /// Errors of jobs.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum JobError {
     /// No computation has that name.
     #[error("there is no job kind `{found}`: expected one of {expected}")]

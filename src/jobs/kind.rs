@@ -26,7 +26,6 @@ impl JobKind {
     pub const USUAL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
 
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Allan => "allan",
@@ -37,7 +36,6 @@ impl JobKind {
     }
 
     /// A description of its result.
-    #[must_use]
     pub fn gives(self) -> &'static str {
         match self {
             Self::Allan => "Allan deviation",

@@ -121,13 +121,11 @@ pub struct LivePoints {
 
 impl Live {
     /// The state before any capture.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
     /// The same, taking in at most `catch_up` samples per call instead of [`CATCH_UP`].
-    #[must_use]
     pub fn taking_in(catch_up: usize) -> Self {
         Self { pyramids: Mutex::default(), noise: Mutex::default(), catch_up }
     }

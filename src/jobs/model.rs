@@ -17,7 +17,6 @@ const CHUNK: usize = 65_536;
 
 /// A model of samples.
 #[derive(Debug, Clone)]
-#[expect(clippy::exhaustive_structs, reason = "a model and its doubt")]
 pub struct Fitted {
     /// The model.
     pub model: SensorModel,

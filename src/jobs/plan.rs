@@ -204,7 +204,6 @@ impl Plan {
     }
 
     /// The sampling of a channel, if known.
-    #[must_use]
     pub fn sampling(&self, channel: Channel) -> Option<&Sampling> {
         self.sampling.get(&channel.triad()?)
     }
@@ -235,7 +234,6 @@ impl Plan {
     }
 
     /// The `seq` range of a segment that is taken in.
-    #[must_use]
     pub fn segment(&self, number: u32) -> Option<Range<u64>> {
         let index = self.segments.binary_search_by_key(&number, |segment| segment.number).ok()?;
         let segment = self.segments.get(index).filter(|segment| segment.taken)?;
@@ -304,7 +302,6 @@ impl Plan {
 
     /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; `None` if
     /// motion is unknown, as for raw counts.
-    #[must_use]
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
         self.moving.as_ref().filter(|_| self.raw_counts.is_none())?;
         let taken: u64 = self.taken_in(range).map(|part| part.end - part.start).sum();
@@ -323,7 +320,6 @@ impl Plan {
 
     /// The rows of a chunk by segment, in order: segment number (`None` if it is excluded, as samples in motion are)
     /// and rows.
-    #[must_use]
     pub fn runs(&self, chunk: &Chunk) -> Vec<(Option<u32>, Range<usize>)> {
         let mut runs = Vec::new();
         let mut from = 0;

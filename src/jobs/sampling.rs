@@ -16,7 +16,6 @@ const SAME: f64 = 1e-3;
 /// States that the sensor sends means of its own samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[expect(clippy::exhaustive_structs, reason = "the two options")]
 pub struct StatedSampling {
     /// Samples per mean.
     pub filter_window: u32,
@@ -27,7 +26,6 @@ pub struct StatedSampling {
 
 /// Reports why a stated sampling is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum SamplingError {
     /// The samples' rate does not divide the internal one.
     #[error(
@@ -111,7 +109,6 @@ impl StatedSampling {
     }
 
     /// The statement in the form that a capture stores.
-    #[must_use]
     pub fn kept(self) -> Self {
         Self { internal_rate_hz: Some(self.internal_rate_hz.unwrap_or(IMU_RATE_HZ)), ..self }
     }

@@ -33,7 +33,6 @@ pub(super) fn side_by_side<A, S, T: Send>(
 
 /// Two threads for a diagnosis.
 #[derive(Debug, Clone, Copy, Default)]
-#[expect(clippy::exhaustive_structs, reason = "nothing to it")]
 pub struct TwoThreads;
 
 impl imu_diagnosis::Workers for TwoThreads {

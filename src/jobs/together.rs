@@ -36,7 +36,6 @@ pub struct Setting {
 
 impl Setting {
     /// A recording of which only the rate is known.
-    #[must_use]
     pub fn of_rate(name: &str, rate_hz: f64) -> Self {
         Self {
             name: name.to_owned(),
@@ -51,7 +50,6 @@ impl Setting {
     }
 
     /// The setting of a capture whose samples have the rate `rate_hz`.
-    #[must_use]
     pub fn of(row: &CaptureRow, rate_hz: f64) -> Self {
         let text = |value: &serde_json::Value| value.as_str().map(str::to_owned);
         let unit = |channel: &Channel| {

@@ -28,7 +28,6 @@ const TIME: Duration = Duration::from_secs(60);
 /// The motion of the sensor, as a job's parameters contain it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
-#[expect(clippy::exhaustive_enums, reason = "documented")]
 pub enum GivenReference {
     /// A motion's CSV, which the database keeps.
     Kept {
@@ -43,7 +42,6 @@ pub enum GivenReference {
 
 /// The body of a request.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_enums, reason = "there is no third place")]
 pub enum WishBody<'a> {
     /// A small one.
     Bytes(&'a [u8]),

@@ -204,7 +204,6 @@ impl Jobs {
     }
 
     /// The place where heavy work is done.
-    #[must_use]
     pub fn place(&self) -> Place {
         self.inner.options.place
     }
@@ -224,7 +223,6 @@ impl Jobs {
     }
 
     /// The numbers of jobs; read from memory.
-    #[must_use]
     pub fn status(&self) -> JobsStatus {
         JobsStatus {
             queued: self.inner.queued.load(Ordering::Relaxed),

@@ -28,7 +28,6 @@ pub struct Coalescer {
 
 impl Coalescer {
     /// A coalescer with `interval` after the first message of a kind.
-    #[must_use]
     pub fn new(interval: Duration) -> Self {
         Self { first_ns: interval.as_nanos() as u64, slots: BTreeMap::new() }
     }
@@ -76,7 +75,6 @@ impl Coalescer {
     }
 
     /// The time at which [`Self::due`] returns something; `None` if nothing is held.
-    #[must_use]
     pub fn deadline_ns(&self) -> Option<u64> {
         self.slots.values().filter(|slot| slot.held.is_some()).map(|slot| slot.until_ns).min()
     }

@@ -28,7 +28,6 @@ pub enum Receiver {
 
 /// The reasons why an attempt failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum DeliverError {
     /// The program cannot be started.
     #[error("{program} cannot be started: {reason}")]
@@ -78,7 +77,6 @@ pub enum DeliverError {
 impl DeliverError {
     /// Whether the same message may be accepted later. A status that reports an error in the request (4xx except 408
     /// Request Timeout and 429 Too Many Requests) or another location (3xx) is permanent.
-    #[must_use]
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Answered { status, .. } => !(300..500).contains(status) || matches!(status, 408 | 429),
@@ -90,7 +88,6 @@ impl DeliverError {
 
 impl Receiver {
     /// The receiver in the form for logs.
-    #[must_use]
     pub fn shown(&self) -> &str {
         match self {
             Self::Command(command) => command.first().map_or("", String::as_str),

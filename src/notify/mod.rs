@@ -58,7 +58,6 @@ impl Tap {
         let _ = self.0.as_ref().map(|sender| sender.try_send(sign));
     }
     /// Whether there is a receiver.
-    #[must_use]
     pub fn is_heard(&self) -> bool {
         self.0.is_some()
     }
@@ -97,7 +96,6 @@ pub struct NotifyFigures(Vec<Arc<worker::Figures>>);
 
 impl NotifyFigures {
     /// The sum over all receivers.
-    #[must_use]
     pub fn status(&self) -> NotifyStatus {
         let mut sum = NotifyStatus::default();
         for figures in &self.0 {
@@ -124,13 +122,11 @@ impl Notifier {
     }
 
     /// The tap for the observations of other rooms.
-    #[must_use]
     pub fn tap(&self) -> Tap {
         self.tap.clone()
     }
 
     /// The state of the notifications.
-    #[must_use]
     pub fn figures(&self) -> NotifyFigures {
         NotifyFigures(self.workers.iter().map(Worker::figures).collect())
     }

@@ -53,7 +53,6 @@ pub struct GapFacts {
 
 impl GapFacts {
     /// A gap that is over.
-    #[must_use]
     pub fn closed(gap: &Gap) -> Self {
         Self {
             from: rfc3339(gap.from_utc_ns),
@@ -64,7 +63,6 @@ impl GapFacts {
         }
     }
     /// A gap that is open.
-    #[must_use]
     pub fn open(since: &str) -> Self {
         Self { from: since.to_owned(), to: None, missing: None, cause: None, length_s: None }
     }
@@ -125,7 +123,6 @@ pub struct Message {
 
 impl Notice {
     /// A message of this event, with nothing else set.
-    #[must_use]
     pub fn new(event: NotifyEvent, utc_ns: i64) -> Self {
         Self {
             event,
@@ -161,7 +158,6 @@ impl Notice {
     }
 
     /// One sentence for the user.
-    #[must_use]
     pub fn message(&self) -> String {
         let capture = self
             .capture
@@ -241,7 +237,6 @@ impl Notice {
     }
 
     /// The message in the form for receivers.
-    #[must_use]
     pub fn rendered(&self, sender: &Sender) -> Message {
         let (message, at) = (self.message(), rfc3339(self.utc_ns));
         // A serialisation of texts and finite numbers cannot fail.

@@ -50,7 +50,6 @@ pub struct Watcher {
 
 impl Watcher {
     /// A watcher that has seen no snapshot.
-    #[must_use]
     pub fn new(options: WatchOptions) -> Self {
         Self { options, capture: None, gap: None, away_since_ns: None, lost: false, trouble_since_ns: None, low: false }
     }

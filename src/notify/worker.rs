@@ -31,7 +31,6 @@ pub struct Effort {
 
 impl Effort {
     /// The delay after this many failed attempts (from 1).
-    #[must_use]
     pub fn wait(&self, failed: u32) -> Duration {
         self.retry_after.saturating_mul(1 << failed.saturating_sub(1).min(16)).min(LONGEST.max(self.retry_after))
     }
@@ -98,7 +97,6 @@ impl Worker {
     }
 
     /// Its counts.
-    #[must_use]
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.shared.figures)
     }

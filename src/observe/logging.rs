@@ -11,7 +11,6 @@ static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
 
 /// Why logging could not be set up.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum LoggingError {
     /// The directives cannot be read.
     #[error(
@@ -40,7 +39,6 @@ pub struct LogStyle {
 impl LogStyle {
     /// The style for this process's standard error: colours on a terminal that wants them, no times where journald
     /// adds its own (it sets `JOURNAL_STREAM`).
-    #[must_use]
     pub fn of_process(json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
         Self::of(json, terminal, std::env::var_os("NO_COLOR").is_some(), std::env::var_os("JOURNAL_STREAM").is_some())

@@ -43,7 +43,6 @@ impl NotifyEvent {
     ];
 
     /// The name in the configuration, in JSON and in `VN100D_EVENT`.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::CaptureCompleted => "capture_completed",

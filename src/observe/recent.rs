@@ -41,7 +41,6 @@ pub struct SharedRecent(Arc<Mutex<Recent>>);
 
 /// The last minute of one channel.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Trace {
     /// Whose.
     pub channel: Channel,
@@ -100,7 +99,6 @@ impl Recent {
     }
 
     /// The minute before `mono_ns` of every channel that came within it.
-    #[must_use]
     pub fn traces(&self, mono_ns: u64) -> Vec<Trace> {
         let now = mono_ns / BUCKET_NS;
         let bucket_s = BUCKET_NS as f64 / 1e9;
@@ -126,7 +124,6 @@ impl SharedRecent {
     }
 
     /// [`Recent::traces`].
-    #[must_use]
     pub fn traces(&self, mono_ns: u64) -> Vec<Trace> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).traces(mono_ns)
     }

@@ -10,7 +10,6 @@ use std::fmt::Write as _;
 
 /// The last minute of a channel, as far as data arrived.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Minute<'a> {
     /// The channel's name and unit.
     pub channel: (&'a str, &'a str),
@@ -22,7 +21,6 @@ pub struct Minute<'a> {
 
 /// The contents of the page. Documents are JSON texts.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct DashboardView<'a> {
     /// `GET /v1/status`.
     pub status: &'a str,
@@ -38,7 +36,6 @@ pub struct DashboardView<'a> {
 
 /// The latest rows of the database, lists as the interface returns them.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Stored<'a> {
     /// Captures.
     pub captures: &'a str,

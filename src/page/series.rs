@@ -9,7 +9,6 @@ const SHORTEST_S: f64 = 0.5;
 
 /// The content of the page.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct SeriesView<'a> {
     /// The capture's id and name.
     pub capture: (i64, &'a str),
@@ -26,7 +25,6 @@ pub struct SeriesView<'a> {
 }
 
 /// The page.
-#[must_use]
 pub fn series(view: &SeriesView<'_>) -> String {
     let SeriesView { capture: (id, name), channel, others, length_s, from_s, to_s } = *view;
     let span_s = (to_s - from_s).max(SHORTEST_S);

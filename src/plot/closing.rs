@@ -17,7 +17,6 @@ const LEAST: f64 = 100.0;
 
 /// One channel's gap, in any unit.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Bar<'a> {
     /// The channel.
     pub channel: &'a str,
@@ -30,7 +29,6 @@ pub struct Bar<'a> {
 }
 
 /// The picture, on a logarithmic scale in multiples of each channel's own floor; empty if there is no bar to draw.
-#[must_use]
 pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
     let drawn: Vec<&Bar<'_>> = bars.iter().filter(|bar| bar.floor > 0.0 && bar.before.is_finite()).collect();
     if drawn.is_empty() {

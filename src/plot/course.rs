@@ -5,7 +5,6 @@ use super::drawing::{Drawing, Frame};
 
 /// Values over time.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Course<'a> {
     /// `gyro_x`.
     pub channel: &'a str,
@@ -29,7 +28,6 @@ pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
 
 impl Course<'_> {
     /// The picture; empty if there is no value.
-    #[must_use]
     pub fn svg(&self) -> String {
         let times = || self.points.iter().map(|(time_s, ..)| *time_s);
         let (from_s, to_s) =

@@ -11,7 +11,6 @@ const LABELS: usize = 10;
 
 /// Amplitude densities of channels of one unit over the same frequencies.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Density<'a> {
     /// "Power spectrum, gyro".
     pub title: &'a str,
@@ -28,7 +27,6 @@ pub struct Density<'a> {
 
 impl Density<'_> {
     /// The picture; empty if nothing is above 0.
-    #[must_use]
     pub fn svg(&self) -> String {
         let across = Axis::logarithmic(self.frequency_hz.iter().copied());
         let up = Axis::logarithmic(self.channels.iter().flat_map(|(_, values)| values).copied());

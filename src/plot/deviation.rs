@@ -76,7 +76,6 @@ impl Deviations {
 
     /// One picture of these channels, which have one unit: `gyro_x`, `gyro_y`, `gyro_z`, or a single channel, which
     /// then also has its lines of N, B and K. Empty if there is no curve.
-    #[must_use]
     pub fn svg(&self, title: &str, channels: &[&str]) -> String {
         let curves: Vec<(&str, &Curve)> =
             channels.iter().filter_map(|name| Some((*name, self.allan.channels.get(*name)?))).collect();

@@ -7,7 +7,6 @@ use std::collections::BTreeMap;
 
 /// A gap in the samples.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Gap {
     /// Begin and end, s since the capture's first sample.
     pub within_s: [f64; 2],
@@ -19,7 +18,6 @@ pub struct Gap {
 
 /// All gaps of a capture.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Gaps {
     /// The length of the capture, s.
     pub length_s: f64,
@@ -35,7 +33,6 @@ pub struct Gaps {
 
 impl Gaps {
     /// The picture, with the number of missing samples and the causes.
-    #[must_use]
     pub fn svg(&self) -> String {
         let missing: u64 = self.causes.values().sum();
         let drawn = match self.gaps.len() {

@@ -25,7 +25,6 @@ const PALEST: f64 = 0.15;
 const NONE_DB: f64 = 0.5;
 
 /// The maps, before and after; none if no channel's model is known.
-#[must_use]
 pub fn heat(spectra: &[Spectra]) -> Vec<String> {
     let known: Vec<&Spectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
     let ends = known.iter().flat_map(|of| &of.frequency_hz).filter(|hz| **hz > 0.0 && hz.is_finite());

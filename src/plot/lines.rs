@@ -33,7 +33,6 @@ struct Line {
 
 /// A line of a channel.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct NamedLine {
     /// Its channel.
     pub channel: String,

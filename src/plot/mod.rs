@@ -40,7 +40,6 @@ pub use timeline::Timeline;
 const STYLE: &str = include_str!("style.css");
 
 /// A picture as a standalone file, with its style.
-#[must_use]
 pub fn alone(svg: &str) -> String {
     match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
         Some((head, body)) => format!(
@@ -52,13 +51,11 @@ pub fn alone(svg: &str) -> String {
 }
 
 /// The style of curves and surfaces, for a page that has pictures in it.
-#[must_use]
 pub fn style() -> &'static str {
     STYLE
 }
 
 /// Text in which the special characters of HTML and SVG are escaped.
-#[must_use]
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

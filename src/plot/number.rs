@@ -1,13 +1,11 @@
 //! Numbers for display.
 
 /// A number with four digits: plain if it is neither small nor large, else times a power of ten.
-#[must_use]
 pub fn plain(value: f64) -> String {
     rounded(value, 4)
 }
 
 /// The same with this many digits; a dash for values that are not finite.
-#[must_use]
 pub fn rounded(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();

@@ -12,7 +12,6 @@ pub const SCALE: f32 = 3.0;
 
 /// The reasons why there is no PNG.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RasterError {
     /// The text is not a picture of this program.
     #[error("the picture cannot be read: {0}")]

@@ -23,13 +23,11 @@ pub struct Residuals {
 
 impl Residuals {
     /// The channel.
-    #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
     /// "accel_x against the rate about y".
-    #[must_use]
     pub fn title(&self) -> String {
         format!("{} against {}", self.channel, self.quantity())
     }
@@ -43,7 +41,6 @@ impl Residuals {
     }
 
     /// The picture; empty if there is nothing to draw.
-    #[must_use]
     pub fn svg(&self) -> String {
         let across = Axis::straight(self.at.iter().copied());
         let up = Axis::straight(self.before.iter().chain(&self.after).copied().chain([0.0]));

@@ -10,7 +10,6 @@ const APART: f64 = 2.5;
 
 /// Least and greatest value by age in s, oldest first, over the last `span_s`; pauses longer than `step_s` interrupt
 /// the line. `label` is for users of screen readers.
-#[must_use]
 pub fn spark(label: &str, points: &[(f64, f64, f64)], span_s: f64, step_s: f64) -> String {
     let ends = points
         .iter()

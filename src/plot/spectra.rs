@@ -47,14 +47,12 @@ impl Spectra {
     }
 
     /// The channel.
-    #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
     /// The pictures: densities and, if the model is known, their ratio to its own, which shows what is small beside
     /// drifts. Bands in Hz are marked behind the curves. Empty if nothing is above 0.
-    #[must_use]
     pub fn svg(&self, bands: &[[f64; 2]]) -> String {
         let all = [("real", Some(&self.real)), ("before", self.before.as_ref()), ("after", self.after.as_ref())];
         let curves: Vec<(&str, Vec<f64>)> =

@@ -30,20 +30,17 @@ struct Stretches {
 
 impl Timeline {
     /// The channel.
-    #[must_use]
     pub fn channel(&self) -> &str {
         &self.channel
     }
 
     /// The picture of its level; empty if there is nothing to draw.
-    #[must_use]
     pub fn level(&self) -> String {
         let y = format!("mean of {} s, {}", plain(self.stretch_s), self.unit);
         self.drawn(&format!("Level of {} over time", self.channel), &y, |of| &of.level)
     }
 
     /// The picture of its spread; empty if there is nothing to draw.
-    #[must_use]
     pub fn spread(&self) -> String {
         let y = format!("deviation in {} s, {}", plain(self.stretch_s), self.unit);
         self.drawn(&format!("Spread of {} over time", self.channel), &y, |of| &of.spread)

@@ -18,7 +18,6 @@ const LINE_CHARS: usize = 300;
 
 /// The outcome of listening to a child.
 #[derive(Debug)]
-#[expect(clippy::exhaustive_enums, reason = "who asks has to treat each")]
 pub enum Heard<H> {
     /// The child sent this frame.
     Frame(Frame<H>),
@@ -30,7 +29,6 @@ pub enum Heard<H> {
 
 /// The way in which a child ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "some words about an end")]
 pub struct Ended {
     /// Whether it ended by itself without an error.
     pub well: bool,

@@ -9,7 +9,6 @@ const HEADER_MAX: u32 = 1 << 20;
 
 /// The reasons why a frame cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum FrameError {
     /// The pipe failed.
     #[error("the pipe between the processes broke: {0}")]
@@ -33,7 +32,6 @@ pub enum FrameError {
 
 /// A header and the bytes that belong to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "a pair")]
 pub struct Frame<H> {
     /// The description of the bytes.
     pub header: H,

@@ -20,7 +20,6 @@ pub fn step_back() {
 
 /// The priority that [`hurry`] obtained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "what there is")]
 pub enum Priority {
     /// The lowest real-time priority: the thread runs before all threads without one.
     RealTime,
@@ -49,7 +48,6 @@ pub fn hurry() -> Priority {
 
 /// The limits of a child process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "three numbers")]
 pub struct Confinement {
     /// Bytes of private memory that it may write to (`RLIMIT_DATA`); beyond them an allocation fails and the process
     /// ends.

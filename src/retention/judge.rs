@@ -25,7 +25,6 @@ pub enum Distrust {
 
 impl Distrust {
     /// The name in the status.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Unset => "unset",

@@ -27,7 +27,6 @@ pub struct Limits {
 
 impl Limits {
     /// Whether anything is ever deleted.
-    #[must_use]
     pub fn is_unlimited(&self) -> bool {
         self.keep.is_none() && self.keep_bytes.is_none()
     }
@@ -70,7 +69,6 @@ pub enum Reason {
 
 impl Reason {
     /// The name in status and messages.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Age => "age",
@@ -99,7 +97,6 @@ pub struct Planned {
 /// The captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) the notice of
 /// announcements begins now. With an untrusted clock none is deleted for its age, and those that were made first are
 /// the oldest.
-#[must_use]
 pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: &Limits) -> Vec<Planned> {
     let tells_ages = verdict.distrust.is_none();
     let mut oldest_first: Vec<&Candidate> =

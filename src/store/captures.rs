@@ -37,7 +37,6 @@ impl CaptureState {
     pub const ALL: [Self; 6] =
         [Self::Waiting, Self::Capturing, Self::Complete, Self::Stopped, Self::Imported, Self::Simulated];
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -49,12 +48,10 @@ impl CaptureState {
         }
     }
     /// The state of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
     /// Whether samples may still arrive.
-    #[must_use]
     pub fn is_open(self) -> bool {
         matches!(self, Self::Waiting | Self::Capturing)
     }
@@ -78,12 +75,10 @@ pub struct ChannelRow {
 
 impl ChannelRow {
     /// A channel that was converted at import: stored = original × `factor`.
-    #[must_use]
     pub fn converted(channel: Channel, original_unit: &str, factor: f64) -> Self {
         Self { original_unit: Some(original_unit.to_owned()), factor: Some(factor), ..Self::plain(channel) }
     }
     /// A channel stored as it was sent, of unknown resolution.
-    #[must_use]
     pub fn plain(channel: Channel) -> Self {
         Self {
             channel: Some(channel),
@@ -126,7 +121,6 @@ pub struct NewCapture {
 
 impl NewCapture {
     /// A capture from `source` in `state`, with nothing else set.
-    #[must_use]
     pub fn new(source: &str, state: CaptureState) -> Self {
         Self {
             name: None,
@@ -203,7 +197,6 @@ pub struct CaptureRow {
 impl CaptureRow {
     /// Whether anything was rejected during the capture. What arrived before its start or after its end is no loss of
     /// its samples.
-    #[must_use]
     pub fn has_rejected(&self) -> bool {
         let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
         self.rejected.iter().any(|(cause, count)| *count > 0 && !apart.contains(&cause.as_str()))

@@ -94,7 +94,6 @@ pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
 
 impl CheckReport {
     /// Whether there are no findings.
-    #[must_use]
     pub fn is_clean(&self) -> bool {
         self.findings.is_empty()
     }

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 
 /// Everything that can go wrong with the database.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum StoreError {
     /// Another process writes this database.
     #[error("database {path} is in use by process {pid}: stop that process or choose another data directory")]
@@ -302,7 +301,6 @@ fn failed_disk(error: &std::io::Error) -> bool {
 
 impl StoreError {
     /// The kind of this error.
-    #[must_use]
     pub fn kind(&self) -> StoreErrorKind {
         match self {
             // A failing disk is not a problem of names and permissions.
@@ -344,7 +342,6 @@ impl StoreError {
     }
 
     /// The state that the store is in after this error.
-    #[must_use]
     pub fn storage_state(&self) -> StorageState {
         match self {
             Self::Sqlite(error) => match error.sqlite_error_code() {
@@ -359,7 +356,6 @@ impl StoreError {
     }
 
     /// Whether the file differs from what was committed to it. A disk that recovers does not repair that.
-    #[must_use]
     pub fn is_damage(&self) -> bool {
         match self {
             Self::Sqlite(error) => {
@@ -392,7 +388,6 @@ impl StoreError {
     }
 
     /// Whether a long query was interrupted by its own caller.
-    #[must_use]
     pub fn is_interrupted(&self) -> bool {
         matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted))
     }

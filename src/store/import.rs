@@ -41,7 +41,6 @@ pub enum ImportEnd {
 
 impl ImportEnd {
     /// The capture that holds the recording.
-    #[must_use]
     pub fn id(self) -> i64 {
         match self {
             Self::Created(id) | Self::Known(id) => id,
@@ -91,7 +90,6 @@ impl Store {
 
 impl Import {
     /// The id that the capture will have.
-    #[must_use]
     pub fn id(&self) -> i64 {
         self.id
     }

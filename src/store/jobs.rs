@@ -38,7 +38,6 @@ impl JobState {
     /// All states.
     pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -49,7 +48,6 @@ impl JobState {
         }
     }
     /// The state of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
@@ -70,7 +68,6 @@ pub struct NewJob {
 
 impl NewJob {
     /// Work without a reference.
-    #[must_use]
     pub fn new(kind: &str, capture_id: i64, params: serde_json::Value) -> Self {
         Self { kind: kind.to_owned(), capture_id, params, reference: None }
     }

@@ -96,7 +96,6 @@ pub const SOFTWARE: &str = concat!("vn100d ", env!("CARGO_PKG_VERSION"));
 pub const QUEUE_MIN: usize = 24_000;
 
 /// The queue size that holds 30 s of data at `rate_hz`, at least [`QUEUE_MIN`].
-#[must_use]
 pub fn queue_capacity(rate_hz: f64) -> usize {
     QUEUE_MIN.max((30.0 * rate_hz).ceil() as usize)
 }
@@ -200,32 +199,27 @@ impl Store {
     }
 
     /// The path of the database.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.inner.path
     }
 
     /// A sender that puts records into the queue.
-    #[must_use]
     pub fn records(&self) -> RecordSender {
         self.inner.records.clone()
     }
 
     /// The state of the writer; read from memory.
-    #[must_use]
     pub fn progress(&self) -> WriterProgress {
         progress::locked(&self.inner.progress).clone()
     }
 
     /// The id of a capture in the database. It differs from the id at its start only if the file was replaced by one in
     /// which that id is taken.
-    #[must_use]
     pub fn stored_id(&self, id: i64) -> i64 {
         progress::locked(&self.inner.progress).moved.get(&id).copied().unwrap_or(id)
     }
 
     /// The state for the status page; read from memory, never waits for the disk.
-    #[must_use]
     pub fn status(&self) -> StorageStatus {
         let progress = self.progress();
         let (now, awake) = (SystemClock.mono_ns(), SystemClock.awake_ns());
@@ -324,7 +318,6 @@ impl Store {
     }
 
     /// The file that is written, as text for [`Reader::open_written`].
-    #[must_use]
     pub fn file(&self) -> String {
         file_id::written_file(self.path())
     }

@@ -28,7 +28,6 @@ pub struct Page<T> {
 
 impl PageRequest {
     /// Everything a page can hold, from the start.
-    #[must_use]
     pub fn first() -> Self {
         Self { limit: Some(LIMIT_MAX), cursor: None }
     }

@@ -73,7 +73,6 @@ pub struct WriterProgress {
 impl WriterProgress {
     /// Whether this process should end: at once with a damaged file, else at the third I/O error within a minute. A new
     /// process has new descriptors, and its start checks the database.
-    #[must_use]
     pub fn gives_up(&self) -> bool {
         if self.damaged {
             return true;

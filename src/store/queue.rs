@@ -110,19 +110,16 @@ impl RecordSender {
     }
 
     /// Records that wait in the queue.
-    #[must_use]
     pub fn queued(&self) -> usize {
         self.queue.max_capacity() - self.queue.capacity()
     }
 
     /// Records that still fit.
-    #[must_use]
     pub fn room(&self) -> usize {
         self.queue.capacity()
     }
 
     /// Whether the writer has ended.
-    #[must_use]
     pub fn is_closed(&self) -> bool {
         self.queue.is_closed()
     }

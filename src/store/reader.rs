@@ -50,7 +50,6 @@ impl Reader {
     }
 
     /// A handle with which another thread interrupts a query of this reader that takes too long.
-    #[must_use]
     pub fn interrupt(&self) -> Interrupt {
         Interrupt(Arc::new(self.connection.get_interrupt_handle()))
     }
@@ -82,7 +81,6 @@ pub struct ReaderPool {
 
 impl ReaderPool {
     /// A pool for the database at `path`; connections are opened on demand.
-    #[must_use]
     pub fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), idle: Arc::default() }
     }

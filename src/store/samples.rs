@@ -54,17 +54,14 @@ impl Chunk {
         }
     }
     /// The number of samples.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.segment.len()
     }
     /// Whether the chunk is empty: the capture has no sample at or after the requested one.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.segment.is_empty()
     }
     /// `seq` after its last row.
-    #[must_use]
     pub fn next_seq(&self) -> u64 {
         self.first_seq + self.len() as u64
     }

@@ -37,7 +37,6 @@ const READER_CACHE_KIB: i64 = 256;
 const STATEMENTS: usize = 64;
 
 /// The newest schema version this program knows.
-#[must_use]
 pub fn schema_version() -> i64 {
     MIGRATIONS.len() as i64
 }
@@ -143,7 +142,6 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
 
 /// Whether a file is a database of captures, of any version. This is determined from SQLite's header (its first 16
 /// bytes, and the application's id in bytes 68 to 71, big endian).
-#[must_use]
 pub fn is_database(path: &Path) -> bool {
     let mut head = [0; 72];
     let read = path.is_file() && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();

@@ -19,7 +19,6 @@ pub enum Moment {
 
 impl Moment {
     /// RFC 3339, or seconds since the capture's first sample; `None` if the text is neither.
-    #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         if let Ok(seconds) = text.parse::<f64>() {
             let ns = seconds * 1e9;
@@ -30,7 +29,6 @@ impl Moment {
     }
 
     /// The time in ns since the first sample, which was taken at `origin_ns` (UTC).
-    #[must_use]
     pub fn since(self, origin_ns: i64) -> i64 {
         match self {
             Self::Since(ns) => ns,
@@ -69,7 +67,6 @@ impl SampleRange {
     }
 
     /// The number of samples.
-    #[must_use]
     pub fn samples(&self) -> u64 {
         self.to_seq - self.from_seq
     }
@@ -111,7 +108,6 @@ impl TimeAxis {
     }
 
     /// UTC of the origin of the times, ns since 1970.
-    #[must_use]
     pub fn origin_ns(&self) -> i64 {
         self.origin_ns
     }

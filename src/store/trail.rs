@@ -88,7 +88,6 @@ pub struct Missing(Vec<(u64, u64)>);
 
 impl Missing {
     /// Builds the sums from gaps in order: the first sample behind each, and how many it lacks.
-    #[must_use]
     pub fn of(gaps: impl IntoIterator<Item = (u64, u64)>) -> Self {
         let mut sum = 0;
         let summed = |(before_seq, missing)| {
@@ -99,7 +98,6 @@ impl Missing {
     }
 
     /// Samples missing before the sample `seq`, over all gaps that lie before it or end at it.
-    #[must_use]
     pub fn up_to(&self, seq: u64) -> u64 {
         let gaps = self.0.partition_point(|(before_seq, _)| *before_seq <= seq);
         gaps.checked_sub(1).and_then(|last| self.0.get(last)).map_or(0, |(_, sum)| *sum)

@@ -228,7 +228,7 @@ fn everything_at_once_loses_nothing_silently() {
     let (mut kills, mut faults, mut full_disks, mut slow, mut steps, mut backups) = (0, 0, 0, 0, 0, 0);
     // At the end of a long run the daemon lives on for up to 100 minutes: how its memory grows can be judged.
     let long = duration >= Duration::from_secs(1800);
-    let last_kill = duration - if long { (duration / 2).min(Duration::from_secs(6000)) } else { Duration::ZERO };
+    let last_kill = duration - if long { (duration * 2 / 3).min(Duration::from_secs(6000)) } else { Duration::ZERO };
     let mut baseline = Held::of(daemon.id());
     let calm = std::env::var_os("VN100D_SOAK_CALM").is_some();
     let (mut slopes, mut late) = (Vec::new(), Vec::new());

@@ -34,13 +34,11 @@ const STANDARD: [(&str, &str); 10] = [
 const SEPARATOR: &str = "================================================================================\nMSG: ";
 
 /// The fields of the type `package/Name`, if it is one of these.
-#[must_use]
 pub fn fields_of(name: &str) -> Option<&'static str> {
     STANDARD.iter().find(|(known, _)| *known == name).map(|(_, fields)| *fields)
 }
 
 /// A message's own fields, then the definitions of its parts, in the form of an MCAP schema (`ros2msg`).
-#[must_use]
 pub fn schema(fields: &str) -> String {
     let mut parts = Vec::new();
     collect(fields, &mut parts);

@@ -63,22 +63,18 @@ pub struct Density<D: Dimension>(Quantity<D>);
 
 impl<D: Dimension> Quantity<D> {
     /// A value in the unit that `D` is held in.
-    #[must_use]
     pub const fn held(value: f64) -> Self {
         Self { value, dimension: std::marker::PhantomData }
     }
     /// The value in the unit that `D` is held in.
-    #[must_use]
     pub fn value(self) -> f64 {
         self.value
     }
     /// This size per root hertz.
-    #[must_use]
     pub fn per_root_hertz(self) -> Density<D> {
         Density(self)
     }
     /// The size times a number.
-    #[must_use]
     pub fn times(self, factor: f64) -> Self {
         Self::held(self.value * factor)
     }
@@ -86,12 +82,10 @@ impl<D: Dimension> Quantity<D> {
 
 impl<D: Dimension> Density<D> {
     /// The value in the unit that `D` is held in, per root hertz.
-    #[must_use]
     pub fn value(self) -> f64 {
         self.0.value
     }
     /// The density times a number.
-    #[must_use]
     pub fn times(self, factor: f64) -> Self {
         Self(self.0.times(factor))
     }
@@ -99,12 +93,10 @@ impl<D: Dimension> Density<D> {
 
 impl Quantity<AngularRate> {
     /// Degrees per second.
-    #[must_use]
     pub fn deg_per_s(value: f64) -> Self {
         Self::held(value * RAD_PER_DEG)
     }
     /// Degrees per hour.
-    #[must_use]
     pub fn deg_per_h(value: f64) -> Self {
         Self::deg_per_s(value / SECONDS_PER_HOUR)
     }
@@ -112,7 +104,6 @@ impl Quantity<AngularRate> {
 
 impl Quantity<Acceleration> {
     /// Thousandths of standard gravity.
-    #[must_use]
     pub fn mg(value: f64) -> Self {
         Self::held(value * 1e-3 * STANDARD_GRAVITY_M_S2)
     }
@@ -120,14 +111,12 @@ impl Quantity<Acceleration> {
 
 impl Quantity<MagneticField> {
     /// Millionths of a gauss.
-    #[must_use]
     pub fn microgauss(value: f64) -> Self {
         Self::held(value * 1e-6)
     }
 }
 
 /// The period of `rate_hz` in nanoseconds (not rounded).
-#[must_use]
 pub fn period_ns(rate_hz: f64) -> f64 {
     NANOS_PER_SECOND as f64 / rate_hz
 }
@@ -188,7 +177,6 @@ fn times(number: &str, unit: u128) -> Option<u128> {
 
 /// Writes a duration in the form that [`parse_duration`] reads, in the largest units that lose nothing: `5h`, `1h30m`,
 /// `754.45s`.
-#[must_use]
 pub fn format_duration(duration: Duration) -> String {
     let total_ms = duration.as_millis();
     if total_ms < 1000 && duration.subsec_nanos().is_multiple_of(1_000_000) {

@@ -20,7 +20,6 @@ pub const RECORDS: usize = 300;
 
 /// The model that is imitated.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Nulls {
     /// Samples.
     pub samples: usize,
@@ -36,7 +35,6 @@ pub struct Nulls {
 
 /// The result of chance for one pair of channels.
 #[derive(Debug, Clone, Default, PartialEq)]
-#[non_exhaustive]
 pub struct Chance {
     /// Gains, nats.
     pub kinds: Vec<(Kind, f64)>,
@@ -46,7 +44,6 @@ pub struct Chance {
 
 impl Nulls {
     /// Of a recording and the model that it is compared with.
-    #[must_use]
     pub fn of(real: &Recording, sim: &SensorModel) -> Self {
         let levels = sim.channels.iter().filter(|(channel, _)| **channel != Channel::Temperature);
         Self {
@@ -174,7 +171,6 @@ impl Nulls {
 
 /// The tails of the chance values. A statistic without information (its value is always 0) takes its tail from the
 /// shipped table.
-#[must_use]
 pub fn tails(all: &[Chance], samples: usize) -> Tails {
     let mut tails = Tails::shipped(samples);
     for (kind, tail) in &mut tails.kinds {

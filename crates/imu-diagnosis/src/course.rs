@@ -89,7 +89,6 @@ impl Courses {
 
     /// For records as long as the transform's; `temperature` is the sensor's at every sample about some reference, °C, if it
     /// was measured: rounded readings are to be smoothed before. `lag`: that behind which a level follows its rate, samples.
-    #[must_use]
     pub fn new(transform: &mut Cosines, temperature: Option<&[f64]>, lag: f64) -> Self {
         let samples = transform.length();
         let kept = Self::KEPT.min(samples);
@@ -106,20 +105,17 @@ impl Courses {
     }
 
     /// The same with a temperature that was read in steps of so many °C.
-    #[must_use]
     pub(super) fn read_in_steps(self, reading_c: f64) -> Self {
         Self { reading_c, ..self }
     }
 
     /// Step in which the temperature was read, °C; 0 if none is seen.
-    #[must_use]
     pub(super) fn reading_c(&self) -> f64 {
         self.reading_c
     }
 
     /// The ways in which a level may follow this record's temperature; empty if the temperature moves too little to
     /// distinguish them.
-    #[must_use]
     pub fn ways(&self) -> Vec<Follow> {
         const LEAST_C: f64 = 0.5;
         const SHARES: [f64; 5] = [0.05, 0.1, 0.2, 0.35, 0.6];
@@ -140,19 +136,16 @@ impl Courses {
     }
 
     /// Samples of the record.
-    #[must_use]
     pub fn samples(&self) -> usize {
         self.samples
     }
 
     /// The temperature about its reference, °C.
-    #[must_use]
     pub fn temperature(&self) -> Option<&[f64]> {
         self.temperature.as_ref().map(|(about, _)| about.as_slice())
     }
 
     /// The first coefficients of a course's transform, [`Courses::KEPT`] at most; the first, a constant's, is 0.
-    #[must_use]
     pub fn coefficients(&self, course: Course) -> Vec<f64> {
         let n = self.samples as f64;
         let scale = (2.0 / n).sqrt();
@@ -199,7 +192,6 @@ impl Courses {
     }
 
     /// The first coefficients of a cosine and a sine of so many cycles per sample (not a whole multiple of half a cycle).
-    #[must_use]
     pub fn turning(&self, cycles: f64) -> [Vec<f64>; 2] {
         let n = self.samples as f64;
         let turn = std::f64::consts::TAU * cycles;

@@ -39,7 +39,6 @@ pub trait Workers: Sync {
 
 /// One after the other.
 #[derive(Debug, Clone, Copy, Default)]
-#[expect(clippy::exhaustive_structs, reason = "nothing to it")]
 pub struct Alone;
 
 impl Workers for Alone {
@@ -50,7 +49,6 @@ impl Workers for Alone {
 
 /// The inputs of a diagnosis besides record and model.
 #[derive(Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out over its default")]
 pub struct Options<'a> {
     /// The program and its version.
     pub software: &'a str,
@@ -75,7 +73,6 @@ pub struct Options<'a> {
 
 impl Options<'_> {
     /// Whether an effect is looked for.
-    #[must_use]
     pub fn wants(&self, effect: &str) -> bool {
         // Lines at multiples of one another are found as tones, bands whose level changes as bands.
         let alike = [["tone", "comb"], ["resonance", "modulated_band"]];
@@ -110,7 +107,6 @@ impl Default for Options<'_> {
 
 /// The result of a diagnosis.
 #[derive(Debug, Clone)]
-#[non_exhaustive]
 pub struct Outcome {
     /// The report.
     pub diagnosis: Diagnosis,

@@ -2,7 +2,6 @@
 
 /// The reasons why a record and a model cannot be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum DiagnosisError {
     /// A channel of the model is not in the recording.
     #[error("the recording has no {channel}, which the model has; it has {found}")]

@@ -17,7 +17,6 @@ pub struct Sine {
 
 impl Sine {
     /// Peak.
-    #[must_use]
     pub fn amplitude(&self) -> f64 {
         self.quadratures[0].hypot(self.quadratures[1])
     }
@@ -80,7 +79,6 @@ impl Loud {
     }
     /// Whether it is a change of variance for a while, rather than a burst: long, or quiet. `bursts`: the intervals of the
     /// model's bursts, of any length.
-    #[must_use]
     pub fn is_interval(&self, samples: usize, bursts: &[Range<usize>]) -> bool {
         let length = self.to - self.from;
         let common = |of: &Range<usize>| of.end.min(self.to).saturating_sub(of.start.max(self.from));
@@ -141,7 +139,6 @@ pub struct Explanation {
 
 impl Explanation {
     /// Whether both explanations have the same effects, apart from their numbers.
-    #[must_use]
     pub fn adds_nothing_to(&self, other: &Self) -> bool {
         let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
         let variance = |of: &Self| of.loud.iter().map(|loud| (loud.from, loud.to)).collect::<Vec<_>>();
@@ -164,7 +161,6 @@ impl Explanation {
 
     /// The outliers of a record of `samples`, in order, and its first and last samples as far as filters reach. A filter begins
     /// from an unknown state, and the transform reflects samples that do not exist.
-    #[must_use]
     pub fn left_out(&self, samples: usize, reach: usize) -> Cow<'_, [usize]> {
         let reach = reach.min(samples);
         if reach == 0 {
@@ -178,7 +174,6 @@ impl Explanation {
     }
 
     /// Noise alone.
-    #[must_use]
     pub fn noise(law: Law) -> Self {
         Self {
             law,

@@ -4,7 +4,6 @@ use super::oddities::{self, Oddity};
 
 /// The facts that one channel's values show.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Facts {
     /// The step that the values are multiples of.
     pub step: Option<f64>,
@@ -15,7 +14,6 @@ pub struct Facts {
 }
 
 /// The facts of a channel's values (finite, those that are there).
-#[must_use]
 pub fn of(values: &[f64]) -> Facts {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -124,7 +122,6 @@ fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
 
 /// Samples that are the ones before them again.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Repeats {
     /// Which.
     pub places: Vec<usize>,
@@ -135,7 +132,6 @@ pub struct Repeats {
 }
 
 /// The repeats of channels that repeat together; `columns` of one length, those of one triad.
-#[must_use]
 pub fn repeats(columns: &[&[f64]]) -> Repeats {
     let n = columns.iter().map(|column| column.len()).min().unwrap_or_default();
     if n < 3 || columns.is_empty() {
@@ -242,7 +238,6 @@ fn chance(column: &[f64]) -> f64 {
 
 /// The facts that stamps show.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[non_exhaustive]
 pub struct Stamps {
     /// Standard deviation about evenly spaced instants, or about a clock that wanders slowly, beyond the stamps' own rounding, s.
     pub jitter_s: f64,
@@ -272,7 +267,6 @@ fn off_line(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<(Vec<
 }
 
 /// The stamps of samples at the given places of a grid; `None` for fewer than 16.
-#[must_use]
 pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
     /// Stretches of a record in each of which a wandering clock is about as late as at their middle.
     const STRETCHES: usize = 64;

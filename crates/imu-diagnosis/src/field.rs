@@ -21,7 +21,6 @@ const AS_DEVIATION: f64 = 1.4826;
 
 /// A stretch with a disturbed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Disturbed {
     /// Begin, s after the record's first sample.
     pub from_s: f64,
@@ -37,7 +36,6 @@ pub struct Disturbed {
 
 impl Disturbed {
     /// The sentence of a report.
-    #[must_use]
     pub fn told(&self) -> String {
         format!(
             "the magnetic field is disturbed from {:.1} s to {:.1} s (a magnet or iron nearby): its magnitude reaches {:.3} \
@@ -52,7 +50,6 @@ impl Disturbed {
 /// # Validation
 /// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) this finds the two passes of the magnet, and nothing in 01,
 /// 24 and 26 (docs/motion-diagnosis.md).
-#[must_use]
 pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
     let columns: Option<Vec<&[f64]>> = Triad::Mag.channels().into_iter().map(|channel| real.values(channel)).collect();
     let Some(columns) = columns else { return Vec::new() };

@@ -14,7 +14,6 @@ pub struct Grid {
 
 /// A line that the grid has to resolve.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Narrow {
     /// Its centre, Hz.
     pub frequency_hz: f64,
@@ -39,7 +38,6 @@ impl Grid {
     const RUN: usize = 8;
 
     /// For records of `samples` (at least 2) at `rate_hz`.
-    #[must_use]
     pub fn new(samples: usize, rate_hz: f64, lines: &[Narrow]) -> Self {
         let n = samples.max(2);
         let first = Self::SINGLE.min(n - 1);
@@ -71,37 +69,31 @@ impl Grid {
     }
 
     /// Samples of the record.
-    #[must_use]
     pub fn samples(&self) -> usize {
         self.samples
     }
 
     /// Samples per second.
-    #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
     /// Coefficients in each bin.
-    #[must_use]
     pub fn counts(&self) -> &[f64] {
         &self.counts
     }
 
     /// Mean frequency of each bin, Hz.
-    #[must_use]
     pub fn frequencies_hz(&self) -> &[f64] {
         &self.frequencies_hz
     }
 
     /// First coefficient of each bin, and one past the last.
-    #[must_use]
     pub fn edges(&self) -> &[usize] {
         &self.edges
     }
 
     /// Mean square of the coefficients in each bin.
-    #[must_use]
     pub fn power(&self, coefficients: &[f64]) -> Vec<f64> {
         let mean = |span: &[usize]| {
             let of = coefficients.get(span[0]..span[1]).unwrap_or_default();
@@ -112,13 +104,11 @@ impl Grid {
 
     /// A spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, straight between them in
     /// both logarithms. The value of the constant is infinite, because a record's mean is unknown.
-    #[must_use]
     pub fn fill(&self, logarithms: &[f64]) -> Vec<f64> {
         self.fill_first(logarithms, self.samples)
     }
 
     /// The same of the first `count` coefficients.
-    #[must_use]
     pub fn fill_first(&self, logarithms: &[f64], count: usize) -> Vec<f64> {
         let n = count.min(self.samples);
         let mut values = vec![f64::INFINITY; n];

@@ -42,7 +42,6 @@ pub struct Halves {
 impl Halves {
     /// The halves of a record of `samples`, from its temperature about its mean, and the lag behind which a level follows its
     /// rate, samples.
-    #[must_use]
     pub fn new(samples: usize, temperature: Option<&[f64]>, lag: f64) -> Self {
         let middle = samples / 2;
         let ranges = [(0, middle), (middle, samples)];
@@ -159,7 +158,6 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
 }
 
 /// Scores the second half.
-#[must_use]
 pub fn scores(whole: Whole<'_>) -> Scores {
     let total = whole.samples.len();
     let middle = total / 2;

@@ -378,7 +378,6 @@ impl Law {
     }
 
     /// ln of the spectrum in each bin.
-    #[must_use]
     pub fn logarithms(&self, data: Data<'_>) -> Vec<f64> {
         Pieces::of(self, data).spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect()
     }
@@ -467,14 +466,12 @@ impl Law {
     ///
     /// Fisher scoring with Levenberg's damping (Whittle's likelihood of gamma-distributed power in bins: Whittle 1953,
     /// J. R. Stat. Soc. B 15).
-    #[must_use]
     pub fn fit(&self, data: Data<'_>) -> Fitted {
         const ROUNDS: usize = 60;
         self.fit_for(data, ROUNDS)
     }
 
     /// The best of fits from several starts: those that are ahead after a few rounds are fitted to the end.
-    #[must_use]
     pub fn fit_best(starts: Vec<Self>, data: Data<'_>) -> Option<Fitted> {
         const FIRST: usize = 8;
         const BEHIND: f64 = 12.0;
@@ -583,7 +580,6 @@ impl Law {
 
     /// The best of several fits: from here, and from other levels of flicker and random walk, which may hide behind one
     /// another.
-    #[must_use]
     pub fn fit_from_several(&self, data: Data<'_>) -> Fitted {
         let best = self.fit(data);
         let mut starts = Vec::new();

@@ -90,7 +90,6 @@ pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
 
 /// The effects that can be found in a record at rest: those of docs/effects.md that act on channels.
-#[must_use]
 pub fn effect_names() -> Vec<&'static str> {
     imu_model::effects::registry::names(&imu_model::effects::registry::CHANNEL)
 }

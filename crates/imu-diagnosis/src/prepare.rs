@@ -170,7 +170,6 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
 const SAME_RATE_WITHIN: f64 = 5e-4;
 
 /// Whether two rates are one by two clocks.
-#[must_use]
 pub fn is_same_rate(one_hz: f64, other_hz: f64) -> bool {
     one_hz.is_finite() && (one_hz / other_hz - 1.0).abs() <= SAME_RATE_WITHIN
 }
@@ -606,7 +605,6 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
 }
 
 /// The shapes of a channel's spectrum on a grid, in the series' scale, without the model's effects at some places of its list.
-#[must_use]
 pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BTreeSet<usize>) -> Base {
     let channel = prepared.channel;
     let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };

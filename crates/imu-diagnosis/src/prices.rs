@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 
 /// The tail of a distribution.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Tail {
     /// The value at which the line meets a chance of 1, nats.
     pub offset: f64,
@@ -22,7 +21,6 @@ pub struct Tail {
 impl Tail {
     /// Of values drawn by chance: the mean excess over the value that a share of 0.15 is above (an exponential tail; Davison
     /// and Smith 1990, J. R. Stat. Soc. B 52, with shape 0). Fewer than 20 values, or none above 0, have none.
-    #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         const SHARE: f64 = 0.15;
         const LEAST: f64 = 1.0;
@@ -40,13 +38,11 @@ impl Tail {
     }
 
     /// The value that is above with a chance.
-    #[must_use]
     pub fn beyond(&self, chance: f64) -> f64 {
         self.offset - self.scale * chance.ln()
     }
 
     /// The chance of a value above; more than 1 for what is usual.
-    #[must_use]
     pub fn chance(&self, value: f64) -> f64 {
         (-(value - self.offset) / self.scale).exp()
     }
@@ -54,7 +50,6 @@ impl Tail {
 
 /// The tails of all statistics and kinds that a diagnosis examines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
 pub struct Tails {
     /// Gains of effects.
     pub kinds: BTreeMap<Kind, Tail>,
@@ -118,7 +113,6 @@ fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
 
 impl Tails {
     /// The table's, for records of `samples`.
-    #[must_use]
     pub fn shipped(samples: usize) -> Self {
         let tail = |offsets, scale| Tail { offset: between(offsets, samples), scale };
         Self {
@@ -128,14 +122,12 @@ impl Tails {
     }
 
     /// Whether there is a tail for every kind and statistic.
-    #[must_use]
     pub fn is_whole(&self) -> bool {
         Kind::ALL.iter().all(|kind| self.kinds.contains_key(kind))
             && Statistic::ALL.iter().all(|of| self.statistics.contains_key(of))
     }
 
     /// The chance that noise alone shows as much of a statistic; more than 1 for what is usual.
-    #[must_use]
     pub fn chance(&self, statistic: Statistic, value: f64) -> f64 {
         self.statistics.get(&statistic).map_or(1.0, |tail| tail.chance(value))
     }
@@ -148,7 +140,6 @@ pub struct Prices(BTreeMap<Kind, f64>);
 impl Prices {
     /// With tails, of `channels` that are looked at: by chance a kind is named in a part `level` of records of noise alone,
     /// all kinds and channels counted.
-    #[must_use]
     pub fn new(tails: &Tails, channels: usize, level: f64, wanted: impl Fn(Kind) -> bool) -> Self {
         const LEAST: f64 = 6.0;
         let level = level / (channels.max(1) * Kind::ALL.len()) as f64;
@@ -157,7 +148,6 @@ impl Prices {
     }
 
     /// The price of a kind; infinite if it is not looked for.
-    #[must_use]
     pub fn of(&self, kind: Kind) -> f64 {
         self.0.get(&kind).copied().unwrap_or(f64::INFINITY)
     }

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 
 /// Samples of several channels at one rate. A lost sample keeps a place, so that later samples stay at their instants.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Recording {
     /// Samples per second.
     pub rate_hz: f64,
@@ -27,31 +26,26 @@ pub struct Recording {
 
 impl Recording {
     /// Places on the grid.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.channels.first().map_or(0, |(_, values)| values.len())
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// A channel's values.
-    #[must_use]
     pub fn values(&self, channel: Channel) -> Option<&[f64]> {
         self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
     /// The values that the sensor sent, where those of the channel are what remains beyond an answer to a motion.
-    #[must_use]
     pub fn sent(&self, channel: Channel) -> Option<&[f64]> {
         self.sent.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
     /// A part of its places.
-    #[must_use]
     pub fn part(&self, within: std::ops::Range<usize>) -> Self {
         let cut = |values: &[f64]| values.get(within.clone()).unwrap_or_default().to_vec();
         let all = |of: &[(Channel, Vec<f64>)]| of.iter().map(|(channel, values)| (*channel, cut(values))).collect();
@@ -73,13 +67,11 @@ impl Recording {
     }
 
     /// Whether the sample at a place is missing.
-    #[must_use]
     pub fn is_missing(&self, place: usize) -> bool {
         self.missing.get(place).copied().unwrap_or(false)
     }
 
     /// The lowest and the highest temperature from one time to another, s from the first sample; None if none was measured.
-    #[must_use]
     pub fn temperatures_between(&self, from_s: f64, to_s: f64) -> Option<[f64; 2]> {
         let place = |time_s: f64| ((time_s * self.rate_hz).round().max(0.0) as usize).min(self.len());
         let there = |t: &usize| !self.missing.get(*t).copied().unwrap_or(false);
@@ -93,7 +85,6 @@ impl Recording {
     }
 
     /// Its length in s.
-    #[must_use]
     pub fn length_s(&self) -> f64 {
         self.len() as f64 / self.rate_hz
     }

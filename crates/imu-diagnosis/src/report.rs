@@ -10,7 +10,6 @@ pub const FORMAT: &str = "vn100d-diagnosis-1";
 /// The overall result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the documented four")]
 pub enum Verdict {
     /// No difference beyond chance.
     NoGap,
@@ -24,7 +23,6 @@ pub enum Verdict {
 
 /// The discrepancy in nats of log density of the real samples per sample, a mean over the channels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Discrepancy {
     /// Always `nats/sample`.
     pub unit: &'static str,
@@ -48,7 +46,6 @@ pub struct Discrepancy {
 
 /// What lies in a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented three")]
 pub enum Of {
     /// The cause of this number in the list.
     Cause(usize),
@@ -70,7 +67,6 @@ impl Serialize for Of {
 
 /// A place where real and simulated samples differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Place {
     /// What lies in it.
     pub of: Of,
@@ -123,7 +119,6 @@ impl Place {
 
 /// The part of a motion's range in which a discrepancy lies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "keys of the report")]
 pub struct Driver {
     /// `rate` or `acceleration` (specific force).
     pub quantity: &'static str,
@@ -140,7 +135,6 @@ pub struct Driver {
 
 /// A parameter that is merely off.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Parameter {
     /// The channel; `sensor` for what belongs to all.
     pub channel: String,
@@ -161,7 +155,6 @@ pub struct Parameter {
 
 /// A mean of the capture that is another than the model states, beyond turn-on bias and pose.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "keys of the report")]
 pub struct Offset {
     /// The channel.
     pub channel: String,
@@ -176,7 +169,6 @@ pub struct Offset {
 /// The possible meaning of the size of a difference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the documented five")]
 pub enum HintKind {
     /// The root of the rate is in it once too often or too rarely.
     SqrtRate,
@@ -192,7 +184,6 @@ pub enum HintKind {
 
 /// A difference whose size has a meaning.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Hint {
     /// The quantity that differs, such as `accel_x N`.
     pub about: String,
@@ -205,7 +196,6 @@ pub struct Hint {
 /// On which side an effect is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the documented three")]
 pub enum Sense {
     /// The sensor has it, the model lacks it.
     Missing,
@@ -217,7 +207,6 @@ pub enum Sense {
 
 /// An effect in which sensor and model differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Cause {
     /// The documented name of it.
     pub effect: &'static str,
@@ -246,7 +235,6 @@ pub struct Cause {
 
 /// An effect that was weighed and not named.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Alternative {
     /// The documented name of it.
     pub effect: &'static str,
@@ -260,7 +248,6 @@ pub struct Alternative {
 
 /// One channel's discrepancy, nats per sample.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct ChannelGap {
     /// Under the model as it came.
     pub before: f64,
@@ -272,7 +259,6 @@ pub struct ChannelGap {
 
 /// The part that no known effect explains.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Remainder {
     /// Part of the nats of all places.
     pub share: f64,
@@ -286,7 +272,6 @@ pub struct Remainder {
 
 /// The result of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[non_exhaustive]
 pub struct Diagnosis {
     /// [`FORMAT`].
     pub format: &'static str,

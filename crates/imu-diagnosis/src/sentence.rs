@@ -5,7 +5,6 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 
 /// The one sentence: what makes most of the gap first, be it an effect or a parameter.
-#[must_use]
 pub(super) fn summary(of: &Diagnosis) -> String {
     let nats =
         |of_what: Of| -> f64 { of.r#where.iter().filter(|place| place.of == of_what).map(|place| place.nats).sum() };

@@ -91,7 +91,6 @@ pub struct Series<'a> {
 
 impl<'a> Series<'a> {
     /// A series of samples with what is known to explain them.
-    #[must_use]
     pub fn new(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, start);
         series.rebuild(true);
@@ -135,43 +134,36 @@ impl<'a> Series<'a> {
     }
 
     /// The record's setting.
-    #[must_use]
     pub fn setting(&self) -> &'a Setting<'a> {
         self.setting
     }
 
     /// How many samples.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.samples.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.samples.is_empty()
     }
 
     /// The samples as they came.
-    #[must_use]
     pub fn samples(&self) -> &[f64] {
         &self.samples
     }
 
     /// The data that a law is fitted to, with the bins' power as it is.
-    #[must_use]
     pub fn data(&self) -> Data<'_> {
         self.data_of(&self.power)
     }
 
     /// The same with another power in the bins.
-    #[must_use]
     pub fn data_of<'b>(&'b self, power: &'b [f64]) -> Data<'b> {
         Data { grid: &self.grid, power, worth: &self.worth, base: &self.base, beliefs: &self.beliefs }
     }
 
     /// Standard deviation of the white part, per sample.
-    #[must_use]
     pub fn white(&self) -> f64 {
         (0.5 * self.explanation.law.levels[0]).exp() * self.setting.rate_hz.sqrt()
     }
@@ -295,7 +287,6 @@ impl<'a> Series<'a> {
 
     /// A series under an explanation that is no longer fitted, except for the phases of its sines, which cannot be known in
     /// advance. Its level of white noise is the level at times when nothing changes the variance.
-    #[must_use]
     pub fn frozen(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, explanation: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, explanation);
         series.explanation.law.levels[0] += series.average_variance().ln();
@@ -327,7 +318,6 @@ impl<'a> Series<'a> {
     }
 
     /// ln of density in nats, in as many blocks of time as are asked for; without what belongs to spikes and tails.
-    #[must_use]
     pub fn density(&self, blocks: usize) -> Vec<f64> {
         let n = self.len();
         let constant: f64 = self.spectrum.iter().skip(1).map(|s| s.ln()).sum::<f64>() / n as f64;
@@ -493,7 +483,6 @@ impl<'a> Series<'a> {
 
     /// The series as if its model had no spectral effect at this place of its list. Excluded samples that were replaced under a
     /// wrong filter may have any value, and are drawn again. Otherwise, the law is fitted again to its current input.
-    #[must_use]
     pub(super) fn without_declared(&self, place: usize) -> Self {
         let mut bare = self.clone();
         bare.explanation.without.insert(place);
@@ -596,13 +585,11 @@ impl<'a> Series<'a> {
     }
 
     /// The residual as it was before the filters: each value is the input of its time.
-    #[must_use]
     pub fn innovations(&self) -> &[f64] {
         if self.unfiltered.is_empty() { &self.residual } else { &self.unfiltered }
     }
 
     /// Samples that the filters reach, the model's and those found.
-    #[must_use]
     pub fn reach(&self) -> usize {
         let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
         // For a slower filter, too few samples are left to determine it.
@@ -621,7 +608,6 @@ impl<'a> Series<'a> {
     }
 
     /// Power gain of all filters, the model's and those found, at each coefficient; None if there is none.
-    #[must_use]
     pub fn filters(&self) -> Option<Vec<f64>> {
         let found = self.explanation.law.terms.iter().filter(|term| term.is_filter());
         let mut gain: Vec<f64> = self.base.gain.iter().zip(&self.base.passed).map(|(one, other)| one * other).collect();
@@ -643,7 +629,6 @@ impl<'a> Series<'a> {
 
     /// The residual as what does not mind its tails should see it: where the explanation has Student's t, normal scores, the
     /// values that a normal distribution has at the residual's ranks. Their order in time stays.
-    #[must_use]
     pub fn scores(&self) -> Cow<'_, [f64]> {
         use statrs::distribution::{ContinuousCDF, Normal};
         if self.explanation.tails.is_none() {
@@ -662,7 +647,6 @@ impl<'a> Series<'a> {
 
     /// Covariance of factors of courses whose transforms are `columns`, at the present law. None if the factors cannot be
     /// separated.
-    #[must_use]
     pub fn covariance(&self, columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
         let product = |i: usize, j: usize| -> f64 {
             let places = columns[i].iter().zip(&columns[j]).zip(&self.spectrum).skip(1);
@@ -676,14 +660,12 @@ impl<'a> Series<'a> {
     }
 
     /// The gain in nats, the factors, their covariance and the law if courses are added to the level.
-    #[must_use]
     pub fn with_courses(&self, courses: &[Course]) -> Drift {
         let columns: Vec<Vec<f64>> = courses.iter().map(|course| self.setting.courses.coefficients(*course)).collect();
         self.with_columns(&columns)
     }
 
     /// The same of courses of which the first coefficients are given.
-    #[must_use]
     pub fn with_columns(&self, columns: &[Vec<f64>]) -> Drift {
         const ROUNDS: usize = 4;
         let kept = columns.first().map_or(0, Vec::len).min(self.len());

@@ -16,7 +16,6 @@ pub struct Whitened {
 
 impl Whitened {
     /// Of a series.
-    #[must_use]
     pub fn of(series: &Series<'_>) -> Self {
         let white = series.white().powi(2);
         // Noise that comes in behind a filter is no part of what was shared in front of it.
@@ -59,7 +58,6 @@ pub struct Shared {
 ///
 /// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One shared
 /// source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in all.
-#[must_use]
 pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     let count = channels.len();
     let mut correlation = DMatrix::zeros(count, count);

@@ -27,7 +27,6 @@ impl Spread {
     /// Courses: generalised least squares, a warm-up's time constant beside its amplitude. A step's place: about 11 times
     /// the squared ratio of noise to step holds it in 95 % (Yao 1987, Ann. Stat. 15). Sines: the Cramér–Rao bound (Rife and
     /// Boorstyn 1974, IEEE Trans. IT 20) at the law's density. Spectral terms: the inverse of Fisher's information.
-    #[must_use]
     pub fn of(series: &Series<'_>) -> Self {
         let explanation = &series.explanation;
         let n = series.len() as f64;

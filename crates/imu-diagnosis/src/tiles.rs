@@ -18,7 +18,6 @@ pub struct Tiles {
 
 /// A rectangle of tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that callers read")]
 pub struct Rectangle {
     /// Hz.
     pub band_hz: [f64; 2],
@@ -67,7 +66,6 @@ impl Tiles {
     const STRETCHES: usize = 32;
 
     /// Of a series' residual.
-    #[must_use]
     pub fn of(series: &Series<'_>) -> Self {
         let rate_hz = series.setting().rate_hz;
         let size = series.len() / Self::STRETCHES;
@@ -92,13 +90,11 @@ impl Tiles {
     }
 
     /// Nats in all.
-    #[must_use]
     pub fn total(&self) -> f64 {
         self.excess.iter().sum()
     }
 
     /// The rectangle of tiles that holds most of the excess for its size.
-    #[must_use]
     pub fn heaviest(&self) -> Option<Rectangle> {
         let bands = self.edges_hz.len().checked_sub(1).filter(|bands| *bands > 0)?;
         let stretches = self.edges_s.len() - 1;

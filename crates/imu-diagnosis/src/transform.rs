@@ -33,7 +33,6 @@ impl std::fmt::Debug for Cosines {
 
 impl Cosines {
     /// For records of `length` samples, at least 1.
-    #[must_use]
     pub fn new(length: usize) -> Self {
         let length = length.max(1);
         let (forward, backward) = (plans::forward(length), plans::backward(length));
@@ -50,7 +49,6 @@ impl Cosines {
 
     /// The periodogram of `values` with as many zeros behind them: |Σ x_j e^(−2πijk/2n)|²/n for k from 0 to n, at the
     /// frequencies rate·k/2n. A record of another length has none.
-    #[must_use]
     pub fn periodogram(&mut self, values: &[f64]) -> Vec<f64> {
         let n = self.length;
         if values.len() != n {
@@ -65,7 +63,6 @@ impl Cosines {
     }
 
     /// How many samples a record has.
-    #[must_use]
     pub fn length(&self) -> usize {
         self.length
     }

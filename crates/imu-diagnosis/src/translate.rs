@@ -76,7 +76,6 @@ fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
 
 /// An effect in the channel's unit.
 #[derive(Debug, Clone)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that callers read")]
 pub struct Translated {
     /// Its kind.
     pub kind: Kind,
@@ -133,7 +132,6 @@ pub(super) const LEAST_PASSED: f64 = 1e-4;
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// The effects of an explanation; those that the model has already are left out.
-#[must_use]
 pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
     let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
     let rate_hz = sim.rate_hz;

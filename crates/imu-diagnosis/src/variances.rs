@@ -16,7 +16,6 @@ pub(super) struct Varied {
 impl Series<'_> {
     /// By how much the white part's variance is on average above its variance at times when nothing changes it: the law's level
     /// of white noise is the average.
-    #[must_use]
     pub fn average_variance(&self) -> f64 {
         let raw = self.raw_variances();
         if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }

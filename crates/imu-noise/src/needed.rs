@@ -36,7 +36,6 @@ impl RecordNeeded {
     ///
     /// # Validation
     /// `estimates_scatter_by_a_tenth_after_the_time_that_is_said`: the scatter of fits of simulated records of that length.
-    #[must_use]
     pub fn of(parameters: &NoiseParameters, rate_hz: f64) -> Self {
         let needed = |term| Law::of(parameters, rate_hz, term)?.needed_s();
         Self { b: needed(Term::B), k: needed(Term::K) }
@@ -45,7 +44,6 @@ impl RecordNeeded {
 
 /// The averaging time at which a walk as large as its upper limit would reach the lowest deviation, s: K²τ/3 is its Allan
 /// variance (IEEE Std 952-1997, annex C). None if a walk is identified, or if limit or lowest deviation are not known.
-#[must_use]
 pub fn walk_shows_beyond_s(parameters: &NoiseParameters) -> Option<f64> {
     let limit = parameters.k.upper_limit95.filter(|limit| !parameters.k.identified && *limit > 0.0)?;
     let tau_s = 3.0 * (parameters.minimum?.deviation / limit).powi(2);

@@ -67,28 +67,23 @@ impl Moments {
     }
 
     /// How many values.
-    #[must_use]
     pub fn count(&self) -> u64 {
         self.count
     }
     /// Their mean; `None` without a value.
-    #[must_use]
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0).then_some(self.mean)
     }
     /// Standard deviation, divided by n − 1; `None` below two values.
-    #[must_use]
     pub fn std(&self) -> Option<f64> {
         (self.count > 1).then(|| (self.m2 / (self.count as f64 - 1.0)).max(0.0).sqrt())
     }
     /// Third standardised moment, divided by n; `None` for constant data.
-    #[must_use]
     pub fn skewness(&self) -> Option<f64> {
         let spread = self.spread()?;
         Some(self.m3 / self.count as f64 / spread.powf(1.5)).filter(|value| value.is_finite())
     }
     /// Fourth standardised moment, divided by n, less the 3 of a normal distribution; `None` for constant data.
-    #[must_use]
     pub fn excess_kurtosis(&self) -> Option<f64> {
         let spread = self.spread()?;
         Some(self.m4 / self.count as f64 / (spread * spread) - 3.0).filter(|value| value.is_finite())
@@ -189,7 +184,6 @@ pub struct Accumulator {
 
 impl Accumulator {
     /// An accumulator without samples.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
@@ -266,7 +260,6 @@ impl Accumulator {
     }
 
     /// The statistics so far.
-    #[must_use]
     pub fn statistics(&self, unit: &str) -> Statistics {
         let moments = self.moments;
         let any = moments.count > 0;

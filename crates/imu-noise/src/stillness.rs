@@ -105,7 +105,6 @@ pub struct Stillness {
 impl Stillness {
     /// For a capture of which that many samples were received. Missing samples take no window: a clock that jumps makes no window
     /// longer.
-    #[must_use]
     pub fn new(rate_hz: f64, samples: u64) -> Self {
         let length = ((WINDOW_S * rate_hz).ceil() as u64).max(WINDOW_SAMPLES).max(samples.div_ceil(WINDOWS_MAX));
         Self { rate_hz, length, windows: Vec::new(), open: Open::default(), beyond: [(0, 0); 6] }
@@ -146,7 +145,6 @@ impl Stillness {
     }
 
     /// Of each channel, how many values were beyond any measurement, and how many values there were.
-    #[must_use]
     pub fn beyond(&self) -> [(u64, u64); 6] {
         self.beyond
     }
@@ -168,7 +166,6 @@ impl Stillness {
 
     /// The stretches in motion: places from–to in order, disjoint; windows that were too sparse go with their neighbours. `None`
     /// if there is no window.
-    #[must_use]
     pub fn settle(mut self) -> Option<Vec<Range<u64>>> {
         self.close();
         if self.windows.is_empty() {

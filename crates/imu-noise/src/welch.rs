@@ -89,7 +89,6 @@ impl Welch {
 
     /// For stretches of about so many samples each, without a gap inside, at a rate: the longest window of which there are
     /// enough, as no window goes across a gap.
-    #[must_use]
     pub fn new(stretches: &[u64], rate_hz: f64) -> Self {
         let (shortest, longest) = Self::ENDS;
         let mut window = longest;
@@ -123,7 +122,6 @@ impl Welch {
 
     /// Frequencies above 0 in Hz and the root of the one-sided power density there, U/√Hz: means over bins that lie closer than a
     /// share `apart` of their frequency. None if there was no whole window.
-    #[must_use]
     pub fn density(&self, apart: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let step_hz = self.rate_hz / self.window as f64;
         let mut at = (Vec::new(), Vec::new());

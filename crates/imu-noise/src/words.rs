@@ -6,7 +6,6 @@ use super::fit::{Bandwidth, Flag, NoiseParameters};
 
 impl Bandwidth {
     /// The filter: `a moving average of 4 samples (register 85)`.
-    #[must_use]
     pub fn words(&self) -> String {
         let kind = match self.kind.as_str() {
             "moving_average" => "a moving average",
@@ -26,7 +25,6 @@ impl Bandwidth {
 
 impl Flag {
     /// The flag's kind, its time and its note: `spike at 108.30–108.33 s: 7.9 standard deviations from its neighbours`.
-    #[must_use]
     pub fn words(&self) -> String {
         let when = match (self.from_s, self.to_s) {
             (Some(from), Some(to)) => format!(" at {from:.2}–{to:.2} s"),
@@ -38,7 +36,6 @@ impl Flag {
 
 impl NoiseParameters {
     /// The filter, the sensor's own density, the lowest deviation beside B, how long to record, and why no walk is seen.
-    #[must_use]
     pub fn sentences(&self, number: impl Fn(f64) -> String) -> Vec<String> {
         let mut all = Vec::new();
         if let Some(filter) = &self.bandwidth {

@@ -17,7 +17,6 @@ pub const WITHIN: f64 = 0.03;
 
 /// Four more diagnoses of a case: reports, or the reason why there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Diagnoses {
     /// The second record under the model that was given; none if there can be no second record.
     pub second: Option<Result<Value, String>>,
@@ -31,7 +30,6 @@ pub struct Diagnoses {
 
 /// What came of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Again {
     /// Part of the gap that the corrected model closes on the second record.
     pub closed: Option<f64>,
@@ -46,7 +44,6 @@ pub struct Again {
 
 impl Again {
     /// Of the diagnosis of a case with this key and the four that followed.
-    #[must_use]
     pub fn of(said: &Report, then: &Diagnoses, key: &Key) -> Self {
         let report = |of: &Result<Value, String>| of.as_ref().ok().and_then(|value| Report::of(value).ok());
         let clean = |of: &Result<Value, String>| {
@@ -74,7 +71,6 @@ impl Again {
 
 /// The part of a diagnosis's gap that another model closes: the same discrepancy under that model. None if there was no gap to
 /// close.
-#[must_use]
 pub fn closed_under(report: &Value, other: &Value) -> Option<f64> {
     let of = |report: &Value, name: &str| report["discrepancy"][name].as_f64();
     let (before, floor) = (of(report, "after_parameters")?, of(report, "floor")?);

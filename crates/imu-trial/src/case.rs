@@ -124,14 +124,12 @@ impl Case {
 
     /// The same device recorded once more: the same effects at the same times, other noise. `None` for an existing recording, and
     /// for limits that follow from the samples, because they would be others.
-    #[must_use]
     pub fn again(self) -> Option<Self> {
         let same = self.stretch.is_none() && self.recipe.kinds().all(|kind| kind != Kind::Saturation);
         same.then_some(Self { take: self.take + 1, ..self })
     }
 
     /// The device and its record's shape.
-    #[must_use]
     pub fn setting(&self) -> &Setting {
         &self.setting
     }
@@ -142,27 +140,23 @@ impl Case {
     }
 
     /// The model that the diagnosis is given.
-    #[must_use]
     pub fn model(&self) -> SensorModel {
         self.model.clone()
     }
 
     /// Whether it is read as a table, so that its rate follows from its stamps.
-    #[must_use]
     pub fn is_table(&self) -> bool {
         self.stretch.is_none() && self.setting.stamps.is_some()
     }
 
     /// For an existing recording: its channels without imposed effects, and the model with the case's N, B and K; for a case
     /// without effects, the model as it was fitted to the channels.
-    #[must_use]
     pub fn as_it_is(&self) -> Option<(Recording, SensorModel)> {
         let stretch = self.stretch.as_ref()?;
         Some((stretch.as_it_is(&self.setting), stretch.model_of(&self.setting, !self.has.is_empty())))
     }
 
     /// The key; cheap, no sample is made.
-    #[must_use]
     pub fn key(&self) -> Key {
         let name = |channel: &Channel| channel.name().to_owned();
         let effect = |has: &Has| TrueEffect {
@@ -189,7 +183,6 @@ impl Case {
     }
 
     /// The recording.
-    #[must_use]
     pub fn record(&self) -> Recording {
         let imposed: Vec<(usize, &Effect)> = self
             .has
@@ -247,7 +240,6 @@ impl Case {
 /// cannot state it: effects outside the library, and limits that follow from the samples.
 ///
 /// `declared` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
-#[must_use]
 pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
     if key.effects.iter().any(|effect| !can_be_said(effect.kind)) {
         return None;

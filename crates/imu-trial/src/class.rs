@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 /// The property that a case tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "each is counted in its own way")]
 pub enum Class {
     /// Only wrong parameters.
     None,
@@ -42,7 +41,6 @@ impl Class {
     ];
 
     /// The word for it.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -58,19 +56,16 @@ impl Class {
     }
 
     /// Whether its cases have a gap that effects of the library explain.
-    #[must_use]
     pub fn in_library(self) -> bool {
         matches!(self, Self::Single | Self::Pair | Self::Several | Self::Superfluous | Self::Size)
     }
 
     /// Whether the library lacks the effects of its cases.
-    #[must_use]
     pub fn is_outside(self) -> bool {
         matches!(self, Self::Outside | Self::Kept)
     }
 
     /// Whether its cases have no effect to name.
-    #[must_use]
     pub fn is_silent(self) -> bool {
         matches!(self, Self::None | Self::Known)
     }
@@ -79,7 +74,6 @@ impl Class {
 /// How sensor and model differ in an effect.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "each is made and judged in its own way")]
 pub enum Sense {
     /// The sensor has it, the model lacks it.
     #[default]
@@ -96,7 +90,6 @@ pub enum Sense {
 
 impl Sense {
     /// The sense that a diagnosis states, from the documented words; none for any other word.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         match name {
             "missing" => Some(Self::Missing),
@@ -108,7 +101,6 @@ impl Sense {
 
     /// Whether a cause of sense `stated` is a true statement about an effect of this sense. For an effect that both have at two
     /// places, each of three statements is true: the model lacks the one, the sensor lacks the other, and the two differ.
-    #[must_use]
     pub fn accepts(self, stated: Self) -> bool {
         match self {
             Self::Elsewhere => true,
@@ -118,13 +110,11 @@ impl Sense {
     }
 
     /// Whether the sensor has it.
-    #[must_use]
     pub fn is_in_sensor(self) -> bool {
         self != Self::Superfluous
     }
 
     /// Whether the model has it.
-    #[must_use]
     pub fn is_in_model(self) -> bool {
         self != Self::Missing
     }

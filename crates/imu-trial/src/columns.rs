@@ -5,7 +5,6 @@ use imu_diagnosis::Recording;
 
 /// One channel's samples.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Column {
     /// The channel.
     pub channel: Channel,
@@ -37,7 +36,6 @@ impl Column {
 
 /// Samples of several channels at one rate, with their temperature and stamps.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Columns {
     /// Samples per second.
     pub rate_hz: f64,
@@ -57,7 +55,6 @@ const AROUND_S: f64 = 1.0;
 impl Columns {
     /// Columns of an existing recording. The white part is the difference from the mean over a second. Its scale is that of the
     /// differences between neighbours (their median, so that lines of outliers do not count).
-    #[must_use]
     pub fn of(recording: &Recording) -> Self {
         let columns = recording.channels.iter().map(|(channel, values)| {
             let around = around(values, ((AROUND_S * recording.rate_hz) as usize).max(8));
@@ -74,13 +71,11 @@ impl Columns {
     }
 
     /// Samples per channel.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.columns.first().map_or(0, |column| column.values.len())
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -97,7 +92,6 @@ impl Columns {
     }
 
     /// As a recording, with the temperature as it was read.
-    #[must_use]
     pub fn into_recording(self, temperature_c: Option<Vec<f64>>) -> Recording {
         Recording {
             rate_hz: self.rate_hz,

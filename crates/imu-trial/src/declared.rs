@@ -25,7 +25,6 @@ const TRIES: usize = 400;
 
 /// By channel, in the documented form, the statement of a model that has the effect, and the factor by which the effect is larger
 /// there than in the sensor; `None` if no model can state it.
-#[must_use]
 pub fn declared(
     effect: &Effect,
     sense: Sense,
@@ -92,7 +91,6 @@ fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> 
 
 /// How far above its limit the difference of two sizes is, of an effect that is itself so far above: for effects that add up it
 /// is the difference, for counted ones the nats of two rates.
-#[must_use]
 pub fn over_limit(kind: Kind, over: f64, factor: f64) -> f64 {
     match kind {
         // Poisson's divergence per event, of which the limit has about three; eight nats a limit.
@@ -235,7 +233,6 @@ fn numbers(value: &Value) -> Vec<f64> {
 
 /// A model that states these effects besides its own. If limits or steps are absolute, its bias is the level: from another level
 /// no noise would reach them. `None` if the model's format cannot state it.
-#[must_use]
 pub fn with<'a>(
     model: &SensorModel,
     effects: impl IntoIterator<Item = (&'a TrueEffect, &'a BTreeMap<String, Value>)>,

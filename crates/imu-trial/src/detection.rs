@@ -10,7 +10,6 @@ use serde::Serialize;
 
 /// A size with its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Limit {
     /// The size.
     pub size: f64,
@@ -20,7 +19,6 @@ pub struct Limit {
 
 /// The sizes at which an effect is named, for the study's length.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Detection {
     /// The unit of the sizes; σ is the white part's standard deviation per sample.
     pub unit: &'static str,
@@ -41,7 +39,6 @@ pub struct Detection {
 
 impl Detection {
     /// Of sizes over the limit, and whether each was named.
-    #[must_use]
     pub fn of(kind: Kind, sizes: &[(f64, bool)]) -> Self {
         let limit = one(kind);
         let scaled = |of: Limit| Limit { size: of.size * limit, ci95: of.ci95.map(|ends| ends.map(|end| end * limit)) };

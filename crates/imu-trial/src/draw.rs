@@ -18,13 +18,11 @@ pub struct Draw(ChaCha8Rng);
 
 impl Draw {
     /// The stream of a case's device.
-    #[must_use]
     pub fn device(seed: u64, case: u64, purpose: &str) -> Self {
         Self::new(seed, case, 0, purpose)
     }
 
     /// The stream of one capture (from 1) of a case's device.
-    #[must_use]
     pub fn capture(seed: u64, case: u64, capture: u32, purpose: &str) -> Self {
         Self::new(seed, case, capture, purpose)
     }
@@ -40,7 +38,6 @@ impl Draw {
     }
 
     /// A stream that starts from the state of this one. Later draws of the two are independent.
-    #[must_use]
     pub fn split(&mut self) -> Self {
         let mut seed = [0; 32];
         self.0.fill_bytes(&mut seed);
@@ -112,7 +109,6 @@ impl Draw {
     /// The samples (from 1, below `samples`) of events that happen with `probability` in each, at least half as many as are
     /// expected and one. Without this minimum, an effect that by chance does not occur would count against a diagnosis that does
     /// not name it.
-    #[must_use]
     pub fn events(&mut self, probability: f64, samples: usize) -> Vec<usize> {
         let least = (0.5 * probability * samples as f64).ceil() as usize;
         loop {

@@ -22,7 +22,6 @@ use serde_json::Value;
 
 /// How well a cause fits an effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[expect(clippy::exhaustive_enums, reason = "the rules' three answers")]
 pub enum Fit {
     /// It is another.
     No,
@@ -38,7 +37,6 @@ const BINS: f64 = 2.0;
 const OVERLAP: f64 = 0.5;
 
 /// Whether `cause` is `truth`, an effect of the case with this key.
-#[must_use]
 pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
     if !truth.sense.accepts(cause.sense) {
         return Fit::No;

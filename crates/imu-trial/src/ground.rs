@@ -14,7 +14,6 @@ use serde::Serialize;
 const CIRCLE: f64 = 2.5;
 
 /// `samples` of Gaussian noise whose two-sided density per sample is `power_at(f)`, f in cycles per sample in (0, ½].
-#[must_use]
 pub fn coloured(samples: usize, draw: &mut Draw, power_at: impl Fn(f64) -> f64) -> Vec<f64> {
     let length = even_smooth((samples as f64 * CIRCLE) as usize);
     let mut planner = RealFftPlanner::<f64>::new();
@@ -36,7 +35,6 @@ pub fn coloured(samples: usize, draw: &mut Draw, power_at: impl Fn(f64) -> f64) 
 }
 
 /// Flicker noise of `level` b: density b²/(2πf).
-#[must_use]
 pub fn flicker(samples: usize, level: f64, draw: &mut Draw) -> Vec<f64> {
     coloured(samples, draw, |cycles| level * level / (std::f64::consts::TAU * cycles))
 }
@@ -57,7 +55,6 @@ fn even_smooth(least: usize) -> usize {
 
 /// The course of the sensor's temperature: it rises to a level as after switching on, and wanders.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct TemperatureCourse {
     /// At the beginning, °C.
     pub start_c: f64,
@@ -71,7 +68,6 @@ pub struct TemperatureCourse {
 
 impl TemperatureCourse {
     /// As the study's, at other rooms' temperatures.
-    #[must_use]
     pub fn draw(device: &mut Draw) -> Self {
         Self {
             start_c: device.uniform(14.0, 31.0),
@@ -82,7 +78,6 @@ impl TemperatureCourse {
     }
 
     /// Its expected standard deviation over the record, K.
-    #[must_use]
     pub fn spread_c(&self) -> f64 {
         let mean = self.settles * (1.0 - (-1.0 / self.settles).exp());
         let square = 0.5 * self.settles * (1.0 - (-2.0 / self.settles).exp());
@@ -90,7 +85,6 @@ impl TemperatureCourse {
     }
 
     /// The true temperature at every sample, °C: smooth over some thirtieths of the record.
-    #[must_use]
     pub fn samples(&self, samples: usize, draw: &mut Draw) -> Vec<f64> {
         let pole = 1.0 - 30.0 / samples as f64;
         let (mut walk, mut smooth) = (0.0, 0.0);
@@ -114,7 +108,6 @@ impl TemperatureCourse {
 }
 
 /// The temperature as a sensor reports it: with a little noise, in steps of 0.1 °C.
-#[must_use]
 pub fn as_read(temperature_c: &[f64], draw: &mut Draw) -> Vec<f64> {
     temperature_c.iter().map(|value| ((value + 0.02 * draw.normal()) * 10.0).round() / 10.0).collect()
 }

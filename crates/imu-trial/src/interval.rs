@@ -5,7 +5,6 @@ use statrs::function::beta::checked_beta_reg;
 
 /// So many of so many.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Rate {
     /// How many.
     pub count: usize,
@@ -19,7 +18,6 @@ pub struct Rate {
 
 impl Rate {
     /// Of a count.
-    #[must_use]
     pub fn new(count: usize, of: usize) -> Self {
         let some = of > 0;
         Self {
@@ -47,7 +45,6 @@ impl Rate {
 /// C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404: quantiles of Beta(k, n − k + 1) and Beta(k + 1, n − k).
 /// # Validation
 /// `clopper_pearson_has_its_published_values`: to the digits of published tables.
-#[must_use]
 pub fn clopper_pearson(count: usize, of: usize, confidence: f64) -> [f64; 2] {
     let (k, n, tail) = (count as f64, of as f64, 0.5 * (1.0 - confidence));
     let low = if count == 0 { 0.0 } else { quantile(k, n - k + 1.0, tail) };

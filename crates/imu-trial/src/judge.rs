@@ -15,7 +15,6 @@ use std::collections::{BTreeMap, BTreeSet};
 /// The result of a case: its diagnosis, or the reason why there was none, and the part of the gap that the true effects
 /// close if that was measured.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Answer {
     /// The diagnosis, or the refusal's sentence.
     pub report: Result<Report, String>,
@@ -29,7 +28,6 @@ pub struct Answer {
 
 /// An effect of a case as it was found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Found {
     /// Which.
     pub kind: Kind,
@@ -55,7 +53,6 @@ pub struct Found {
 
 /// A cause as it was judged.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Named {
     /// The documented name.
     pub effect: String,
@@ -71,7 +68,6 @@ pub struct Named {
 
 /// A case as it was judged.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Judgement {
     /// Its number.
     pub case: usize,
@@ -112,50 +108,42 @@ pub struct Judgement {
 
 impl Judgement {
     /// Whether the first cause is one of the case's effects.
-    #[must_use]
     pub fn right_first(&self) -> bool {
         self.causes.first().is_some_and(|cause| cause.right)
     }
 
     /// Whether its causes count in the rates over all classes: its effects are large enough, or it has no effect to name.
-    #[must_use]
     pub fn is_of_account(&self) -> bool {
         self.counts || self.class.is_silent()
     }
 
     /// Whether a cause was named that is not an effect of the case.
-    #[must_use]
     pub fn spurious(&self) -> bool {
         self.causes.iter().any(|cause| !cause.right)
     }
 
     /// Whether the verdict is `unknown_effect`.
-    #[must_use]
     pub fn unknown(&self) -> bool {
         self.verdict == "unknown_effect"
     }
 
     /// For an effect outside the library: whether the verdict is unknown, the effect is reproduced and reported as nameless, or
     /// it is named by an effect that describes it.
-    #[must_use]
     pub fn answered(&self) -> bool {
         self.unknown() || self.remainder.is_some() || self.causes.iter().any(|cause| cause.right)
     }
 
     /// Whether no cause is named.
-    #[must_use]
     pub fn silent(&self) -> bool {
         self.causes.is_empty() && self.verdict != "refused"
     }
 
     /// Whether every effect was named.
-    #[must_use]
     pub fn all_found(&self) -> bool {
         self.verdict != "refused" && self.effects.iter().all(|effect| effect.named)
     }
 
     /// Whether every effect was named, no other cause was named, and no gap is left.
-    #[must_use]
     pub fn exactly(&self) -> bool {
         self.all_found() && !self.spurious() && (self.verdict == "effects" || self.own_unknown)
     }
@@ -166,7 +154,6 @@ impl Judgement {
 /// For an existing recording, only the changes by the imposed effects are judged. A cause is the recording's own on the channels
 /// on which the same channels without imposed effects have a cause of the same effect name, unless an effect of the case is on
 /// them. A cause that is left with no channel is neither right nor spurious.
-#[must_use]
 pub fn judge(key: &Key, answer: &Answer) -> Judgement {
     let (all, verdict, refusal) = match &answer.report {
         Ok(report) => (report.causes.clone(), report.verdict.clone(), None),

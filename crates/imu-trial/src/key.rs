@@ -16,7 +16,6 @@ pub const MANIFEST_FORMAT: &str = "vn100d-trial-manifest-1";
 
 /// An effect that a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct TrueEffect {
     /// Which.
     pub kind: Kind,
@@ -41,7 +40,6 @@ pub struct TrueEffect {
 impl TrueEffect {
     /// The parameters that a cause of this sense refers to. For an effect that both have at two places, a cause of an effect that
     /// the sensor lacks refers to the model's.
-    #[must_use]
     pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
         match &self.declared {
             Some(declared) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => declared,
@@ -52,7 +50,6 @@ impl TrueEffect {
 
 /// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Key {
     /// Its number.
     pub case: usize,
@@ -76,7 +73,6 @@ pub struct Key {
 
 /// A key that does not fit its manifest.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum KeyError {
     /// The key of a case is not the one that was sealed.
     #[error("the key of case {case} has SHA-256 {found}; the manifest has {expected}")]
@@ -100,7 +96,6 @@ pub enum KeyError {
 
 impl Key {
     /// SHA-256 of the key, in hexadecimal digits.
-    #[must_use]
     pub fn digest(&self) -> String {
         // A key has numbers, texts and lists alone, all finite: it always has a text.
         let text = serde_json::to_string(self).unwrap_or_default();
@@ -110,7 +105,6 @@ impl Key {
 
 /// The document that is published before a trial.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Manifest {
     /// [`MANIFEST_FORMAT`].
     pub format: String,
@@ -120,13 +114,11 @@ pub struct Manifest {
 
 impl Manifest {
     /// Of these keys.
-    #[must_use]
     pub fn of(keys: &[Key]) -> Self {
         Self::of_digests(keys.iter().map(Key::digest).collect())
     }
 
     /// Of keys with these digests.
-    #[must_use]
     pub fn of_digests(digests: Vec<String>) -> Self {
         Self { format: MANIFEST_FORMAT.to_owned(), digests }
     }

@@ -11,7 +11,6 @@ macro_rules! kinds {
             missing_docs,
             reason = "the names of docs/effects.md; the others are described where they are imposed"
         )]
-        #[expect(clippy::exhaustive_enums, reason = "a new kind has to be imposed, sized and judged")]
         pub enum Kind {
             $($(#[serde(rename = $name)] $kind,)+)+
         }
@@ -20,7 +19,6 @@ macro_rules! kinds {
 
         impl Kind {
             /// The name in keys, scores and on the command line.
-            #[must_use]
             pub fn name(self) -> &'static str {
                 match self {
                     $($(Self::$kind => $name,)+)+
@@ -119,19 +117,16 @@ impl Kind {
     }
 
     /// Whether it must not be used for tuning.
-    #[must_use]
     pub fn is_kept(self) -> bool {
         Self::KEPT.contains(&self)
     }
 
     /// The kind of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::all().find(|kind| kind.name() == name)
     }
 
     /// The documented name of the effect; none outside the library.
-    #[must_use]
     pub fn effect(self) -> Option<&'static str> {
         match self {
             Self::VarianceInterval | Self::VarianceProfile | Self::VariancePerC => Some("variance_change"),
@@ -141,7 +136,6 @@ impl Kind {
 
     /// Effects of docs/effects.md that describe a kind outside the library. A diagnosis that knows one of them and names it gives
     /// a valid answer.
-    #[must_use]
     pub fn described(self) -> &'static [&'static str] {
         match self {
             Self::FmLine | Self::PhaseWalk | Self::ToneByTemperature => &["wandering_line"],
@@ -158,7 +152,6 @@ impl Kind {
     }
 
     /// The parameters of an effect of [`Self::described`] without which it is the plain effect of section 5, and no answer.
-    #[must_use]
     pub fn described_by(self) -> &'static [&'static str] {
         match self {
             Self::Hysteresis => &["play_c"],
@@ -170,7 +163,6 @@ impl Kind {
     }
 
     /// Its place in the sensor's chain; of two effects the one with the lower place acts first.
-    #[must_use]
     pub fn place(self) -> u8 {
         match self {
             Self::HeavyTails
@@ -200,7 +192,6 @@ impl Kind {
     }
 
     /// The effects that cannot be distinguished from it on one channel.
-    #[must_use]
     pub fn like(self) -> &'static [&'static str] {
         match self {
             Self::Tone
@@ -265,25 +256,21 @@ impl Kind {
     }
 
     /// The least number of channels that it acts on.
-    #[must_use]
     pub fn channels_min(self) -> usize {
         if matches!(self, Self::CommonMode) || self.has_source() { 2 } else { 1 }
     }
 
     /// Whether the first channel is heard on the others.
-    #[must_use]
     pub fn has_source(self) -> bool {
         matches!(self, Self::DelayedCrosstalk | Self::ProductCrosstalk)
     }
 
     /// Whether it acts on stamps, so that the record has to have stamps.
-    #[must_use]
     pub fn needs_stamps(self) -> bool {
         matches!(self, Self::Timing | Self::WanderingClock)
     }
 
     /// Whether it requires a measured temperature.
-    #[must_use]
     pub fn needs_temperature(self) -> bool {
         matches!(
             self,
@@ -299,7 +286,6 @@ impl Kind {
 
     /// Whether it is the same all the time and has exactly the law of the documented parameters, so that a model can state it
     /// rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
-    #[must_use]
     pub fn can_be_known(self) -> bool {
         matches!(
             self,
@@ -321,13 +307,11 @@ impl Kind {
     }
 
     /// Whether a model can have it at another size. The signs of shared noise are in no parameter.
-    #[must_use]
     pub fn can_be_resized(self) -> bool {
         self.effect().is_some() && self != Self::CommonMode
     }
 
     /// Whether a model can have it at another frequency or time.
-    #[must_use]
     pub fn can_be_elsewhere(self) -> bool {
         matches!(
             self,
@@ -336,7 +320,6 @@ impl Kind {
     }
 
     /// Whether two kinds may be in one case: not if they are one effect, or nearly, nor if the one cuts the other off.
-    #[must_use]
     pub fn goes_with(self, other: Self) -> bool {
         let both = |two: [Self; 2]| two.contains(&self) && two.contains(&other);
         self.effect() != other.effect() && !both([Self::Tone, Self::Comb]) && !both([Self::Spikes, Self::Saturation])

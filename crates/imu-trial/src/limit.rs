@@ -35,7 +35,6 @@ pub(super) const ABOVE: f64 = 1.5;
 /// | common_mode | share of each channel |
 ///
 /// 1 for kinds without a limit: filters, and effects outside the library.
-#[must_use]
 pub fn limit(kind: Kind, samples: usize) -> f64 {
     let longer = samples as f64 / STUDY as f64;
     let (variance, slow) = (longer.powf(-0.5), longer.max(1.0).sqrt());
@@ -72,7 +71,6 @@ const EXPECTED: f64 = 12.0;
 ///
 /// An effect of three or four starts from 1.5 times the limit, since a case counts if all its effects are above. A bias that the
 /// model states rightly changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
-#[must_use]
 pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
     let limit = limit(kind, samples);
     let least = match kind {
@@ -105,7 +103,6 @@ const MOST: f64 = 100.0;
 /// | bursts | 50 σ; the limit is a burst's own, so that this is kept where they are drawn |
 ///
 /// A bias step may be of 2,000 σ, in some cases: an axis that is turned over.
-#[must_use]
 pub fn most(kind: Kind, samples: usize) -> f64 {
     let physical = match kind {
         Kind::Resolution => 6.0 / UNEVEN,
@@ -124,7 +121,6 @@ pub fn most(kind: Kind, samples: usize) -> f64 {
 pub(super) const LOUDEST: f64 = 50.0;
 
 /// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit if there is one.
-#[must_use]
 pub fn one(kind: Kind) -> f64 {
     match kind {
         // A window of 2 counts as far above as the highest corner.
@@ -134,7 +130,6 @@ pub fn one(kind: Kind) -> f64 {
 }
 
 /// The unit of the sizes, in words; σ is the white part's standard deviation per sample.
-#[must_use]
 pub fn unit(kind: Kind) -> &'static str {
     match kind {
         Kind::Resolution => "step in σ",
@@ -158,7 +153,6 @@ pub fn unit(kind: Kind) -> &'static str {
 }
 
 /// The standard deviation, in units of the white part's, at which a burst of so many samples is found.
-#[must_use]
 pub fn burst_limit(samples: f64) -> f64 {
     let nats = |sigma: f64| 0.5 * samples * (sigma * sigma - (sigma * sigma).ln_1p());
     let (mut low, mut high) = (0.0, 100.0);

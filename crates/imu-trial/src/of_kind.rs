@@ -13,7 +13,6 @@ const CURVE: [f64; 11] = [0.5, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 10.0, 20.0, 50.0, f
 
 /// A stretch of a curve or a class of confidences.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Bin {
     /// From.
     pub from: f64,
@@ -27,7 +26,6 @@ pub struct Bin {
 
 impl Bin {
     /// Its edges in words.
-    #[must_use]
     pub fn label(&self) -> String {
         if self.to.is_finite() { format!("{}–{}", self.from, self.to) } else { format!("above {}", self.from) }
     }
@@ -35,7 +33,6 @@ impl Bin {
 
 /// The middle of some errors, and how many there are.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Spread {
     /// How many.
     pub count: usize,
@@ -47,7 +44,6 @@ pub struct Spread {
 
 /// The score of one kind of effect, alone in its case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct OfKind {
     /// Which.
     pub kind: Kind,
@@ -84,7 +80,6 @@ pub struct OfKind {
 
 impl OfKind {
     /// Of all judgements; none if it is alone in no case.
-    #[must_use]
     pub fn of(kind: Kind, all: &[Judgement]) -> Option<Self> {
         let alone = |one: &&Judgement| matches!(one.effects.as_slice(), [only] if only.kind == kind && only.sense == Sense::Missing);
         let every: Vec<&Judgement> = all.iter().filter(alone).collect();

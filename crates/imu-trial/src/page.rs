@@ -15,7 +15,6 @@ th:first-child,td:first-child{text-align:left}th{border-bottom:2px solid #888}\
 td.right{background:#e6f4e6}td.wrong{background:#fbe9e7}code{font-size:90%}.wide{overflow-x:auto}";
 
 /// The page.
-#[must_use]
 pub fn page(score: &Score) -> String {
     let mut out = String::new();
     // Writing to a string never fails.
@@ -222,7 +221,6 @@ fn count(rate: Rate) -> String {
 }
 
 /// A share with its interval, in percent.
-#[must_use]
 pub fn percent(rate: Rate) -> String {
     match (rate.share, rate.ci95) {
         (Some(share), Some([low, high])) => {
@@ -233,7 +231,6 @@ pub fn percent(rate: Rate) -> String {
 }
 
 /// A size with its interval, for people.
-#[must_use]
 pub fn limit(of: Option<Limit>) -> String {
     match of {
         Some(Limit { size: at, ci95: Some([low, high]) }) => format!("{} ({}–{})", size(at), size(low), size(high)),
@@ -243,7 +240,6 @@ pub fn limit(of: Option<Limit>) -> String {
 }
 
 /// Three digits.
-#[must_use]
 pub fn size(value: f64) -> String {
     if (1e-3..1e4).contains(&value) {
         let digits = (2 - value.log10().floor() as i32).max(0) as usize;

@@ -15,7 +15,6 @@ const NUMBER: usize = 8;
 
 /// Why bytes are no parcel.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ParcelError {
     /// The first line is not what it should be.
     #[error("the parcel's first line cannot be read: {0}")]
@@ -50,7 +49,6 @@ struct Head {
 
 /// The contents of a parcel.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that callers take apart")]
 pub struct Parcel {
     /// The recording.
     pub recording: Recording,
@@ -121,7 +119,6 @@ pub fn unpack(bytes: &[u8]) -> Result<Parcel, ParcelError> {
 }
 
 /// A recording as the documented CSV: rows of samples that are there, every number with all its digits.
-#[must_use]
 pub fn table(recording: &Recording) -> String {
     let mut text = String::from("time_s");
     for (channel, _) in &recording.channels {

@@ -105,7 +105,6 @@ fn lies_at(truth: &TrueEffect, place: &Place, key: &Key) -> bool {
 }
 
 /// Whether a cause that is this effect is placed; none if the effect has no channel, or the cause names no channel.
-#[must_use]
 pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key) -> Option<bool> {
     let of_all = truth.kind.needs_stamps() || cause.channels.is_empty();
     if of_all {

@@ -23,7 +23,6 @@ const ELSEWHERE: f64 = 0.5;
 
 /// Why a plan was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum PlanError {
     /// A word names no kind and no class.
     #[error("`{found}` names no kind of case; expected {classes}, or some of {kinds}")]
@@ -39,7 +38,6 @@ pub enum PlanError {
 
 /// Which cases are wanted.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Wanted {
     /// Their classes.
     pub classes: Vec<Class>,
@@ -109,7 +107,6 @@ impl Wanted {
 /// The recipe of every case of a trial.
 ///
 /// Shares are those of [`MIX`] among the classes that are wanted. Each kind comes as often as the others of its class.
-#[must_use]
 pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Recipe> {
     let mut draw = Draw::device(seed, u64::MAX, "plan");
     let shares: Vec<(Class, f64)> = MIX.into_iter().filter(|(class, _)| wanted.classes.contains(class)).collect();

@@ -11,7 +11,6 @@ pub const SURE: f64 = 0.97;
 
 /// One of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct NamedRate {
     /// Its name in JSON and on the command line.
     pub name: &'static str,
@@ -24,7 +23,6 @@ pub struct NamedRate {
 /// All of them, in order. Only cases with effects of 1.5 times the limit or above count, except cases without an effect to name
 /// and cases outside the library. False places and refusals are counted over all cases.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Rates(pub Vec<NamedRate>);
 
 impl Serialize for Rates {
@@ -42,7 +40,6 @@ pub type Halves = [(String, usize)];
 
 impl Rates {
     /// Of all judgements of a trial, and of a recording's halves if there is one.
-    #[must_use]
     pub fn of(all: &[Judgement], halves: &Halves) -> Self {
         let mut rates = Vec::new();
         let mut add = |name, meaning, rate| rates.push(NamedRate { name, meaning, rate });
@@ -204,13 +201,11 @@ impl Rates {
     }
 
     /// The rate of this name.
-    #[must_use]
     pub fn get(&self, name: &str) -> Option<Rate> {
         self.0.iter().find(|one| one.name == name).map(|one| one.rate)
     }
 
     /// Their names.
-    #[must_use]
     pub fn names() -> Vec<&'static str> {
         Self::of(&[], &[]).0.into_iter().map(|one| one.name).collect()
     }

@@ -5,7 +5,6 @@ use super::kind::Kind;
 
 /// A case's class, and its effects with the sense of each.
 #[derive(Debug, Clone, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Recipe {
     /// What it is a test of.
     pub class: Class,
@@ -15,7 +14,6 @@ pub struct Recipe {
 
 impl Recipe {
     /// One whose model lacks all of these.
-    #[must_use]
     pub fn lacking(kinds: &[Kind]) -> Self {
         let class = match kinds {
             [] => Class::None,
@@ -29,7 +27,6 @@ impl Recipe {
     }
 
     /// One whose model has this effect in this sense.
-    #[must_use]
     pub fn of_model(kind: Kind, sense: Sense) -> Self {
         let class = match sense {
             Sense::Missing => return Self::lacking(&[kind]),

@@ -35,7 +35,6 @@ const FIRST: [f64; 2] = [0.063, 8e-4];
 
 /// The properties of a recording that are known before cases are made of it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Survey {
     /// Stretches.
     pub stretches: usize,
@@ -45,7 +44,6 @@ pub struct Survey {
 
 /// The reason why there are no cases of a recording.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum RecordedError {
     /// It is too short.
     #[error("the recording has {found} samples; a case takes {needed}")]
@@ -62,7 +60,6 @@ pub enum RecordedError {
 
 /// A stretch of a recording with the model that has the recording's own effects.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Stretch {
     /// The stretch.
     pub recording: Recording,
@@ -117,7 +114,6 @@ pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Ve
 }
 
 /// An initial model: white noise from the differences between neighbours, flicker and walk as a device has them.
-#[must_use]
 pub fn first_model(recording: &Recording) -> SensorModel {
     let rate_hz = recording.rate_hz;
     let channel = |(channel, values): &(Channel, Vec<f64>)| {
@@ -131,7 +127,6 @@ pub fn first_model(recording: &Recording) -> SensorModel {
 
 impl Stretch {
     /// With the causes that a diagnosis under the model still names: effect and channels.
-    #[must_use]
     pub fn new(recording: Recording, model: SensorModel, named: &[(String, Vec<String>)]) -> Self {
         let mut own = Own::new();
         for (channel, of) in &model.channels {
@@ -146,7 +141,6 @@ impl Stretch {
     }
 
     /// The kinds that can be imposed on it.
-    #[must_use]
     pub fn kinds(&self) -> Vec<Kind> {
         let temperature = self.temperature().is_some();
         let stamps = self.recording.missing.is_empty() && self.recording.time_s.len() == self.recording.len();
@@ -177,7 +171,6 @@ impl Stretch {
     }
 
     /// Some of its channels, enough for these kinds, and N, B and K as a model has them that is a little wrong or far off.
-    #[must_use]
     pub fn setting(&self, kinds: &[Kind], device: &mut Draw) -> Setting {
         let (rate_hz, samples) = (self.recording.rate_hz, self.recording.len());
         let mut all: Vec<Channel> = self.model.channels.keys().copied().collect();
@@ -217,7 +210,6 @@ impl Stretch {
     }
 
     /// Its model with these channels alone: as it was fitted, or as a case states it.
-    #[must_use]
     pub fn model_of(&self, setting: &Setting, declared: bool) -> SensorModel {
         let mut model = self.model.clone();
         model.channels.retain(|channel, _| setting.parts.iter().any(|part| part.channel == *channel));
@@ -231,7 +223,6 @@ impl Stretch {
     }
 
     /// These channels as they are.
-    #[must_use]
     pub fn as_it_is(&self, setting: &Setting) -> Recording {
         let wanted = |channel: &Channel| setting.parts.iter().any(|part| part.channel == *channel);
         let channels = self.recording.channels.iter().filter(|(channel, _)| wanted(channel)).cloned().collect();
@@ -247,7 +238,6 @@ impl Stretch {
     }
 
     /// These channels with effects imposed; `stream` gives the draws of a purpose.
-    #[must_use]
     pub fn with(&self, setting: &Setting, effects: &[(usize, &Effect)], stream: impl Fn(&str) -> Draw) -> Recording {
         let untouched = self.as_it_is(setting);
         if effects.is_empty() {

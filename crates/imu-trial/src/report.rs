@@ -5,7 +5,6 @@ use serde_json::Value;
 
 /// The reason why a value is not a diagnosis.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ReportError {
     /// A key is missing, or is not what it should be.
     #[error("the diagnosis has no {key} that can be read")]
@@ -17,7 +16,6 @@ pub enum ReportError {
 
 /// A cause that was named.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Cause {
     /// The documented name of it.
     pub effect: String,
@@ -37,7 +35,6 @@ pub struct Cause {
 
 /// The owner of a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented words")]
 pub enum Of {
     /// The cause of this index.
     Cause(usize),
@@ -51,7 +48,6 @@ pub enum Of {
 
 /// A place where sensor and model differ.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Place {
     /// The channel.
     pub channel: String,
@@ -65,7 +61,6 @@ pub struct Place {
 
 /// The result of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the documented keys")]
 pub struct Report {
     /// `no_gap`, `parameters`, `effects`, `unknown_effect`.
     pub verdict: String,
@@ -121,7 +116,6 @@ impl Report {
 
 impl Cause {
     /// The entries of a channel: one, or several of a list.
-    #[must_use]
     pub fn entries(&self, channel: &str) -> &[Value] {
         entries(&self.parameters[channel])
     }

@@ -17,7 +17,6 @@ const CONFIDENCE: [f64; 8] = [0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0];
 
 /// A case that went wrong.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Miss {
     /// Its number.
     pub case: usize,
@@ -40,7 +39,6 @@ pub struct Miss {
 
 /// How far stated confidences are to be believed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Calibration {
     /// Causes with a stated confidence that were right.
     pub right: Rate,
@@ -68,7 +66,6 @@ impl Calibration {
 
 /// The recording that a trial's effects were imposed on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct On {
     /// What it is called.
     pub recording: String,
@@ -82,7 +79,6 @@ pub struct On {
 
 /// The score of a trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the format's keys")]
 pub struct Score {
     /// [`FORMAT`].
     pub format: &'static str,
@@ -121,7 +117,6 @@ pub struct Score {
 
 impl Score {
     /// Of all the judgements of a trial.
-    #[must_use]
     pub fn of(software: &str, seed: u64, manifest_sha256: &str, all: &[Judgement], halves: &Halves) -> Self {
         let mut classes: BTreeMap<&'static str, usize> = Class::ALL.map(|class| (class.name(), 0)).into();
         for judgement in all {
@@ -148,13 +143,11 @@ impl Score {
     }
 
     /// Marks the score as that of a frozen set.
-    #[must_use]
     pub fn of_suite(self, name: Option<&'static str>) -> Self {
         Self { suite: name, ..self }
     }
 
     /// Records which recording the effects were imposed on.
-    #[must_use]
     pub fn on(self, recording: &str, stretches: usize, all: &[Judgement]) -> Self {
         let on = On {
             recording: recording.to_owned(),

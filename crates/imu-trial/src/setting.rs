@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 
 /// A channel of the device: its true values and its model's statements.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct Part {
     /// The channel.
     pub channel: Channel,
@@ -27,7 +26,6 @@ pub struct Part {
 
 /// A device at rest and the shape of its record.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct Setting {
     /// Samples per second.
     pub rate_hz: f64,
@@ -81,13 +79,11 @@ pub(super) fn is_of_another(device: &mut Draw) -> bool {
 
 impl Part {
     /// Standard deviation of the white part per sample, U.
-    #[must_use]
     pub fn white(&self, rate_hz: f64) -> f64 {
         self.true_nbk[0] * rate_hz.sqrt()
     }
 
     /// Step of the random walk per sample, U.
-    #[must_use]
     pub fn walk(&self, rate_hz: f64) -> f64 {
         self.true_nbk[2] / rate_hz.sqrt()
     }
@@ -112,7 +108,6 @@ impl Part {
 
 impl Setting {
     /// One that these kinds can be imposed on.
-    #[must_use]
     pub fn draw(kinds: &[Kind], device: &mut Draw) -> Self {
         let rate_hz = mostly_low(device, RATE_HZ);
         let samples = (mostly_low(device, LENGTH_S) * rate_hz) as usize;
@@ -134,25 +129,21 @@ impl Setting {
     }
 
     /// Whether a channel has no effect of the recording that is like a kind.
-    #[must_use]
     pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
         self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(*effect)))
     }
 
     /// The record's length, s.
-    #[must_use]
     pub fn length_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz
     }
 
     /// An independent model: N, B and K a little wrong or far off, no effects.
-    #[must_use]
     pub fn model(&self) -> SensorModel {
         self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)
     }
 
     /// The model with the true N, B, K and levels, without effects.
-    #[must_use]
     pub fn true_model(&self) -> SensorModel {
         self.model_with("as it is", |part| part.true_nbk, |part| Some(part.level))
     }

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 /// How samples are stamped and sent. A record that has stamps is read as a table is: its rate follows from them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Stamps {
     /// The first one, s.
     pub first_s: f64,
@@ -30,13 +29,11 @@ const TWO_DECIMALS_HZ: f64 = 80.0;
 
 impl Stamps {
     /// The stamps of the sensor, exact.
-    #[must_use]
     pub fn exact(first_s: f64) -> Self {
         Self { first_s, decimals: None, late_s: 0.0, lost: 0.0 }
     }
 
     /// Some form.
-    #[must_use]
     pub fn draw(rate_hz: f64, device: &mut Draw) -> Self {
         let mut made = Self::exact(device.uniform(0.0, 5_000.0));
         let coarse = rate_hz < TWO_DECIMALS_HZ && device.chance(0.4);
@@ -49,7 +46,6 @@ impl Stamps {
     }
 
     /// Whether a `timing` that is named is the delivery's: neither an effect of the sensor nor invented.
-    #[must_use]
     pub fn deliver_late(self) -> bool {
         self.late_s > 0.0 || self.lost > 0.0
     }

@@ -9,7 +9,6 @@ use super::class::Class;
 
 /// A frozen set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "its facts")]
 pub struct Suite {
     /// Its name.
     pub name: &'static str,
@@ -47,19 +46,16 @@ pub const SUITES: [Suite; 1] = [Suite {
 
 impl Suite {
     /// The one of this name.
-    #[must_use]
     pub fn named(name: &str) -> Option<&'static Self> {
         SUITES.iter().find(|suite| suite.name == name)
     }
 
     /// The words for the classes of its cases: all.
-    #[must_use]
     pub fn words() -> String {
         Class::ALL.map(Class::name).join(",")
     }
 
     /// The information that a caller needs to compare with it, in words.
-    #[must_use]
     pub fn described(&self, manifest_sha256: &str) -> String {
         let kept = if manifest_sha256 == self.manifest_sha256 {
             "the manifest is the frozen one".to_owned()

@@ -99,37 +99,30 @@ impl AsciiType {
         &ROWS[self as usize]
     }
     /// The value of register 6 that selects it.
-    #[must_use]
     pub fn id(self) -> u8 {
         self.row().id
     }
     /// The message that register 6 selects with this value; `None` for 0 (off) and messages of other products.
-    #[must_use]
     pub fn from_id(id: u8) -> Option<Self> {
         ROWS.iter().find(|row| row.id == id).map(|row| row.ascii)
     }
     /// The register with the same values.
-    #[must_use]
     pub fn register(self) -> u16 {
         self.row().register
     }
     /// The message with the values of that register.
-    #[must_use]
     pub fn from_register(register: u16) -> Option<Self> {
         ROWS.iter().find(|row| row.register == register).map(|row| row.ascii)
     }
     /// The header, without `$`: `VNYMR`.
-    #[must_use]
     pub fn header(self) -> &'static str {
         self.row().header
     }
     /// The message with that header (without `$`).
-    #[must_use]
     pub fn from_header(header: &[u8]) -> Option<Self> {
         ROWS.iter().find(|row| row.header.as_bytes() == header).map(|row| row.ascii)
     }
     /// Its quantities in the order of its fields.
-    #[must_use]
     pub fn quantities(self) -> &'static [Quantity] {
         self.row().quantities
     }
@@ -148,7 +141,6 @@ pub enum Trailer {
 
 impl Trailer {
     /// Whether it is the checksum of `body`; a bypass is not.
-    #[must_use]
     pub fn matches(self, body: &[u8]) -> bool {
         match self {
             Self::Xor8(found) => super::checksum::xor8(body) == found,
@@ -171,7 +163,6 @@ fn hex(text: &[u8]) -> Option<u16> {
 
 /// Splits a line (with its `$`, without its line end) into body and trailer; `None` if it has no checksum of two or
 /// four digits. The body is the text between `$` and `*`.
-#[must_use]
 pub fn split_line(line: &[u8]) -> Option<(&[u8], Trailer)> {
     let inner = line.strip_prefix(b"$")?;
     let star = [3, 5].into_iter().find_map(|back| {

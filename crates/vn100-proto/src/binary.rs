@@ -129,7 +129,6 @@ pub(super) const KNOWN_BITS: [u16; GROUPS] = [0x3F3D, 0x0391, 0x0FFF, 0x11FF];
 
 /// The reasons why a header was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum HeaderError {
     /// A group of another product, or none.
     #[error("binary groups {found:02X}: expected a sum of 01 (common), 02 (time), 04 (IMU), 10 (attitude)")]
@@ -246,7 +245,6 @@ impl BinaryHeader {
     }
 
     /// The groups byte.
-    #[must_use]
     pub fn groups(&self) -> u8 {
         self.groups
     }
@@ -257,13 +255,11 @@ impl BinaryHeader {
     }
 
     /// Bytes of sync, groups and masks.
-    #[must_use]
     pub fn header_bytes(&self) -> usize {
         2 + 2 * self.groups.count_ones() as usize
     }
 
     /// Bytes of the payload.
-    #[must_use]
     pub fn payload_bytes(&self) -> usize {
         let mut bytes = 0;
         for (mut mask, lengths) in self.masks.into_iter().zip(&LENGTHS) {
@@ -276,7 +272,6 @@ impl BinaryHeader {
     }
 
     /// Bytes of the whole frame, sync byte and CRC included.
-    #[must_use]
     pub fn frame_bytes(&self) -> usize {
         self.header_bytes() + self.payload_bytes() + CRC_BYTES
     }
@@ -291,7 +286,6 @@ impl BinaryHeader {
     }
 
     /// The quantities it carries.
-    #[must_use]
     pub fn quantities(&self) -> QuantitySet {
         let mut set = QuantitySet::EMPTY;
         for field in self.fields() {
@@ -303,7 +297,6 @@ impl BinaryHeader {
     }
 
     /// Whether it carries TimeStartup.
-    #[must_use]
     pub fn has_time_startup(&self) -> bool {
         self.fields().any(|field| field == Field::TimeStartup)
     }

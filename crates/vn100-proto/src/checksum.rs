@@ -12,7 +12,6 @@ pub enum ChecksumKind {
 
 impl ChecksumKind {
     /// Hex digits behind the `*`.
-    #[must_use]
     pub fn digits(self) -> usize {
         match self {
             Self::Xor8 => 2,
@@ -25,7 +24,6 @@ impl ChecksumKind {
 ///
 /// # Source
 /// User manual UM001 rev 2.45, section 3.9.2. Weak: two equal bit changes cancel (`VNERR,12` and `VNERR,03` both give 72).
-#[must_use]
 pub fn xor8(bytes: &[u8]) -> u8 {
     let (words, rest) = bytes.as_chunks::<8>();
     let folded = words.iter().fold(0_u64, |sum, word| sum ^ u64::from_ne_bytes(*word));
@@ -73,7 +71,6 @@ const fn tables() -> [[u16; 256]; 8] {
 ///
 /// # Validation
 /// Check value 0x31C3 of `123456789`; equal to the `crc` crate on random bytes (`crc16_equals_an_independent_one`).
-#[must_use]
 pub fn crc16(bytes: &[u8]) -> u16 {
     let (chunks, rest) = bytes.as_chunks::<8>();
     let at = |zeros: usize, byte: u8| TABLES[zeros][usize::from(byte)];

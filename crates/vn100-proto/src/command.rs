@@ -34,19 +34,16 @@ pub enum Command {
 
 impl Command {
     /// Reads `register`.
-    #[must_use]
     pub fn read(register: u16) -> Self {
         Self::ReadRegister { register, port: None }
     }
 
     /// Writes `values` to `register`.
-    #[must_use]
     pub fn write(register: u16, values: impl std::fmt::Display) -> Self {
         Self::WriteRegister { register, values: values.to_string() }
     }
 
     /// The line without `$`, checksum and line end. Register numbers have two digits at least.
-    #[must_use]
     pub fn body(&self) -> String {
         match self {
             Self::ReadRegister { register, port: None } => format!("VNRRG,{register:02}"),
@@ -59,7 +56,6 @@ impl Command {
     }
 
     /// The bytes to send. A sensor accepts either checksum at any time, regardless of register 30.
-    #[must_use]
     pub fn to_bytes(&self, checksum: ChecksumKind) -> Vec<u8> {
         let mut bytes = Vec::new();
         encode::text_line(&mut bytes, &self.body(), checksum);
@@ -96,7 +92,6 @@ pub enum Verb {
 
 impl Verb {
     /// The verb with that header (without `$`): `VNRRG`.
-    #[must_use]
     pub fn from_header(header: &[u8]) -> Option<Self> {
         Some(match header {
             b"VNRRG" => Self::ReadRegister,
@@ -130,7 +125,6 @@ pub struct Reply<'a> {
 
 impl<'a> Reply<'a> {
     /// Reads the part of a line between `$` and `*`; `None` if its verb is unknown or its register no number.
-    #[must_use]
     pub fn parse(body: &'a str) -> Option<Self> {
         let (header, rest) = body.split_once(',').unwrap_or((body, ""));
         let verb = Verb::from_header(header.as_bytes())?;
@@ -149,7 +143,6 @@ impl<'a> Reply<'a> {
 
     /// Whether it is the reply to `command` (not whether the sensor executed it; a refusal is a
     /// [`DeviceError`](super::DeviceError)).
-    #[must_use]
     pub fn answers(&self, command: &Command) -> bool {
         match command {
             Command::ReadRegister { register, .. } => {
@@ -166,7 +159,6 @@ impl<'a> Reply<'a> {
 
     /// The values of a measurement register that was read (8, 9, 10, 15, 17–20, 27, 54, 80, 115, 239, 240) as a
     /// measurement; `None` for other registers and values that are not numbers.
-    #[must_use]
     pub fn measurement(&self) -> Option<Measurement> {
         if self.verb != Verb::ReadRegister {
             return None;

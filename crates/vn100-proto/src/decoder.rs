@@ -127,7 +127,6 @@ pub struct Decoder {
 
 impl Decoder {
     /// A decoder at the start of a stream.
-    #[must_use]
     pub fn new(options: DecoderOptions) -> Self {
         Self {
             binary: options.binary,
@@ -149,20 +148,17 @@ impl Decoder {
     }
 
     /// The binary frames to search for.
-    #[must_use]
     pub fn binary(&self) -> BinaryAcceptance {
         self.binary
     }
 
     /// The totals so far.
-    #[must_use]
     pub fn stats(&self) -> DecoderStats {
         self.stats
     }
 
     /// Bytes that are not decided or not reported yet: a run of garbage shorter than [`GARBAGE_RUN_BYTES`] and the
     /// candidate behind it.
-    #[must_use]
     pub fn pending(&self) -> usize {
         self.buffer.len()
     }

@@ -5,7 +5,6 @@
 /// # Source
 /// User manual UM001 rev 2.45, section 3.8. Firmware 2.1 prints the codes above 9 in decimal, 3.x in hex.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
-#[non_exhaustive]
 pub enum DeviceError {
     /// 01
     #[error("the sensor reports error 01, hard fault: its processor failed and restarts; samples are missing")]
@@ -57,7 +56,6 @@ pub enum DeviceError {
 
 impl DeviceError {
     /// The error with this code.
-    #[must_use]
     pub fn from_code(code: u8) -> Self {
         match code {
             0x01 => Self::HardFault,
@@ -78,7 +76,6 @@ impl DeviceError {
     }
 
     /// The code.
-    #[must_use]
     pub fn code(self) -> u8 {
         match self {
             Self::HardFault => 0x01,
@@ -100,7 +97,6 @@ impl DeviceError {
 
     /// The error with a code as a sensor prints it: hex (`0C`, `C`, `FF`), or the decimal `10`, `11`, `12`, `255` of
     /// firmware 2.1, which as hex would be codes that do not exist. `None` if the text is no code.
-    #[must_use]
     pub fn from_text(text: &str) -> Option<Self> {
         let code = match text {
             "10" => 0x0A,
@@ -116,7 +112,6 @@ impl DeviceError {
     }
 
     /// Whether the sensor restarts at this error, so that its clock begins at 0 and unsaved settings are lost.
-    #[must_use]
     pub fn restarts_sensor(self) -> bool {
         matches!(self, Self::HardFault | Self::WatchdogReset)
     }

@@ -27,7 +27,6 @@ pub struct FrameOptions {
 /// Bytes of one message on the line: a binary frame exactly, a line (CR and LF included) at firmware 2 and 3's number
 /// formats. A line is longer by one byte per acceleration beyond ±99.999 m/s²; [`FrameOptions`] does not affect binary
 /// frames.
-#[must_use]
 pub fn frame_bytes(kind: &MeasurementKind, options: &FrameOptions) -> usize {
     match kind {
         MeasurementKind::Binary(header) => header.frame_bytes(),
@@ -53,19 +52,16 @@ pub fn frame_bytes(kind: &MeasurementKind, options: &FrameOptions) -> usize {
 
 /// The highest rate in Hz at which messages of this many bytes fit a baud rate (8N1, the whole link). Infinite for 0
 /// bytes.
-#[must_use]
 pub fn max_rate_hz(bytes: usize, baud: u32) -> f64 {
     f64::from(baud) / f64::from(BITS_PER_BYTE) / bytes as f64
 }
 
 /// The highest of [`ASCII_RATES_HZ`] that fits; `None` if not even 1 Hz does.
-#[must_use]
 pub fn highest_ascii_rate_hz(bytes: usize, baud: u32) -> Option<u32> {
     ASCII_RATES_HZ.into_iter().rev().find(|rate| f64::from(*rate) <= max_rate_hz(bytes, baud))
 }
 
 /// The share of the link that a rate uses: 1 is all of it.
-#[must_use]
 pub fn link_share(bytes: usize, rate_hz: f64, baud: u32) -> f64 {
     rate_hz / max_rate_hz(bytes, baud)
 }

@@ -15,7 +15,6 @@ pub enum MeasurementKind {
 
 impl MeasurementKind {
     /// The common name of the output: `VNYMR`, `binary 01,0609`.
-    #[must_use]
     pub fn output_name(&self) -> String {
         match self {
             Self::Ascii(ascii) => ascii.header().to_owned(),
@@ -23,7 +22,6 @@ impl MeasurementKind {
         }
     }
     /// The quantities it carries.
-    #[must_use]
     pub fn quantities(&self) -> QuantitySet {
         match self {
             Self::Ascii(ascii) => {
@@ -35,12 +33,10 @@ impl MeasurementKind {
         }
     }
     /// The channels of its samples (if every value is finite).
-    #[must_use]
     pub fn channels(&self) -> ChannelSet {
         self.quantities().iter().flat_map(|quantity| quantity.channels().iter().copied()).collect()
     }
     /// Whether it carries TimeStartup; no ASCII message does.
-    #[must_use]
     pub fn has_device_time(&self) -> bool {
         match self {
             Self::Ascii(_) => false,
@@ -86,7 +82,6 @@ pub struct Measurement {
 
 impl Measurement {
     /// A measurement of that kind without values.
-    #[must_use]
     pub fn new(kind: MeasurementKind) -> Self {
         Self {
             kind,
@@ -105,19 +100,16 @@ impl Measurement {
     }
 
     /// The quantity's numbers, `quantity.components()` of them, if the message carried it.
-    #[must_use]
     pub fn get(&self, quantity: Quantity) -> Option<&[f64]> {
         self.present.contains(quantity).then(|| &self.values[quantity.range()])
     }
 
     /// The three numbers of a quantity with three components.
-    #[must_use]
     pub fn vector(&self, quantity: Quantity) -> Option<[f64; 3]> {
         self.get(quantity)?.try_into().ok()
     }
 
     /// The number of a quantity with one component.
-    #[must_use]
     pub fn scalar(&self, quantity: Quantity) -> Option<f64> {
         let [value] = self.get(quantity)?.try_into().ok()?;
         Some(value)
@@ -150,14 +142,12 @@ impl Measurement {
     }
 
     /// The quantities the message carried.
-    #[must_use]
     pub fn quantities(&self) -> QuantitySet {
         self.present
     }
 
     /// Digits behind the point with which the line printed this channel: its resolution is 10⁻ᵈ of the channel's unit.
     /// `None` for binary messages and absent channels. Firmware 1 prints fewer digits than firmware 2 and 3.
-    #[must_use]
     pub fn decimals(&self, channel: Channel) -> Option<u8> {
         // the same precedence as in `to_sample`: the last quantity that fills the channel counts
         Quantity::ALL
@@ -173,7 +163,6 @@ impl Measurement {
     /// If a message carries a vector both compensated and uncompensated, the uncompensated one is used for gyroscope,
     /// accelerometer and magnetometer. The on-board filter has removed its own bias estimate from the compensated one,
     /// which would remove slow noise from an Allan deviation. Values that are not finite leave their channel absent.
-    #[must_use]
     pub fn to_sample(&self, host_mono_ns: u64, host_utc_ns: i64) -> Sample {
         let mut sample = Sample::at(host_mono_ns, host_utc_ns);
         sample.device_time_ns = self.device_time_ns;

@@ -87,7 +87,6 @@ impl Quantity {
     pub const TOTAL_LEN: usize = OFFSETS[Self::COUNT];
 
     /// The number of values of the quantity.
-    #[must_use]
     pub const fn components(self) -> usize {
         match self {
             Self::Temperature | Self::Pressure | Self::DeltaTime => 1,
@@ -98,7 +97,6 @@ impl Quantity {
     }
 
     /// The position of its values among those of all quantities.
-    #[must_use]
     pub(super) const fn range(self) -> std::ops::Range<usize> {
         OFFSETS[self as usize]..OFFSETS[self as usize + 1]
     }
@@ -108,7 +106,6 @@ impl Quantity {
     /// # Source
     /// 40 recorded lines of a firmware 3.1 unit, AN110 tables 3–5 (transmission times), user manual UM001 rev 2.45
     /// sections 6 and 7. Direction cosines are printed like quaternions (no recording of VNDCM is known).
-    #[must_use]
     pub const fn ascii_format(self) -> AsciiFormat {
         let (width, decimals) = match self {
             Self::YawPitchRoll | Self::YprUncertainty | Self::DeltaTheta | Self::DeltaVelocity | Self::Pressure => {
@@ -130,7 +127,6 @@ impl Quantity {
 
     /// The channels of a sample that the quantity fills, in order; empty for quantities that have none. Acceleration
     /// without gravity is not the channel `accel`.
-    #[must_use]
     pub const fn channels(self) -> &'static [Channel] {
         match self {
             Self::YawPitchRoll => &[Channel::Yaw, Channel::Pitch, Channel::Roll],
@@ -166,7 +162,6 @@ impl QuantitySet {
         self.0 |= 1 << quantity as u8;
     }
     /// Whether the quantity is in the set.
-    #[must_use]
     pub const fn contains(self, quantity: Quantity) -> bool {
         self.0 & (1 << quantity as u8) != 0
     }

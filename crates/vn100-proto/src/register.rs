@@ -62,7 +62,6 @@ pub const IMU_FILTER: u16 = 85;
 /// Register values of an unexpected form.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("register {register}: `{found}` is not {expected}")]
-#[non_exhaustive]
 pub struct RegisterError {
     /// The register.
     pub register: u16,
@@ -163,13 +162,11 @@ impl CommunicationControl {
     }
 
     /// The checksum of the sensor's output.
-    #[must_use]
     pub fn checksum(&self) -> super::ChecksumKind {
         if self.serial_checksum == 3 { super::ChecksumKind::Crc16 } else { super::ChecksumKind::Xor8 }
     }
 
     /// Its additions to the length of ASCII messages.
-    #[must_use]
     pub fn frame_options(&self) -> super::FrameOptions {
         super::FrameOptions {
             serial_count: self.serial_count != 0,
@@ -352,13 +349,11 @@ impl BinaryOutput {
     }
 
     /// Its rate in Hz; `None` if the divisor is 0.
-    #[must_use]
     pub fn rate_hz(&self) -> Option<f64> {
         (self.rate_divisor != 0).then(|| f64::from(super::link::INTERNAL_RATE_HZ) / f64::from(self.rate_divisor))
     }
 
     /// Whether it is sent on that port (1 or 2).
-    #[must_use]
     pub fn is_sent_on(&self, port: u8) -> bool {
         self.header.is_some() && self.rate_divisor != 0 && self.async_mode & port != 0
     }

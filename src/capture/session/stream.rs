@@ -24,7 +24,6 @@ const MEASURE_NS: u64 = 2_000_000_000;
 impl Session {
     /// Whether a measurement that is no sample now belongs to another output than the requested one, also after a
     /// silence.
-    #[must_use]
     pub fn sees_another_format(&self) -> bool {
         self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }

@@ -13,7 +13,6 @@ use std::fmt::Write as _;
 
 /// A picture on the page.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "the two ways to have a picture")]
 pub enum Figure {
     /// Fetched from there when it scrolls into view; `told` is the description for users who cannot see it.
     Linked {
@@ -30,7 +29,6 @@ pub enum Figure {
 
 /// The facts about a capture. Documents are JSON texts.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct CaptureView<'a> {
     /// `GET /v1/captures/{id}`.
     pub capture: &'a str,

@@ -87,7 +87,6 @@ pub struct RecoverReport {
 
 impl RecoverReport {
     /// Whether anything is known to be lost or damaged.
-    #[must_use]
     pub fn has_damage(&self) -> bool {
         !self.findings.is_empty()
             || self.damaged_pages + self.damaged_rows + self.damaged_frames > 0

@@ -115,7 +115,6 @@ pub struct Accountant {
 
 impl Accountant {
     /// An accountant of a new capture. `rate_hz` is above 0.
-    #[must_use]
     pub fn new(rate_hz: f64, timebase: Timebase) -> Self {
         Self {
             rate_hz,
@@ -147,14 +146,12 @@ impl Accountant {
     ///
     /// At real time the host's jitter is below a period. If time runs faster, the jitter is multiplied by the speed.
     /// Without the sensor's clock a shorter silence cannot be distinguished from it.
-    #[must_use]
     pub fn with_host_jitter(self, host_jitter_ns: f64) -> Self {
         Self { host_jitter_ns, ..self }
     }
 
     /// An accountant that continues where an earlier one stopped. `segments`, `epoch`, `received`, `missing`, `gaps`
     /// and the last sample's position are those in the database. Samples missing until the next one have `cause`.
-    #[must_use]
     pub fn resume(
         rate_hz: f64,
         timebase: Timebase,
@@ -177,61 +174,51 @@ impl Accountant {
     }
 
     /// Samples received (held ones included).
-    #[must_use]
     pub fn received(&self) -> u64 {
         self.received + self.held()
     }
 
     /// Samples that are held until it is known whether some are missing before them.
-    #[must_use]
     pub fn held(&self) -> u64 {
         (self.arrival.held.len() + self.trial.held.len()) as u64
     }
 
     /// The frame number of the first held sample.
-    #[must_use]
     pub fn held_from(&self) -> Option<u64> {
         self.arrival.held.first().or(self.trial.held.first()).map(|sample| sample.frame)
     }
 
     /// Samples missing.
-    #[must_use]
     pub fn missing(&self) -> u64 {
         self.missing
     }
 
     /// Gaps recorded.
-    #[must_use]
     pub fn gaps(&self) -> u64 {
         self.gaps
     }
 
     /// Output rate in Hz.
-    #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
     /// The timebase of the samples.
-    #[must_use]
     pub fn timebase(&self) -> Timebase {
         self.timebase
     }
 
     /// The run of the sensor's clock, from 1.
-    #[must_use]
     pub fn epoch(&self) -> u32 {
         self.epoch
     }
 
     /// The last sample taken.
-    #[must_use]
     pub fn last(&self) -> Option<Position> {
         self.last
     }
 
     /// The cause that a gap would have if one appeared now.
-    #[must_use]
     pub fn interruption(&self) -> Option<GapCause> {
         self.interrupted
     }
@@ -415,7 +402,6 @@ fn is_one_boot(last: &Position, sample: &Sample) -> bool {
 }
 
 /// Host time from the last sample to a later instant, ns: monotonic within one boot, civil across boots.
-#[must_use]
 pub fn host_elapsed_ns(last: &Position, mono_ns: u64, utc_ns: i64) -> f64 {
     if last.host_mono_ns > 0 && mono_ns >= last.host_mono_ns {
         (mono_ns - last.host_mono_ns) as f64

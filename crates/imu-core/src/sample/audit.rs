@@ -144,7 +144,6 @@ pub struct Report {
 impl Report {
     /// The same report for a running capture: the first identity at the instant at which `received` measurements had
     /// arrived, `committed` of them were on disk and `in_flight` on their way there.
-    #[must_use]
     pub fn at_this_instant(
         self,
         received: u64,
@@ -190,7 +189,6 @@ fn first_identity(
 }
 
 /// Checks a capture. `segments` are in their order, `gaps` in any.
-#[must_use]
 pub fn audit(segments: &[SegmentFacts], gaps: &[GapFacts], counts: CountFacts) -> Report {
     let mut gaps = gaps.to_vec();
     gaps.sort_by_key(|gap| gap.before_seq);

@@ -37,7 +37,6 @@ pub enum Triad {
 
 impl Triad {
     /// The triad's three channels in the order x, y, z (yaw, pitch, roll).
-    #[must_use]
     pub fn channels(self) -> [Channel; 3] {
         use Channel::{AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Roll, Yaw};
         match self {
@@ -48,7 +47,6 @@ impl Triad {
         }
     }
     /// `attitude`, `mag`, `accel` or `gyro`.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Attitude => "attitude",
@@ -94,7 +92,6 @@ impl Channel {
     ];
 
     /// The name in tables, JSON and on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Yaw => "yaw",
@@ -114,7 +111,6 @@ impl Channel {
         }
     }
     /// The channel with that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|channel| channel.name() == name)
     }
@@ -145,12 +141,10 @@ impl Channel {
         }
     }
     /// The name of its column in files that include the unit (docs/formats.md): `gyro_x_rad_s`.
-    #[must_use]
     pub fn column_name(self) -> String {
         format!("{}{}", self.name(), self.csv_suffix())
     }
     /// The triad the channel belongs to; temperature and pressure stand alone.
-    #[must_use]
     pub fn triad(self) -> Option<Triad> {
         match self {
             Self::Yaw | Self::Pitch | Self::Roll => Some(Triad::Attitude),
@@ -161,7 +155,6 @@ impl Channel {
         }
     }
     /// The unit the sensor sends and the database holds.
-    #[must_use]
     pub fn unit(self) -> &'static str {
         match self.triad() {
             Some(Triad::Attitude) => "deg",
@@ -173,7 +166,6 @@ impl Channel {
         }
     }
     /// The suffix that names the unit in a CSV header (docs/formats.md): `gyro_x` + `_rad_s`.
-    #[must_use]
     pub fn csv_suffix(self) -> &'static str {
         match self.triad() {
             Some(Triad::Attitude) => "_deg",
@@ -185,7 +177,6 @@ impl Channel {
         }
     }
     /// Decimals of the VN-100's ASCII output in firmware 2 and 3 (recorded lines of 122 bytes; AN110's packet lengths).
-    #[must_use]
     pub fn ascii_decimals(self) -> usize {
         match self.triad() {
             Some(Triad::Attitude | Triad::Accel) => 3,
@@ -198,7 +189,6 @@ impl Channel {
     /// A power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit. It fixes
     /// the fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s² (VN-100 data
     /// sheet), with room for other sensors.
-    #[must_use]
     pub fn range_exponent(self) -> u32 {
         match self.triad() {
             Some(Triad::Attitude) => 9,
@@ -221,7 +211,6 @@ const NAME_CHARS: usize = 40;
 
 /// The reasons why requested channels are not returned.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ChannelError {
     /// There is no such channel.
     #[error("there is no `{found}`: channels are {}", names(&Channel::ALL))]
@@ -259,17 +248,14 @@ impl ChannelSet {
         self.0 &= !(1 << channel as u8);
     }
     /// Whether the channel is in the set.
-    #[must_use]
     pub fn contains(self, channel: Channel) -> bool {
         self.0 & (1 << channel as u8) != 0
     }
     /// The channels of either set.
-    #[must_use]
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
     /// Whether the set has no channel.
-    #[must_use]
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
@@ -278,12 +264,10 @@ impl ChannelSet {
         Channel::ALL.into_iter().filter(move |channel| self.contains(*channel))
     }
     /// The bits, for storing.
-    #[must_use]
     pub fn bits(self) -> u16 {
         self.0
     }
     /// The set of these bits; bits beyond the last channel are dropped.
-    #[must_use]
     pub fn from_bits(bits: u16) -> Self {
         Self(bits & ((1 << Channel::COUNT) - 1))
     }

@@ -116,7 +116,6 @@ impl DeviceClock {
     }
 
     /// The present estimate; `None` before there is enough data.
-    #[must_use]
     pub fn estimate(&self) -> Option<ClockEstimate> {
         let (device_0, host_0) = self.first?;
         let (first, last) = (self.bins.first()?.1, self.bins.last()?.1);

@@ -46,7 +46,6 @@ impl GapCause {
         Self::Source,
     ];
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Unplugged => "unplugged",
@@ -63,7 +62,6 @@ impl GapCause {
         }
     }
     /// The cause with that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|cause| cause.name() == name)
     }

@@ -32,7 +32,6 @@ pub struct Sample {
 
 impl Sample {
     /// A sample at this host time, without values.
-    #[must_use]
     pub fn at(host_mono_ns: u64, host_utc_ns: i64) -> Self {
         Self {
             device_time_ns: None,
@@ -54,17 +53,14 @@ impl Sample {
         }
     }
     /// The channel's value, if the sample has one.
-    #[must_use]
     pub fn get(&self, channel: Channel) -> Option<f64> {
         self.channels.contains(channel).then(|| self.values[channel as usize])
     }
     /// Whether both have the same channels with the same values, regardless of their times.
-    #[must_use]
     pub fn same_values(&self, other: &Self) -> bool {
         self.channels == other.channels && self.channels.iter().all(|channel| self.get(channel) == other.get(channel))
     }
     /// The channels that have a value.
-    #[must_use]
     pub fn channels(&self) -> ChannelSet {
         self.channels
     }

@@ -81,7 +81,6 @@ impl DiscardCause {
         Self::Probing,
     ];
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Checksum => "checksum",
@@ -97,12 +96,10 @@ impl DiscardCause {
     }
     /// Whether the discarded data is a valid measurement, one of those that `received` counts; the other causes are of
     /// bytes that never became one.
-    #[must_use]
     pub fn is_frame(self) -> bool {
         !matches!(self, Self::Checksum | Self::GarbageBytes | Self::Malformed)
     }
     /// The cause with that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|cause| cause.name() == name)
     }
@@ -130,7 +127,6 @@ pub enum EventKind {
 
 impl EventKind {
     /// The name in the database and JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::CaptureStarted => "capture_started",

@@ -17,7 +17,6 @@ use spectra::Bins;
 
 /// The data that is drawn, as `page::diagnosis` of `vn100d` takes it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Drawings<'a> {
     /// The spectra of every channel that was compared.
     pub spectra: Vec<ChannelSpectra>,
@@ -30,7 +29,6 @@ pub struct Drawings<'a> {
 impl<'a> Drawings<'a> {
     /// Drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after the origin of its
     /// times. Memory is that of three channels: the channels are simulated one after the other.
-    #[must_use]
     pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &'a Outcome) -> Self {
         let residuals = outcome.residuals.as_slice();
         // A simulation without the motion does not show the course of a record with one.

@@ -17,7 +17,6 @@ const NARROW: usize = 64;
 
 /// Amplitude densities of one channel in U/√Hz (the root of the two-sided density, so that white noise stands at N).
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct ChannelSpectra {
     /// The channel.
     pub channel: &'static str,

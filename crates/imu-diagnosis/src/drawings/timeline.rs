@@ -13,7 +13,6 @@ const SHORTEST: usize = 4 * LEAST;
 
 /// Over time, in U: one value per stretch; None if more than half of a stretch is missing.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Stretches {
     /// Means, less the mean of all.
     pub level: Vec<Option<f64>>,
@@ -23,7 +22,6 @@ pub struct Stretches {
 
 /// One channel's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct ChannelTimeline {
     /// The channel.
     pub channel: &'static str,

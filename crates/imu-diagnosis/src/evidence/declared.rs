@@ -7,7 +7,6 @@ use crate::series::Series;
 
 /// The gain from leaving each of the model's spectral effects out, or from giving it other numbers if that is worth more than
 /// `worth` beyond leaving it out. `doubtful`: other numbers are searched everywhere, not only near the model's.
-#[must_use]
 pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> Vec<Candidate> {
     let declared = series.setting().declared.iter();
     let as_stated = declared.filter(|(place, _)| !series.explanation.without.contains(place));
@@ -52,7 +51,6 @@ fn of_kind(series: &Series<'_>, kind: Kind) -> Option<Candidate> {
 }
 
 /// The kind of a term.
-#[must_use]
 pub fn kind_of(shape: Shape) -> Kind {
     match shape {
         Shape::QuantizationNoise => Kind::QuantizationNoise,

@@ -67,7 +67,6 @@ fn split(values: &[f64], about: usize, before: f64, behind: f64) -> usize {
 
 /// Whether the level behind a step of `size` at a place differs from the level before it for good, and not only during a loud
 /// stretch.
-#[must_use]
 pub fn is_lasting(values: &[f64], at: usize, size: f64) -> bool {
     const LONG: usize = 512;
     let level = |from: usize, to: usize| (to - from >= STRIDE).then(|| median(&mut values[from..to].to_vec()));

@@ -18,7 +18,6 @@ fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {
 }
 
 /// A ramp.
-#[must_use]
 pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| *course == Course::Ramp) {
         return None;
@@ -28,7 +27,6 @@ pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// The temperature.
-#[must_use]
 pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
     if series.setting().courses.temperature().is_none() || has(series, |course| *course == Course::Temperature) {
         return None;
@@ -38,7 +36,6 @@ pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// The temperature otherwise than along a straight line at once, beside its straight line.
-#[must_use]
 pub fn curve(series: &Series<'_>) -> Option<Candidate> {
     let known = |course: &Course| matches!(course, Course::Follows(_));
     if has(series, known) {
@@ -61,7 +58,6 @@ fn of_ways(series: &Series<'_>, wanted: impl Fn(Follow) -> bool) -> Option<Candi
 }
 
 /// A warm-up: its time constant from a 200th to a quarter of the record.
-#[must_use]
 pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| matches!(course, Course::WarmUp(_))) {
         return None;
@@ -107,7 +103,6 @@ const PRICE: f64 = 12.0;
 /// others.
 ///
 /// A level that goes to and fro between a few values is a process and not a chain of steps.
-#[must_use]
 pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
     /// No sensor's level jumps more often: the cause is another effect.
     const MOST: usize = 32;
@@ -238,7 +233,6 @@ pub fn join_rises(explanation: &mut Explanation, known: usize) {
 }
 
 /// Samples about the steps that are not on either level: a real step takes some samples to rise, in any shape.
-#[must_use]
 pub fn rises(series: &Series<'_>) -> Vec<usize> {
     /// Samples before and after a step that are looked at.
     const NEAR: usize = 40;

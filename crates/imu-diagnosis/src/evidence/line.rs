@@ -56,7 +56,6 @@ fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
 }
 
 /// A sine, the strongest that is left.
-#[must_use]
 pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let n = series.len();
     let residual = std::mem::take(&mut series.residual);
@@ -98,7 +97,6 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
 }
 
 /// A narrow band of noise.
-#[must_use]
 pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     const WIDTHS: [f64; 6] = [0.0001, 0.0004, 0.0015, 0.005, 0.015, 0.04];
     const MOST: usize = 4;

@@ -145,7 +145,6 @@ fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, 
 }
 
 /// Nats more with the best multiple of a course of ln variance, one value a sample, than with the course itself.
-#[must_use]
 pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
     let (means, size) = blocks(series);
     let column: Vec<f64> = shape.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect();
@@ -159,7 +158,6 @@ pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
 }
 
 /// Variance by temperature.
-#[must_use]
 pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
     if series.explanation.scedasticity.is_some() {
         return None;
@@ -172,7 +170,6 @@ pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// Variance over time, smoothly.
-#[must_use]
 pub fn profile(series: &Series<'_>) -> Option<Candidate> {
     if series.explanation.scedasticity.is_some() {
         return None;
@@ -292,7 +289,6 @@ pub(crate) fn price_of_one(samples: usize) -> f64 {
 
 /// Stretches of another variance: one after the other, at the place of the greatest gain. Bursts and a long stretch are
 /// two effects.
-#[must_use]
 pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     const MOST: usize = 40;
     const MOST_OF_RECORD: f64 = 0.2;

@@ -80,7 +80,6 @@ impl Kind {
     ];
 
     /// The documented effect.
-    #[must_use]
     pub fn effect(self) -> &'static str {
         match self {
             Self::RateRamp => "rate_ramp",
@@ -105,19 +104,16 @@ impl Kind {
 impl Kind {
     /// Whether the kind determines the distribution of single samples, so that what remains of it is no further
     /// evidence.
-    #[must_use]
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
     }
 
     /// Whether a series may have several effects of this kind.
-    #[must_use]
     pub fn repeats(self) -> bool {
         matches!(self, Self::Tone | Self::Resonance)
     }
 
     /// Whether it happens at its own time and is not a property that a later record would also have.
-    #[must_use]
     pub fn is_transient(self) -> bool {
         matches!(self, Self::BiasStep | Self::WarmUp | Self::Bursts | Self::VarianceInterval | Self::VarianceProfile)
     }
@@ -139,7 +135,6 @@ pub struct Candidate {
 
 impl Candidate {
     /// A candidate of an effect that the model lacks.
-    #[must_use]
     pub fn missing(kind: Kind, gain: f64, explanation: Explanation) -> Self {
         Self { kind, gain, explanation, of_model: None }
     }
@@ -153,7 +148,6 @@ pub(super) fn all_and_conditional(series: &mut Series<'_>) -> Vec<Candidate> {
 }
 
 /// The gain of each effect of the library for a series.
-#[must_use]
 pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = Vec::new();
     found.extend(level::ramp(series));
@@ -179,7 +173,6 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
 
 /// Collects the effects that show in the residual's squares: outliers, tails, stretches, and variance by temperature or
 /// time.
-#[must_use]
 pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
     samples_and_stretches(series).chain(loudness::per_degree(series)).chain(loudness::profile(series)).collect()
 }
@@ -190,7 +183,6 @@ fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate>
 }
 
 /// Those that concern the distribution of single samples ([`Kind::is_marginal`]).
-#[must_use]
 pub fn of_samples(series: &Series<'_>) -> Vec<Candidate> {
     samples_and_stretches(series).filter(|candidate| candidate.kind.is_marginal()).collect()
 }

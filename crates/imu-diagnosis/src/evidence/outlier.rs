@@ -85,7 +85,6 @@ const LARGE: f64 = 5.0;
 ///
 /// If such values come in groups, a group with one value that stands out is a spike. The other groups are stretches of noise,
 /// which this function ignores.
-#[must_use]
 pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     let mut explanation = series.explanation.clone();
     if explanation.tails.is_some() || explanation.spikes.is_some() {
@@ -251,7 +250,6 @@ fn kernel(series: &Series<'_>) -> f64 {
 }
 
 /// Spikes at known places: at places that are left out, each group of them taken for one spike.
-#[must_use]
 pub(crate) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candidate> {
     let mut with = series.clone();
     with.explanation.outliers.retain(|place| places.binary_search(place).is_err());
@@ -288,7 +286,6 @@ fn clustered(places: &[usize], samples: f64) -> bool {
 }
 
 /// Student's t.
-#[must_use]
 pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     const DEGREES: [f64; 12] = [2.2, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 140.0];
     let mut explanation = series.explanation.clone();

@@ -8,7 +8,6 @@ const HALF: usize = 16;
 const BESIDE: usize = 12;
 
 /// The samples of short groups that stand far out of quiet ones, and those that a filter may have made of them behind each.
-#[must_use]
 pub(crate) fn peaks(values: &[f64]) -> Vec<usize> {
     /// Robust standard deviations of the distances from local medians.
     const FAR: f64 = 25.0;

@@ -40,7 +40,6 @@ fn white(series: &Series<'_>) -> f64 {
 }
 
 /// A Gauss–Markov process.
-#[must_use]
 pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
     const STARTS: usize = 7;
     if has(series, |shape| shape == Shape::GaussMarkov) {
@@ -57,7 +56,6 @@ pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// White angle noise.
-#[must_use]
 pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| shape == Shape::QuantizationNoise) {
         return None;
@@ -70,7 +68,6 @@ pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
 pub(super) const HOPELESS: f64 = 3.0;
 
 /// A Butterworth filter of the order that fits best.
-#[must_use]
 pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::LowPass(_))) {
         return None;
@@ -96,7 +93,6 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
 }
 
 /// A boxcar of the window that fits best.
-#[must_use]
 pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     /// Up to this window each is fitted, beyond those with the deepest notches.
     const EACH: u64 = 20;
@@ -145,7 +141,6 @@ fn notched(series: &Series<'_>) -> Vec<u64> {
 }
 
 /// A density whose slope differs from those of white noise, flicker and random walk.
-#[must_use]
 pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     let mut candidate = slope_believed(series)?;
     // If B or K is far off, the slope is not another one: the gain counts that is left when both may take any value.

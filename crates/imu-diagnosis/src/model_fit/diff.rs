@@ -8,7 +8,6 @@ use std::collections::BTreeSet;
 
 /// One value in which two models differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Difference {
     /// The place in the file, such as `channels.gyro_x.N`.
     pub path: String,
@@ -25,7 +24,6 @@ pub struct Difference {
 }
 
 /// The differences, in the order of the file. Names, provenance and uncertainties do not count as differences.
-#[must_use]
 pub fn differences(first: &SensorModel, second: &SensorModel) -> Vec<Difference> {
     let mut found = Vec::new();
     let mut note = |path: String, one: Value, other: Value, interval: Option<[f64; 2]>| {

@@ -43,7 +43,6 @@ pub fn effects_named(names: &str) -> Result<Vec<&'static str>, String> {
 
 /// The model of a capture. `levels`: the channels' means; those of the report without one get no bias. `software` and
 /// `source` go into the provenance.
-#[must_use]
 pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &str, software: &str) -> SensorModel {
     let sampling = bandwidth::sampling(report);
     let mut left_out = Vec::new();
@@ -95,7 +94,6 @@ fn is_exponential(found: &NoiseParameters) -> bool {
 /// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels to which
 /// it added none keep the values of the noise report. `looked_for`: the effects' names. The record began `from_s` after the
 /// capture, lasted `record_s` and had a mean temperature of `temperature_c`.
-#[must_use]
 pub fn with_effects(
     plain: &SensorModel,
     augmented: &SensorModel,

@@ -23,7 +23,6 @@ pub const LEAST: usize = 1000;
 
 /// A reference beside a record.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Aligned {
     /// The first sample of the record that the reference covers.
     pub from: usize,

@@ -27,7 +27,6 @@ const BENDS: [f64; 2] = [0.03, 0.2];
 
 /// An effect that is not in the library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "one for each set of columns")]
 pub enum Foreign {
     /// It creeps after its input.
     Creep,
@@ -49,7 +48,6 @@ pub enum Foreign {
 
 impl Foreign {
     /// Its meaning, in words that follow "the gyro".
-    #[must_use]
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Creep => "creeps after its input (a memory of seconds)",
@@ -72,7 +70,6 @@ impl Foreign {
 
 /// One or the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "in the library or not")]
 pub enum Member {
     /// An effect of the library.
     Library(Candidate),
@@ -82,7 +79,6 @@ pub enum Member {
 
 /// Columns of a screen that stand and fall together.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Group {
     /// What they are.
     pub member: Member,
@@ -94,7 +90,6 @@ pub struct Group {
 
 /// How prices are made.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Pricing {
     /// The part of clean records in which any group may be named.
     pub level: f64,
@@ -106,14 +101,12 @@ pub struct Pricing {
 
 impl Pricing {
     /// The price of `numbers` numbers among `groups` groups per triad.
-    #[must_use]
     pub fn price(&self, numbers: usize, groups: usize) -> f64 {
         let chance = self.level / (groups * self.triads).max(1) as f64;
         ChiSquared::new(numbers.max(1) as f64).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - chance))
     }
 
     /// The same of a bias.
-    #[must_use]
     pub fn price_of_mean(&self, numbers: usize, groups: usize) -> f64 {
         /// Degrees of freedom from which on a variance is as good as known.
         const KNOWN: f64 = 3000.0;
@@ -135,14 +128,12 @@ impl Pricing {
 }
 
 /// The effects of the library that are fitted by regression.
-#[must_use]
 pub fn candidates(triad: Triad, full_scale: f64) -> Vec<Candidate> {
     let all = Candidate::all(triad, full_scale).into_iter();
     all.filter(|one| !matches!(one, Candidate::Latency | Candidate::Saturation)).collect()
 }
 
 /// The groups of a screen with these candidates and extra columns.
-#[must_use]
 pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)], pricing: Pricing) -> Vec<Group> {
     let inside = candidates.len();
     let mut groups = Vec::new();
@@ -166,7 +157,6 @@ pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)]
 }
 
 /// Columns of effects that are not in the library.
-#[must_use]
 pub fn foreign(
     of: Foreign,
     triad: Triad,

@@ -12,7 +12,6 @@ pub struct Reference {
 
 /// Why rows are no reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ReferenceError {
     /// Too few rows.
     #[error("the reference has {found} rows; at least {least} are needed")]
@@ -86,19 +85,16 @@ impl Reference {
     }
 
     /// From the first row to the last, s.
-    #[must_use]
     pub fn length_s(&self) -> f64 {
         self.time_s.last().zip(self.time_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
     /// How many rows.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
@@ -106,7 +102,6 @@ impl Reference {
     /// The motion `after_s` after the first row. Between rows, it lies on the cubic through the four rows about it (Lagrange);
     /// beyond the ends, it keeps the value at the end. `near` is the row from which the search starts, and becomes the row
     /// before.
-    #[must_use]
     pub fn at(&self, after_s: f64, near: &mut usize) -> Motion {
         let count = self.time_s.len();
         let time_s = self.time_s.first().copied().unwrap_or_default() + after_s;

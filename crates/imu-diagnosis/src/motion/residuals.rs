@@ -14,7 +14,6 @@ const LEAST: usize = 10;
 
 /// Means of the residuals of one channel over the range of what they are held against.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct Residuals {
     /// The channel.
     pub channel: &'static str,

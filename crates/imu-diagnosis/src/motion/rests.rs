@@ -23,7 +23,6 @@ const APART: f64 = 0.990_268;
 
 /// A stretch in which the sensor lies still.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Rest {
     /// Its samples.
     pub within: Range<usize>,
@@ -34,7 +33,6 @@ pub struct Rest {
 }
 
 /// The rests of a record with an accelerometer, in order.
-#[must_use]
 pub fn rests(real: &Recording) -> Vec<Rest> {
     let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
         let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| real.values(channel)).collect();
@@ -117,7 +115,6 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
 }
 
 /// How many poses are apart from one another.
-#[must_use]
 pub fn poses(rests: &[Rest]) -> usize {
     let mut seen: Vec<Axes> = Vec::new();
     for rest in rests {

@@ -13,7 +13,6 @@ const MOST: usize = 60;
 
 /// A chosen subset.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Choice {
     /// Places of its groups, in order.
     pub groups: Vec<usize>,
@@ -33,31 +32,26 @@ pub struct Weighing<'a> {
 
 impl<'a> Weighing<'a> {
     /// Of these groups.
-    #[must_use]
     pub fn new(screen: &'a Screen, base: &'a [usize], groups: &'a [Group]) -> Self {
         Self { screen, base, groups, without: screen.gain(base).0 }
     }
 
     /// The columns of a subset, those that are always there first.
-    #[must_use]
     pub fn columns(&self, subset: &[usize]) -> Vec<usize> {
         self.base.iter().copied().chain(subset.iter().flat_map(|place| self.groups[*place].columns.clone())).collect()
     }
 
     /// Nats that a subset explains.
-    #[must_use]
     pub fn gain(&self, subset: &[usize]) -> f64 {
         self.screen.gain(&self.columns(subset)).0 - self.without
     }
 
     /// The same less the prices.
-    #[must_use]
     pub fn score(&self, subset: &[usize]) -> f64 {
         self.gain(subset) - subset.iter().map(|place| self.groups[*place].price).sum::<f64>()
     }
 
     /// The best subset.
-    #[must_use]
     pub fn choose(&self) -> Choice {
         let mut own: Vec<usize> = Vec::new();
         let mut score = 0.0;
@@ -93,7 +87,6 @@ impl<'a> Weighing<'a> {
 
     /// By how much a subset is better than the best subset without one of its groups, nats less prices; and which group would
     /// replace it, if any would.
-    #[must_use]
     pub fn margin(&self, own: &[usize], place: usize) -> (f64, Option<usize>) {
         let rest: Vec<usize> = own.iter().copied().filter(|of| *of != place).collect();
         let whole = self.score(own);

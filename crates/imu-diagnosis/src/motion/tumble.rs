@@ -38,7 +38,6 @@ const NORMAL_95: f64 = 1.959_963_984_540_054;
 ///
 /// # Validation
 /// `tests` below: a simulated tumble gives its scale factors and biases back within their intervals.
-#[must_use]
 pub fn diagnose_tumble(
     real: &Recording,
     sim: &SensorModel,

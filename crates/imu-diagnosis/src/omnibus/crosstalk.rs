@@ -11,7 +11,6 @@ const SHORTEST: usize = 3;
 /// For each channel half the greatest squared correlation with any other at a lag times the samples: about −ln of its chance,
 /// how many lags there are not counted. The residuals are white. Pairs that are `linked` share noise at once, which two
 /// whitening filters spread over lags: they are left out.
-#[must_use]
 pub fn greatest(residuals: Vec<Vec<f64>>, linked: &dyn Fn(usize, usize) -> bool) -> Vec<f64> {
     let mut found = vec![0.0; residuals.len()];
     let n = residuals.first().map_or(0, Vec::len);

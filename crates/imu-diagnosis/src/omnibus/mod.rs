@@ -15,7 +15,6 @@ use statrs::function::gamma::{digamma, gamma_ur};
 /// A statistic of a residual, about −ln of the chance of as much, up to an offset that the record's length gives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "each has a null distribution in the table")]
 pub enum Statistic {
     /// Fourth moment of single samples.
     Kurtosis,
@@ -79,7 +78,6 @@ impl Statistic {
     ];
 
     /// The property that it tests, for people.
-    #[must_use]
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Kurtosis => "tails of single samples",
@@ -106,20 +104,17 @@ impl Statistic {
     }
 
     /// Whether noise that is stationary except for parts that come, go or wander may show it.
-    #[must_use]
     pub fn is_of_changes(self) -> bool {
         !matches!(self, Self::Skewness | Self::Atom | Self::Crosstalk | Self::Echo)
     }
 
     /// Whether it looks at single samples' distribution, which rounding, limits and tails change.
-    #[must_use]
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Kurtosis | Self::OctaveKurtosis)
     }
 }
 
 /// All statistics of a series' residual.
-#[must_use]
 pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
     let mut found = Vec::with_capacity(Statistic::ALL.len());
     found.push((Statistic::Skewness, skewness(series.innovations())));

@@ -14,7 +14,6 @@ const UNSEEN_FRACTION: f64 = 0.1;
 
 /// An effect to fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "one for each effect on a triad")]
 pub enum Candidate {
     /// [`Bias`].
     Bias,
@@ -41,7 +40,6 @@ pub enum Candidate {
 
 impl Candidate {
     /// All that make sense on `triad`, nonlinearity in both forms with this full scale (U).
-    #[must_use]
     pub fn all(triad: Triad, full_scale: f64) -> Vec<Self> {
         let all = [
             Self::Bias,
@@ -59,14 +57,12 @@ impl Candidate {
 
     /// The candidates of a name (docs/formats.md): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is
     /// unknown.
-    #[must_use]
     pub fn named(name: &str, full_scale: f64) -> Vec<Self> {
         let all = Self::all(Triad::Gyro, full_scale);
         all.into_iter().filter(|candidate| candidate.name() == name).collect()
     }
 
     /// The effect's name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         self.make(&[]).name()
     }
@@ -82,7 +78,6 @@ impl Candidate {
 
     /// The effect with these coefficients, in the order of [`TriadEffect::coefficients`]; what is missing is 0. A latency is
     /// never below 0. A saturation's one coefficient is its range.
-    #[must_use]
     pub fn make(self, coefficients: &[f64]) -> Arc<dyn TriadEffect> {
         let at = |place: usize| coefficients.get(place).copied().unwrap_or(0.0);
         let axes: Axes = std::array::from_fn(at);
@@ -104,7 +99,6 @@ impl Candidate {
     }
 
     /// The names of its coefficients: `x`, `xy`, `m[0][2]`, `seconds`.
-    #[must_use]
     pub fn parameters(self) -> Vec<String> {
         match self {
             Self::GSensitivity => (0..9).map(|place| format!("m[{}][{}]", place / 3, place % 3)).collect(),

@@ -33,7 +33,6 @@ const PIER: usize = 16;
 
 /// The range that a triad's samples show.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct Clipping {
     /// The largest magnitude shown, U; exact.
     pub limit: f64,

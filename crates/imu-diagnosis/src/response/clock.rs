@@ -12,7 +12,6 @@ use realfft::RealFftPlanner;
 
 /// How the reference's clock is related to the sensor's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Clock {
     /// Whether it may be off by a constant, up to a quarter of the record. In that case, no latency of this triad can
     /// be determined.
@@ -30,7 +29,6 @@ impl Clock {
 
 /// The joint result of two triads' delays against one reference.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct Lateness {
     /// By how much the reference is early for both, s: the smaller of the two delays.
     pub offset_s: f64,
@@ -47,7 +45,6 @@ impl Lateness {
     ///
     /// The two rates of the clock are one as well; a difference beyond their errors is a sign that the reference is not that
     /// of both.
-    #[must_use]
     pub fn of(first: (Triad, &Estimate), second: (Triad, &Estimate)) -> Option<Self> {
         let (first_error, second_error) = (first.1.standard_error?, second.1.standard_error?);
         let difference = first.1.value - second.1.value;

@@ -15,7 +15,6 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// How far the motion leaves parameters open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "the three answers of a design matrix's singular values")]
 pub enum Openness {
     /// The response does not depend on the parameters, or by less than the noise hides: they keep their known values.
     Unseen,
@@ -27,7 +26,6 @@ pub enum Openness {
 
 /// A group of parameters that the motion leaves open.
 #[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
 pub struct Confounding {
     /// How far.
     pub openness: Openness,

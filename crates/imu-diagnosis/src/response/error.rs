@@ -5,7 +5,6 @@ use imu_model::effects::Refusal;
 
 /// Why a record cannot be held against its reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ResponseError {
     /// No motion drives this triad.
     #[error("cannot hold {} against a motion: expected accel or gyro", found.name())]

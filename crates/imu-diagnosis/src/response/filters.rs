@@ -11,7 +11,6 @@ use std::sync::Arc;
 
 /// The filters that each axis's motion passes, at the record's rate.
 #[derive(Debug, Clone, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Filters {
     /// x, y and z, each in their order.
     pub of: [Vec<Arc<dyn Effect>>; 3],

@@ -69,7 +69,6 @@ const CLIPPING_SETTLED: f64 = 1e-3;
 
 /// A triad's record beside its reference.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Record<'a> {
     /// Samples per second.
     pub rate_hz: f64,
@@ -92,7 +91,6 @@ pub struct Record<'a> {
 
 /// The known quantities and the effects to find.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Request<'a> {
     /// Effects that the model has. One that is also a candidate is where its fit starts; others stay as they are.
     pub known: &'a [Arc<dyn TriadEffect>],
@@ -108,7 +106,6 @@ pub struct Request<'a> {
 
 /// A fitted parameter.
 #[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
 pub struct Estimate {
     /// The effect's name; `clock` for the reference's, `temperature_bias` for what goes with the temperature, `low_pass` for a
     /// cutoff.
@@ -128,7 +125,6 @@ pub struct Estimate {
 
 /// A fitted effect.
 #[derive(Debug, Clone)]
-#[non_exhaustive]
 pub struct Fitted {
     /// With the fitted parameters. A latency that came out below 0 is 0 here.
     pub effect: Arc<dyn TriadEffect>,
@@ -141,7 +137,6 @@ pub struct Fitted {
 
 /// The result of a fit.
 #[derive(Debug, Clone)]
-#[non_exhaustive]
 pub struct Fit {
     /// The candidates in their order; a latency only if the reference's clock has no separate offset, a saturation only if there
     /// is one.
@@ -194,7 +189,6 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
 }
 
 /// The mean output of a triad with these effects in a motion, per axis, U.
-#[must_use]
 pub fn expected(
     triad: Triad,
     rate_hz: f64,

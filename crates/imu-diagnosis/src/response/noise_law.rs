@@ -101,13 +101,11 @@ impl NoiseLaw {
     }
 
     /// How many samples a record has.
-    #[must_use]
     pub fn samples(&self) -> usize {
         self.axes[0].deviations.len()
     }
 
     /// Standard deviation of each axis's white noise in single samples, U.
-    #[must_use]
     pub fn sample_deviations(&self) -> Axes {
         self.axes.each_ref().map(AxisLaw::sample_deviation)
     }

@@ -164,13 +164,11 @@ fn sums(columns: &[Held], samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMa
 
 impl Screen {
     /// The estimates that the columns of the fit belong to.
-    #[must_use]
     pub fn estimates(&self) -> &[Estimate] {
         &self.fit.estimates
     }
 
     /// The joint gain of the columns, nats, and their numbers, less the known values.
-    #[must_use]
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
     }
@@ -186,7 +184,6 @@ impl Screen {
 
     /// The gain of the columns' numbers from all other folds in each block: held out, nats per block. Every `folds`th block is of
     /// the same fold, so that each part of a motion is in all of them.
-    #[must_use]
     pub fn held_out(&self, columns: &[usize], folds: usize) -> Vec<f64> {
         let mut explained = vec![0.0; self.blocks.len()];
         for fold in 0..folds {
@@ -204,7 +201,6 @@ impl Screen {
     }
 
     /// The gain of the columns with these numbers in each block, nats.
-    #[must_use]
     pub fn explained(&self, columns: &[usize], numbers: &[f64]) -> Vec<f64> {
         let strained = self.strained(columns, numbers);
         self.blocks.iter().map(|(own, more)| predicted(own, more, columns, numbers) - strained).collect()
@@ -219,7 +215,6 @@ impl Screen {
 
     /// Per axis and sample: half the square of what the columns with these numbers make of it, whitened. Its sum is the gap
     /// that they are, nats; where it is large is where the gap lies.
-    #[must_use]
     pub fn course(&self, columns: &[usize], numbers: &[f64]) -> [Vec<f64>; 3] {
         std::array::from_fn(|axis| {
             let mut sum = vec![0.0; self.samples[axis].len()];
@@ -233,7 +228,6 @@ impl Screen {
     }
 
     /// The same per axis, summed: nats.
-    #[must_use]
     pub fn by_axis(&self, columns: &[usize], numbers: &[f64]) -> Axes {
         self.course(columns, numbers).map(|values| values.into_iter().sum())
     }

@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 /// What a number is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "what filters and simulators take")]
 pub enum Noise {
     /// White noise, N.
     White,
@@ -21,7 +20,6 @@ impl Noise {
     pub const ALL: [Self; 2] = [Self::White, Self::Walk];
 
     /// The name in words.
-    #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
             Self::White => "white noise",

@@ -107,25 +107,21 @@ impl Target {
     }
 
     /// The name on the command line and in queries.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         self.words().0
     }
 
     /// A short description of the text that it writes.
-    #[must_use]
     pub const fn about(self) -> &'static str {
         self.words().1
     }
 
     /// The target with that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|target| target.name() == name)
     }
 
     /// Media type of its text.
-    #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Gazebo => "application/xml",
@@ -137,7 +133,6 @@ impl Target {
     }
 
     /// Whether its text has numbers of a channel.
-    #[must_use]
     pub fn holds(self, channel: Channel) -> bool {
         match channel.triad() {
             Some(Triad::Gyro | Triad::Accel) => true,
@@ -148,19 +143,16 @@ impl Target {
 
     /// The reason why the parameters of a report should not be written: the channels that the text would contain and
     /// that are not usable, with their reasons. `None` if all of them are usable.
-    #[must_use]
     pub fn refusal(self, report: &NoiseReport) -> Option<String> {
         report.refusal(|channel| self.holds(channel))
     }
 
     /// The text of a report's parameters; a comment names those that are not usable.
-    #[must_use]
     pub fn write_report(self, report: &NoiseReport) -> String {
         self.write(&ImuNoise { caution: self.refusal(report), ..ImuNoise::of(report) })
     }
 
     /// The text with the parameters.
-    #[must_use]
     pub fn write(self, noise: &ImuNoise) -> String {
         match self {
             Self::Kalibr => kalibr::write(noise),
@@ -272,7 +264,6 @@ pub struct Axis {
 
 /// The effects of an axis on its values besides noise, in the channel's unit U; `None` if the source has none.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write axes out")]
 pub struct Fixed {
     /// A constant, U.
     pub bias: Option<f64>,
@@ -367,7 +358,6 @@ impl ImuNoise {
     /// `temperature_bias` are used. Of a triad's effects its bias, its range, and the diagonal of `g_sensitivity` are
     /// used, the latter if there is nothing beside it. All others are reported as omitted. A magnetometer's level is
     /// the local field, not a bias.
-    #[must_use]
     pub fn of_model(model: &SensorModel) -> Self {
         let (mut others, mut behind) = (Vec::new(), BTreeMap::new());
         let mut axis = |channel: Channel| {

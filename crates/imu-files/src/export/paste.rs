@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 /// `vn100d-noise-1` as it is answered: the parameters, and what each program takes of them.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
-#[expect(clippy::exhaustive_structs, reason = "data")]
 pub struct NoiseDocument {
     /// The parameters.
     #[serde(flatten)]
@@ -26,7 +25,6 @@ impl From<NoiseReport> for NoiseDocument {
 
 /// Which number to paste where.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[non_exhaustive]
 pub struct Paste {
     /// Why published values are larger than these.
     pub note: String,
@@ -36,7 +34,6 @@ pub struct Paste {
 
 /// What one program takes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[non_exhaustive]
 pub struct Program {
     /// Its name on the command line and in queries: `--format` and `?format=` write its file.
     pub format: String,
@@ -52,7 +49,6 @@ pub struct Program {
 
 /// A number that a program takes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[non_exhaustive]
 pub struct Number {
     /// The program's name for it.
     pub name: String,
@@ -82,7 +78,6 @@ impl Paste {
     pub const UNUSABLE: &str = "not usable";
 
     /// The summary of a report.
-    #[must_use]
     pub fn of(report: &NoiseReport) -> Self {
         let noise = ImuNoise::of(report);
         let programs = Target::ALL.into_iter().map(|target| Program::of(target, &noise, report));
@@ -94,7 +89,6 @@ impl Paste {
 
     /// The header of a table for the user, and its rows: a program's name, its input, and white noise and walk of
     /// gyroscope and accelerometer, the largest of the axes. There are no rows if the record has neither.
-    #[must_use]
     pub fn table(&self, number: impl Fn(f64) -> String) -> (Vec<&'static str>, Vec<Vec<String>>) {
         let there =
             |triad: Triad| self.programs.iter().flat_map(|program| &program.values).any(|number| number.is_of(triad));

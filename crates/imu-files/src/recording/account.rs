@@ -44,7 +44,6 @@ pub struct RecordingAccountant {
 
 impl RecordingAccountant {
     /// An accountant of a recording of which nothing has been read yet.
-    #[must_use]
     pub fn new(info: &RecordingInfo) -> Self {
         Self {
             rate_hz: info.rate_hz,
@@ -66,22 +65,18 @@ impl RecordingAccountant {
     }
 
     /// Samples so far.
-    #[must_use]
     pub fn received(&self) -> u64 {
         self.received
     }
     /// Missing samples so far.
-    #[must_use]
     pub fn missing(&self) -> u64 {
         self.missing
     }
     /// Gaps so far.
-    #[must_use]
     pub fn gaps(&self) -> u64 {
         self.gaps
     }
     /// UTC of the last sample, ns; of the start if there is no sample yet.
-    #[must_use]
     pub fn last_utc_ns(&self) -> i64 {
         self.last.map_or(self.started_utc_ns, |(_, utc_ns)| utc_ns)
     }

@@ -37,7 +37,6 @@ pub enum Kind {
 
 impl Kind {
     /// The name of one of its entries.
-    #[must_use]
     pub fn entry(self) -> &'static str {
         match self {
             Self::Csv | Self::VnText => "line",

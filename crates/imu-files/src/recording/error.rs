@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 /// Why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum RecordingError {
     /// The file could not be opened.
     #[error("cannot open {}: {source}", file.display())]

@@ -139,7 +139,6 @@ impl Doubt {
 
 impl RecordingInfo {
     /// The sentences that a user should read about the recording.
-    #[must_use]
     pub fn remarks(&self) -> Vec<String> {
         // Findings that invalidate other figures come first.
         let mut remarks: Vec<String> = self.pairs().into_iter().collect();
@@ -152,7 +151,6 @@ impl RecordingInfo {
     }
 
     /// Reports that a given rate overrides that of the stamps, with both.
-    #[must_use]
     pub fn overridden(&self) -> Option<String> {
         let (given_hz, hz) = (self.rate_hz, rate(self.overridden_rate_hz?));
         Some(match self.stamp_grid {

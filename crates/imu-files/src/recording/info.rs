@@ -67,7 +67,6 @@ impl Decimals {
 
     /// The most decimals that a value of the channel was written with; `None` if it has no values or some were written
     /// with an exponent.
-    #[must_use]
     pub fn get(&self, channel: Channel) -> Option<u8> {
         self.seen[channel as usize].flatten()
     }
@@ -118,7 +117,6 @@ pub struct RecordingInfo {
 
 impl RecordingInfo {
     /// The timebase of the segments.
-    #[must_use]
     pub fn timebase(&self) -> Timebase {
         if self.stamps == Stamps::None { Timebase::Rate } else { Timebase::Stamps }
     }

@@ -26,7 +26,6 @@ pub struct Input {
 
 impl Input {
     /// A file.
-    #[must_use]
     pub fn file(path: &Path) -> Self {
         Self {
             path: path.to_owned(),
@@ -38,19 +37,16 @@ impl Input {
     }
 
     /// Bytes in memory; messages refer to them as `name`.
-    #[must_use]
     pub fn memory(name: &str, bytes: impl Into<Arc<[u8]>>) -> Self {
         Self { bytes: Some(bytes.into()), ..Self::file(Path::new(name)) }
     }
 
     /// The same, read only while it is wanted: once it is not, reading ends with [`RecordingError::Unwanted`].
-    #[must_use]
     pub fn while_wanted(self, keep_on: KeepOn) -> Self {
         Self { keep_on, ..self }
     }
 
     /// The same with a map of the columns of a foreign CSV.
-    #[must_use]
     pub fn with_columns(self, columns: ColumnMap) -> Self {
         Self { columns, ..self }
     }
@@ -67,7 +63,6 @@ impl Input {
     }
 
     /// The file's path, or the name.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -40,12 +40,10 @@ pub struct LoadedRecording {
 
 impl LoadedRecording {
     /// Sample time from the first to one period after the last sample, s: (samples + missing)/rate.
-    #[must_use]
     pub fn duration_s(&self) -> f64 {
         (self.samples + self.missing) as f64 / self.info.rate_hz
     }
     /// The column of a channel.
-    #[must_use]
     pub fn column(&self, channel: Channel) -> Option<&LoadedColumn> {
         self.columns.iter().find(|column| column.channel == channel)
     }

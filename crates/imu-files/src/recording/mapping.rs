@@ -35,7 +35,6 @@ pub struct ColumnMap {
 
 /// The reasons why pairs of columns are invalid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ColumnsError {
     /// A pair without `=`, or with nothing on one side.
     #[error("columns: {pair:?} is no pair FOREIGN=NAME, such as 'ax=accel_x_g' or '#3=time_ms'")]
@@ -107,7 +106,6 @@ impl ColumnMap {
     }
 
     /// Whether the map is empty.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }

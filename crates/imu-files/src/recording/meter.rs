@@ -20,7 +20,6 @@ impl KeepOn {
     }
 
     /// Whether it is still wanted.
-    #[must_use]
     pub fn is_wanted(&self) -> bool {
         (self.0)()
     }

@@ -197,7 +197,6 @@ impl Recording {
     }
 
     /// The result of the first pass.
-    #[must_use]
     pub fn info(&self) -> &RecordingInfo {
         &self.info
     }

@@ -65,7 +65,6 @@ impl Rejected {
     }
 
     /// The amount that it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
-    #[must_use]
     pub fn amount(&self) -> u64 {
         if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }
     }

@@ -31,7 +31,6 @@ pub(super) static KIND: Kind<dyn Effect> =
 impl HeldSamples {
     /// The power gain for a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives (1
     /// − p²)/(1 + p² − 2p cos 2πf·dt).
-    #[must_use]
     pub fn white_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let p = self.probability;
         (1.0 - p * p) / (1.0 + p * p - 2.0 * p * (TAU * frequency_hz / rate_hz).cos())

@@ -28,7 +28,6 @@ pub struct Intermittent {
 
 /// The effects that can come and go.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented three effects")]
 pub enum Gated {
     /// A sine.
     Tone(Tone),
@@ -40,7 +39,6 @@ pub enum Gated {
 
 /// When an effect is there.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented two forms")]
 pub enum Times {
     /// Mean lengths of its stays and of the pauses between them, s.
     Random {

@@ -29,7 +29,6 @@ impl LowPass {
     pub const ORDER_MAX: u64 = 8;
 
     /// A filter without noise behind it.
-    #[must_use]
     pub fn new(cutoff_hz: f64, order: u64) -> Self {
         Self { cutoff_hz, order, white_behind: 0.0 }
     }

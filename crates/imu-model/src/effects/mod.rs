@@ -98,7 +98,6 @@ pub const USUAL_TEMPERATURE_C: f64 = 25.0;
 /// A bandwidth acts on motion and noise alike, before the converter clips and before anything is decimated: noise beyond
 /// it is gone, and a clipped value stays exactly at its limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[expect(clippy::exhaustive_enums, reason = "a new stage is a new chain: everything that runs one has to know it")]
 pub enum Stage {
     /// The motion arrives late.
     Latency,
@@ -128,7 +127,6 @@ pub enum Stage {
 
 impl Stage {
     /// Whether the stage runs at the sensor's internal rate, before its boxcar and decimation (if the model has them).
-    #[must_use]
     pub fn is_internal(self) -> bool {
         self < Self::Sampling
     }
@@ -136,7 +134,6 @@ impl Stage {
 
 /// How far an effect that a channel names reaches; it decides whose random stream it draws from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "a channel belongs to a triad, and that to a sensor")]
 pub enum Scope {
     /// The channel alone.
     Channel,
@@ -148,7 +145,6 @@ pub enum Scope {
 
 /// The record that an expectation is taken over.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Record {
     /// Samples per second.
     pub rate_hz: f64,
@@ -158,12 +154,10 @@ pub struct Record {
 
 impl Record {
     /// Its length in s.
-    #[must_use]
     pub fn length_s(self) -> f64 {
         self.samples as f64 / self.rate_hz
     }
     /// The index of the first sample at or after `time_s`, at most [`Record::samples`].
-    #[must_use]
     pub fn index_at(self, time_s: f64) -> u64 {
         sampled::index_at(time_s, self.rate_hz).min(self.samples)
     }
@@ -171,7 +165,6 @@ impl Record {
 
 /// An instant, as far as effects depend on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct At {
     /// Since the start, s.
     pub time_s: f64,
@@ -181,7 +174,6 @@ pub struct At {
 
 /// The sensor's temperature over a block of samples, °C.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_enums, reason = "an argument that callers write out")]
 pub enum Temperature<'a> {
     /// The same throughout.
     Constant(f64),
@@ -191,7 +183,6 @@ pub enum Temperature<'a> {
 
 impl Temperature<'_> {
     /// At the block's sample `index`; the last one known beyond a series' end.
-    #[must_use]
     pub fn at(&self, index: usize) -> f64 {
         match self {
             Self::Constant(value) => *value,
@@ -202,7 +193,6 @@ impl Temperature<'_> {
 
 /// Moments of single samples of the effect's output.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Moments {
     /// Mean square about the mean, U².
     pub variance: f64,
@@ -215,7 +205,6 @@ pub type WhiteMoments = Moments;
 
 /// A line in a spectrum.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that tests write out")]
 pub struct Line {
     /// Its frequency, Hz.
     pub frequency_hz: f64,

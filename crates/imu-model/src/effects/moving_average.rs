@@ -25,7 +25,6 @@ impl MovingAverage {
     pub const WINDOW_MAX: u64 = 65_536;
 
     /// A mean without noise behind it.
-    #[must_use]
     pub fn new(window: u64) -> Self {
         Self { window, white_behind: 0.0 }
     }
@@ -56,7 +55,6 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 };
 
 /// |H|² of the mean over `window` samples at `cycles` per sample.
-#[must_use]
 pub fn boxcar_gain(window: u64, cycles: f64) -> f64 {
     let (window, x) = (window as f64, PI * cycles);
     if x.sin().abs() < 1e-12 { 1.0 } else { ((window * x).sin() / (window * x.sin())).powi(2) }
@@ -98,7 +96,6 @@ pub struct RunningMean {
 
 impl RunningMean {
     /// Over `window` values (0 counts as 1).
-    #[must_use]
     pub fn new(window: u64) -> Self {
         let window = usize::try_from(window).unwrap_or(usize::MAX).max(1);
         Self { window, last: Vec::new(), place: 0, sum: 0.0 }

@@ -5,7 +5,6 @@ use super::{Moments, Sampler, Temperature};
 use serde_json::{Value, json};
 
 /// The factor at `time_s` of points [s, factor] whose times rise; 1 if there is no point.
-#[must_use]
 pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
     let after = points.partition_point(|point| point.0 <= time_s);
     match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
@@ -33,7 +32,6 @@ pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: 
 }
 
 /// [`mean_power`] of a profile's points.
-#[must_use]
 pub fn mean_power_of(points: &[(f64, f64)], length_s: f64, power: i32) -> f64 {
     mean_power(points.iter().map(|point| point.0).collect(), length_s, power, |time_s| factor(points, time_s))
 }

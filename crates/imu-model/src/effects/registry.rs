@@ -45,19 +45,16 @@ pub static TRIAD: [&Kind<dyn TriadEffect>; 8] = [
 ];
 
 /// The kind of that name among `kinds`.
-#[must_use]
 pub fn find<E: ?Sized>(kinds: &'static [&'static Kind<E>], name: &str) -> Option<&'static Kind<E>> {
     kinds.iter().find(|kind| kind.spec.name == name).copied()
 }
 
 /// The names of `kinds`, in order.
-#[must_use]
 pub fn names<E: ?Sized>(kinds: &[&Kind<E>]) -> Vec<&'static str> {
     kinds.iter().map(|kind| kind.spec.name).collect()
 }
 
 /// The position of `spec` in the documented order; specs outside the lists (N, B, K) come first.
-#[must_use]
 pub fn rank(spec: &Spec) -> usize {
     CHANNEL.iter().position(|kind| kind.spec.name == spec.name).map_or(0, |place| place + 1)
 }

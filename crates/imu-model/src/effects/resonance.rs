@@ -66,14 +66,12 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 
 impl Resonance {
     /// A symmetric line.
-    #[must_use]
     pub fn new(frequency_hz: f64, bandwidth_hz: f64, sigma: f64) -> Self {
         Self { frequency_hz, bandwidth_hz, sigma, asymmetry: 0.0 }
     }
 
     /// The largest asymmetry of a line at `rate_hz`: with a larger one no noise has the autocovariance, whose spectrum would be
     /// negative at 0 or at half the rate.
-    #[must_use]
     pub fn most_asymmetric(&self, rate_hz: f64) -> f64 {
         let (decay, angle) = (self.decay(rate_hz), TAU * self.frequency_hz / rate_hz);
         angle / decay * decay.sinh() / angle.sin().abs()

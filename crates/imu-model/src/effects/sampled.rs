@@ -2,7 +2,6 @@
 
 /// The index of the first sample at or after `time_s`. A time within a millionth of a period after a sample counts as that
 /// sample's, so that decimal times meet the samples they mean.
-#[must_use]
 pub fn index_at(time_s: f64, rate_hz: f64) -> u64 {
     (time_s * rate_hz - 1e-6).ceil().max(0.0) as u64
 }
@@ -12,7 +11,6 @@ pub fn index_at(time_s: f64, rate_hz: f64) -> u64 {
 ///
 /// From σ²(m) = ½·E(ȳ₂ − ȳ₁)² with the weights' autocorrelation 2m − 3k up to k = m, k − 2m beyond; exact, and without
 /// cancellation if the process hardly decorrelates within 2 `m`.
-#[must_use]
 pub fn allan_variance(m: u64, structure: impl Fn(u64) -> f64) -> f64 {
     let averaged = m as f64;
     let weight = |k: u64| if k <= m { 3.0 * k as f64 - 2.0 * averaged } else { 2.0 * averaged - k as f64 };
@@ -21,14 +19,12 @@ pub fn allan_variance(m: u64, structure: impl Fn(u64) -> f64) -> f64 {
 
 /// Mean Allan variance over a record of `samples` for a known course: half the mean over the windows' starts i of
 /// `difference(i)`², the difference of the averages over i+m… and i…; `None` for records shorter than 2 `m`.
-#[must_use]
 pub fn allan_variance_of_course(m: u64, samples: u64, difference: impl Fn(u64) -> f64) -> Option<f64> {
     let starts = samples.checked_sub(2 * m).filter(|_| m > 0)? + 1;
     Some((0..starts).map(|start| difference(start).powi(2)).sum::<f64>() / (2.0 * starts as f64))
 }
 
 /// Two-sided response of the sampled Allan variance at f·dt = `cycles`: σ²(m) = ∫ S·response df.
-#[must_use]
 pub fn allan_response(m: u64, cycles: f64) -> f64 {
     let (m, x) = (m as f64, std::f64::consts::PI * cycles);
     if x.sin() == 0.0 { 0.0 } else { 2.0 * (m * x).sin().powi(4) / (m * x.sin()).powi(2) }

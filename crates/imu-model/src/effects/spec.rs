@@ -10,7 +10,6 @@ use std::sync::Arc;
 /// Why a parameter was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{effect}: `{parameter}`: found {found}; allowed is {allowed}")]
-#[expect(clippy::exhaustive_structs, reason = "made by every effect's own check")]
 pub struct Refusal {
     /// The effect's name.
     pub effect: &'static str,
@@ -27,7 +26,6 @@ pub const LARGEST: f64 = 1e30;
 
 /// A range of numbers. The numbers are finite in any case, and none is larger than [`LARGEST`] or smaller than its negative.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary of ranges")]
 pub enum Range {
     /// Any number.
     Any,
@@ -63,7 +61,6 @@ impl Range {
         }
     }
     /// In words: "a number above 0".
-    #[must_use]
     pub fn words(self) -> String {
         match self {
             Self::Any => "a finite number".to_owned(),
@@ -88,7 +85,6 @@ impl Range {
 
 /// The form of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary of forms")]
 pub enum Form {
     /// One number.
     Number(Range),
@@ -112,7 +108,6 @@ pub enum Form {
 
 /// Whether a parameter has to stand there.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "a closed vocabulary")]
 pub enum Need {
     /// Always.
     Always,
@@ -126,7 +121,6 @@ pub enum Need {
 
 /// One parameter of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Parameter {
     /// Its key.
     pub name: &'static str,
@@ -145,7 +139,6 @@ pub(super) const fn number(name: &'static str, range: Range, meaning: &'static s
 
 /// One kind of effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Spec {
     /// Its name in files and messages.
     pub name: &'static str,
@@ -162,7 +155,6 @@ pub struct Spec {
 }
 
 /// A kind of effect and how one is made of a file's entry; `E` is the trait object.
-#[expect(clippy::exhaustive_structs, reason = "a row of a table")]
 pub struct Kind<E: ?Sized> {
     /// Its table.
     pub spec: &'static Spec,
@@ -188,7 +180,6 @@ impl Spec {
     }
 
     /// The parameters' names.
-    #[must_use]
     pub fn names(&self) -> Vec<&'static str> {
         self.parameters.iter().map(|parameter| parameter.name).collect()
     }
@@ -276,7 +267,6 @@ impl Spec {
     }
 
     /// The JSON Schema of an entry.
-    #[must_use]
     pub fn schema(&self) -> Value {
         let mut properties = Map::new();
         properties.insert("effect".to_owned(), json!({"const": self.name}));
@@ -379,7 +369,6 @@ impl Parameter {
 
 impl Form {
     /// In words, for messages and tables.
-    #[must_use]
     pub fn words(self) -> String {
         match self {
             Self::Number(range) => range.words(),

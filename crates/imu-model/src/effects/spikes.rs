@@ -59,7 +59,6 @@ const FOURTH: f64 = 1.5125;
 
 impl Spikes {
     /// Spikes that come one by one, `rate_hz` per second and of typical size `amplitude` in U.
-    #[must_use]
     pub const fn new(rate_hz: f64, amplitude: f64) -> Self {
         Self { rate_hz, amplitude, cluster: 1.0 }
     }

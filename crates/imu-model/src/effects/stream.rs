@@ -55,7 +55,6 @@ pub mod number {
 }
 
 /// Owner of a triad's streams.
-#[must_use]
 pub fn triad_owner(triad: Triad) -> u32 {
     256 + match triad {
         Triad::Attitude => 0,
@@ -85,7 +84,6 @@ pub struct Stream(ChaCha8Rng);
 
 impl Stream {
     /// The stream `id` of `seed`, at its beginning.
-    #[must_use]
     pub fn new(seed: u64, id: StreamId) -> Self {
         let mut key = [0_u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());

@@ -71,7 +71,6 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 
 impl TemperatureBias {
     /// One of a slope alone, in U/°C, that vanishes at `reference_c`.
-    #[must_use]
     pub const fn linear(per_c: f64, reference_c: f64) -> Self {
         Self { per_c, reference_c, per_c2: 0.0, play_c: 0.0, per_c_per_s: 0.0 }
     }

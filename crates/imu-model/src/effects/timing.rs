@@ -51,7 +51,6 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 
 impl Timing {
     /// The stamp's deviation in s, from a standard normal number.
-    #[must_use]
     pub fn deviation_s(&self, normal: f64, rate_hz: f64) -> f64 {
         let most = DEVIATION_MAX / rate_hz;
         (self.jitter_s * normal).clamp(-most, most)

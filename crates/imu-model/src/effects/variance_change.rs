@@ -13,7 +13,6 @@ use std::sync::Arc;
 /// Its contribution to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's
 /// mean square over a record, by which the white density grows.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "the documented three forms")]
 pub enum VarianceChange {
     /// A factor inside an interval, 1 outside.
     Interval {
@@ -74,7 +73,6 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
 
 impl VarianceChange {
     /// The factor at an instant.
-    #[must_use]
     pub fn factor(&self, time_s: f64, temperature_c: f64) -> f64 {
         match self {
             Self::Interval { from_s, to_s, factor } => {

@@ -20,7 +20,6 @@ const SHORTEST_STAIR_S: f64 = 2.0;
 
 /// Which motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_enums, reason = "there are these three")]
 pub enum Kind {
     /// Level, at rest: gravity and Earth rate.
     Still,
@@ -35,7 +34,6 @@ impl Kind {
     pub const ALL: [Self; 3] = [Self::Still, Self::Tumble, Self::RateTable];
 
     /// The name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Still => "still",
@@ -45,7 +43,6 @@ impl Kind {
     }
 
     /// The kind of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
@@ -53,7 +50,6 @@ impl Kind {
 
 /// The place on Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Site {
     /// Geodetic latitude, °, north positive.
     pub latitude_deg: f64,
@@ -70,7 +66,6 @@ impl Default for Site {
 
 /// The reason why a motion cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum CourseError {
     /// There is not enough time for all of it.
     #[error(
@@ -115,7 +110,6 @@ impl Course {
     }
 
     /// Angular rate and specific force at a time after the start, s.
-    #[must_use]
     pub fn at(&self, time_s: f64) -> Motion {
         let (attitude, rate) = self.sequence.at(time_s);
         let into_sensor = attitude.inverse();
@@ -129,7 +123,6 @@ impl Course {
     }
 
     /// When its last turn ends, s.
-    #[must_use]
     pub fn moves_until_s(&self) -> f64 {
         self.sequence.duration_s()
     }

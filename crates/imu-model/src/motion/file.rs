@@ -30,7 +30,6 @@ const TELLING: usize = 1000;
 
 /// Why a motion was refused.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum MotionError {
     /// The file could not be read, or is not CSV.
     #[error("{file}: {source}")]
@@ -297,7 +296,6 @@ impl<R: Read> Iterator for Rows<R> {
 
 /// The contents of a motion's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an answer that callers take apart")]
 pub struct Survey {
     /// Rows.
     pub rows: u64,

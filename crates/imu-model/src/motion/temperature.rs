@@ -46,13 +46,11 @@ impl Temperatures {
     }
 
     /// One that does not change.
-    #[must_use]
     pub fn constant(temperature_c: f64) -> Self {
         Self { rows: vec![(0.0, temperature_c)] }
     }
 
     /// The temperature at a time, °C.
-    #[must_use]
     pub fn at(&self, time_s: f64) -> f64 {
         let next = self.rows.partition_point(|(at_s, _)| *at_s <= time_s);
         let before = next.checked_sub(1).and_then(|last| self.rows.get(last));

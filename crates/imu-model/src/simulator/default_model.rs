@@ -8,7 +8,6 @@ use imu_core::sample::Channel;
 /// The accelerometer's N, B and K are those of a measured unit (a desk capture of five hours). The gyroscope's N and B are
 /// those of VN-100 recordings at rest; its K, and the magnetometer's parameters, are such that five hours identify each
 /// of N, B and K. Angles lie away from ±180°, so that none wraps.
-#[must_use]
 pub fn default_model() -> SensorModel {
     let noise = |n, b, k, bias| ChannelModel { n, b, k, bias: Some(bias), ..ChannelModel::default() };
     let channels = [

@@ -45,7 +45,6 @@ pub const THREADED_BLOCK: usize = 16_384;
 
 /// The reason why a simulation was refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum SimulatorError {
     /// The rate is not a number above 0.
     #[error("cannot simulate at {found} Hz: the rate must be a finite number above 0")]
@@ -73,7 +72,6 @@ pub enum SimulatorError {
 
 /// One sample as it would be recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "what a recorder writes")]
 pub struct SimulatedSample {
     /// Its number from 0, lost ones counted.
     pub index: u64,
@@ -99,23 +97,19 @@ pub struct Block<'a> {
 
 impl<'a> Block<'a> {
     /// How many samples there are.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
     /// Whether there is none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
     /// A channel's values in its unit; `None` if the model does not have it.
-    #[must_use]
     pub fn values(&self, channel: Channel) -> Option<&'a [f64]> {
         let chain = self.chains.iter().find(|chain| chain.channel == channel)?;
         chain.output.get(..self.time_s.len())
     }
     /// The sample at a place from 0, below [`Block::len`].
-    #[must_use]
     pub fn sample(&self, place: usize) -> SimulatedSample {
         let mut values = [0.0; Channel::COUNT];
         for chain in self.chains {
@@ -215,7 +209,6 @@ impl Simulator {
 
     /// Lets the sensor follow a motion, given at [`Simulator::internal_rate_hz`]. The simulation ends with it. Call this before
     /// the first sample.
-    #[must_use]
     pub fn with_motion(mut self, motion: impl Reference + 'static) -> Self {
         self.motion = Some(Box::new(motion));
         self
@@ -223,39 +216,33 @@ impl Simulator {
 
     /// Lets the sensor's temperature follow a course, which takes precedence over the motion's. Call this before the first
     /// sample.
-    #[must_use]
     pub fn with_temperature(mut self, course: impl TemperatureCourse + 'static) -> Self {
         self.course = Some(Box::new(course));
         self
     }
 
     /// Spreads the channels over this many threads (0 counts as 1); the values are the same.
-    #[must_use]
     pub fn with_threads(mut self, threads: usize) -> Self {
         self.threads = threads.max(1);
         self
     }
 
     /// The channels that the model gives.
-    #[must_use]
     pub fn channels(&self) -> ChannelSet {
         self.channels
     }
 
     /// Samples sent per second.
-    #[must_use]
     pub fn rate_hz(&self) -> f64 {
         self.terms.rate_hz
     }
 
     /// Whether stamps deviate from their places.
-    #[must_use]
     pub fn has_jitter(&self) -> bool {
         self.timing.iter().any(|(timing, ..)| timing.jitter_s > 0.0)
     }
 
     /// The rate at which the chain runs before sampling, and at which a motion is given.
-    #[must_use]
     pub fn internal_rate_hz(&self) -> f64 {
         self.terms.internal_rate_hz
     }

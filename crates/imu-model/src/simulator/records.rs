@@ -25,7 +25,6 @@ pub struct Records {
 
 impl Records {
     /// A converter without samples; `has_jitter`: stamps are not the sensor's ticks. The first sample stands at `started_utc_ns`.
-    #[must_use]
     pub fn new(rate_hz: f64, channels: ChannelSet, has_jitter: bool, started_utc_ns: i64) -> Self {
         let timebase = if has_jitter { Timebase::Stamps } else { Timebase::Device };
         Self {
@@ -93,7 +92,6 @@ impl Records {
     }
 
     /// Samples that were not lost, and those lost between them.
-    #[must_use]
     pub fn counts(&self) -> (u64, u64) {
         (self.received, self.missing)
     }

@@ -4,7 +4,6 @@ use crate::effects::triad::Axes;
 
 /// The input of the sensor at one internal sample, in its own axes.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write motions out")]
 pub struct Motion {
     /// Angular rate, rad/s.
     pub gyro_rad_s: Axes,

@@ -75,7 +75,6 @@ impl Response {
 }
 
 /// The stage's input and the sum of its effects' additions, each from that input.
-#[must_use]
 pub fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
     let mut values = drive.input;
     for effect in effects {

@@ -17,7 +17,6 @@ use std::sync::Arc;
 /// have.
 ///
 /// `imu-noise` finds the same value in a record of the model: `examples/one_n.rs`, docs/validation.md.
-#[must_use]
 pub fn plateau(model: &SensorModel, channel: Channel, samples: u64) -> f64 {
     const WHITE: [&str; 6] =
         ["resonance", "low_pass", "moving_average", "common_mode", "resolution", "variance_change"];
@@ -46,7 +45,6 @@ pub struct Spectrum<'a> {
 
 impl<'a> Spectrum<'a> {
     /// The spectrum of `channel` over a record of sent samples (its rate and length).
-    #[must_use]
     pub fn new(model: &'a SensorModel, channel: Channel, record: Record) -> Self {
         Self { model, channel, record }
     }
@@ -57,7 +55,6 @@ impl<'a> Spectrum<'a> {
     /// `None` if it depends on more than the parameters. That is so for held samples, and for changes of variance by temperature
     /// or several of them. It is so for noise that varies over time (bursts, a band or spectrum with a level, intermittent noise
     /// inside intervals), for temperature bias, and for a line that wanders slowly. A saturation counts as never reached.
-    #[must_use]
     pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
         let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);
         let Some(sampling) = self.model.sampling else {
@@ -76,7 +73,6 @@ impl<'a> Spectrum<'a> {
     }
 
     /// The channel's lines as they are sent: folded below half the record's rate, with every filter's gain.
-    #[must_use]
     pub fn lines(&self) -> Vec<Line> {
         let (rate_hz, internal_hz) = (self.record.rate_hz, self.model.internal_rate_hz(self.record.rate_hz));
         let effects = self.effects();

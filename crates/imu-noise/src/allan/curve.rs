@@ -37,13 +37,11 @@ pub struct AllanCurve {
 impl AllanCurve {
     /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. If that is
     /// angle noise, white or flicker, the intervals are those of flicker.
-    #[must_use]
     pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
         Self::from_points(&sums.points(), rate_hz, unit)
     }
 
     /// The curve of overlapping points at `rate_hz`.
-    #[must_use]
     pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
         for (point, noise) in points.iter().zip(noise_by_slope(points)) {
@@ -62,7 +60,6 @@ impl AllanCurve {
     ///
     /// Intervals are those of the estimated quantity. For a total deviation that is the Allan deviation, from which its
     /// expectation departs at long averaging times; `deviation` is as defined, without a correction.
-    #[must_use]
     pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
         let sums: Vec<(usize, SquareSum, ByLength)> = grid
             .factors()
@@ -108,7 +105,6 @@ impl AllanCurve {
     ///
     /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one. The noise that it
     /// passes at short averaging times is not a lowest point, and the search begins where the curve begins to fall.
-    #[must_use]
     pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
         let rows = self.tau_s.iter().zip(&self.deviation).zip(&self.edf);
         let rows = rows.map(|((tau_s, deviation), edf)| (*tau_s, *deviation, *edf));
@@ -151,7 +147,6 @@ fn pooled_degrees(by_length: &ByLength, edf: impl Fn(u64) -> f64) -> f64 {
 
 impl AllanSums {
     /// The points of the curve: factors without a term are left out.
-    #[must_use]
     pub fn points(&self) -> Vec<AllanPoint> {
         (0..self.grid().factors().len())
             .filter_map(|index| {
@@ -203,7 +198,6 @@ impl AllanReport {
     pub const FORMAT: &'static str = "vn100d-allan-1";
 
     /// A report of these curves.
-    #[must_use]
     pub fn new(
         estimator: Estimator,
         rate_hz: f64,
@@ -227,7 +221,6 @@ impl AllanReport {
 
     /// Marks the averaging time from which on differences are no longer taken at every sample
     /// ([`AllanCurve::stride_from_s`]).
-    #[must_use]
     pub fn stride_warning(&self) -> Option<String> {
         let from_s = self.channels.values().filter_map(|curve| curve.stride_from_s).min_by(f64::total_cmp)?;
         Some(format!("from {from_s:.0} s on, differences are taken at every sixteenth of the averaging time"))

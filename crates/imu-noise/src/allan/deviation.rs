@@ -28,7 +28,6 @@ impl Estimator {
     pub const ALL: [Self; 6] = [Self::Oadev, Self::Adev, Self::Mdev, Self::Hdev, Self::Ohdev, Self::Totdev];
 
     /// The name on the command line and in JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Oadev => "oadev",
@@ -41,7 +40,6 @@ impl Estimator {
     }
 
     /// The estimator of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|estimator| estimator.name() == name)
     }
@@ -65,12 +63,10 @@ pub struct SquareSum {
 
 impl SquareSum {
     /// Adds another segment's.
-    #[must_use]
     pub fn plus(self, other: Self) -> Self {
         Self { sum: self.sum + other.sum, terms: self.terms + other.terms }
     }
     /// The deviation; `None` without a term.
-    #[must_use]
     pub fn deviation(self) -> Option<f64> {
         (self.terms > 0).then(|| (self.sum / self.terms as f64).sqrt())
     }
@@ -78,7 +74,6 @@ impl SquareSum {
 
 impl Phases {
     /// Integrates rate samples; `None` if one is not finite.
-    #[must_use]
     pub fn integrate(samples: &[f64]) -> Option<Self> {
         let count = samples.len().max(1) as f64;
         let rough = samples.iter().sum::<f64>() / count;
@@ -101,7 +96,6 @@ impl Phases {
     }
 
     /// Number of phases.
-    #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "there is always the leading 0")]
     pub fn len(&self) -> usize {
         self.0.len()
@@ -122,7 +116,6 @@ impl Phases {
     ///
     /// # Source
     /// Riley & Howe, NIST SP1065 (2008), sections 5.2.2 to 5.2.11.
-    #[must_use]
     pub fn square_sum(&self, estimator: Estimator, m: usize) -> SquareSum {
         let x = self.0.as_slice();
         match estimator {
@@ -136,7 +129,6 @@ impl Phases {
     }
 
     /// The deviation at averaging factor `m`, in the samples' unit; `None` without a term.
-    #[must_use]
     pub fn deviation(&self, estimator: Estimator, m: usize) -> Option<f64> {
         self.square_sum(estimator, m).deviation()
     }

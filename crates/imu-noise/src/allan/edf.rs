@@ -31,7 +31,6 @@ impl NoiseType {
         [Self::WhiteAngle, Self::FlickerAngle, Self::WhiteRate, Self::FlickerRate, Self::RandomWalkRate];
 
     /// The name in JSON and CSV.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::WhiteAngle => "white_angle",
@@ -43,7 +42,6 @@ impl NoiseType {
     }
 
     /// The exponent of the spectrum.
-    #[must_use]
     pub fn alpha(self) -> i32 {
         match self {
             Self::WhiteAngle => 2,
@@ -55,7 +53,6 @@ impl NoiseType {
     }
 
     /// The kind whose Allan variance goes as τ^`slope`: −2 angle noise, −1 white rate, 0 flicker, 1 random walk.
-    #[must_use]
     pub fn of_variance_slope(slope: f64) -> Self {
         match slope {
             slope if slope > 0.5 => Self::RandomWalkRate,
@@ -76,7 +73,6 @@ const LONGEST_SUM: f64 = 100.0;
 /// # Validation
 /// `equivalent_degrees_of_freedom_are_those_of_the_reference_table`: within 1e-3 of allantools' `edf_greenhall` at 720,001
 /// phases for every averaging factor and α of the table.
-#[must_use]
 pub fn equivalent_degrees_of_freedom(estimator: Estimator, noise: NoiseType, m: usize, phases: u64) -> f64 {
     let edf = match estimator {
         Estimator::Adev => greenhall(noise, 2, m, phases, false, false),
@@ -294,7 +290,6 @@ pub const CONFIDENCE_95: f64 = 0.95;
 ///
 /// # Source
 /// NIST SP1065, equation 45. Above 10^5 degrees the quantiles are those of Wilson and Hilferty (relative error below 1e-9).
-#[must_use]
 pub fn confidence_factors(edf: f64, confidence: f64) -> Option<ConfidenceFactors> {
     let tail = (1.0 - confidence) / 2.0;
     let factor = |probability: f64| Some((edf / chi_squared_quantile(probability, edf)?).sqrt());

@@ -2,7 +2,6 @@
 
 /// Why an Allan estimator refused its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum AllanError {
     /// A grid needs at least one averaging factor.
     #[error("no averaging factor fits a longest segment of {samples} samples: record at least {needed} without a gap")]

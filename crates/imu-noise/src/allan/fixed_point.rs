@@ -28,7 +28,6 @@ impl FixedPoint {
     ///
     /// Steps: gyroscope 3.1e-11 rad/s within ±134 rad/s, accelerometer 1.2e-10 m/s² within ±524 m/s², magnetometer
     /// 1.2e-11 gauss within ±52 gauss.
-    #[must_use]
     pub fn for_channel(channel: Channel) -> Self {
         let decimals = u32::try_from(channel.ascii_decimals()).unwrap_or(0);
         let range_exponent = i32::try_from(channel.range_exponent()).unwrap_or(0);
@@ -69,13 +68,11 @@ impl FixedPoint {
     }
 
     /// Integer steps per unit of the channel.
-    #[must_use]
     pub fn steps_per_unit(self) -> f64 {
         10f64.powi(i32::from(self.decimals)) * 2f64.powi(i32::from(self.binary))
     }
 
     /// The largest value that can be represented, in the channel's unit.
-    #[must_use]
     pub fn range(self) -> f64 {
         Self::largest_steps() / self.steps_per_unit()
     }
@@ -85,7 +82,6 @@ impl FixedPoint {
     }
 
     /// The value as an integer; `None` if it is not finite or out of range.
-    #[must_use]
     pub fn quantise(self, value: f64) -> Option<i64> {
         Self::steps(value * self.steps_per_unit())
     }

@@ -131,25 +131,21 @@ impl TauGrid {
     }
 
     /// The averaging factors, ascending; never empty.
-    #[must_use]
     pub fn factors(&self) -> &[usize] {
         &self.factors
     }
 
     /// The largest factor.
-    #[must_use]
     pub fn max_factor(&self) -> usize {
         self.factors.last().copied().unwrap_or(1)
     }
 
     /// The factors whose differences are taken at every phase; the first ones.
-    #[must_use]
     pub fn full_overlap(&self) -> &[usize] {
         &self.factors[..self.full_factors()]
     }
 
     /// The others.
-    #[must_use]
     pub fn beyond_full_overlap(&self) -> &[usize] {
         &self.factors[self.full_factors()..]
     }
@@ -159,7 +155,6 @@ impl TauGrid {
     }
 
     /// Phases from one second difference of factor `m` to the next: 1 with full overlap, else m/16.
-    #[must_use]
     pub fn stride(&self, m: usize) -> usize {
         if m <= 1 << self.full_overlap { 1 } else { m / OVERLAP }
     }
@@ -171,7 +166,6 @@ impl TauGrid {
 
     /// The number of samples before a cut to which the terms of full overlap reach back;
     /// [`Overlapping::restore`](super::Overlapping::restore) needs them.
-    #[must_use]
     pub fn halo_len(&self) -> usize {
         2 * self.full_overlap().last().copied().unwrap_or(0)
     }

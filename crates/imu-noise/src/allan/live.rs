@@ -48,7 +48,6 @@ pub struct LiveAllan {
 
 impl LiveAllan {
     /// An estimator without samples.
-    #[must_use]
     pub fn new(scale: FixedPoint) -> Self {
         Self {
             scale,
@@ -118,20 +117,17 @@ impl LiveAllan {
     }
 
     /// Samples that entered.
-    #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
     /// Samples that were not finite or out of range.
-    #[must_use]
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
 
     /// The points so far, for a curve ([`AllanCurve::from_points`](super::AllanCurve::from_points)) or a fit: octaves up to a
     /// quarter of the samples of the segments they come from.
-    #[must_use]
     pub fn points(&self) -> Vec<AllanPoint> {
         let steps = self.steps_per_unit;
         let mut points = Vec::new();
@@ -151,7 +147,6 @@ impl LiveAllan {
     }
 
     /// The scale of the integers.
-    #[must_use]
     pub fn scale(&self) -> FixedPoint {
         self.scale
     }

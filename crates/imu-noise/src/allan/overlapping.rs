@@ -35,7 +35,6 @@ pub struct Overlapping {
 
 impl Overlapping {
     /// An estimator without samples.
-    #[must_use]
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let strided = Strided::new(&grid);
         Self::resume(AllanSums::new(scale, grid), strided, &[])
@@ -91,7 +90,6 @@ impl Overlapping {
     }
 
     /// Bytes that a channel of a longest segment of that many samples takes on that grid.
-    #[must_use]
     pub fn bytes(grid: &TauGrid, longest: u64) -> usize {
         8 * usize::try_from(longest).unwrap_or(usize::MAX).min(Self::most_phases(grid))
     }
@@ -163,14 +161,12 @@ impl Overlapping {
     }
 
     /// The sums over all samples pushed.
-    #[must_use]
     pub fn into_sums(mut self) -> AllanSums {
         self.fold();
         self.sums
     }
 
     /// The grid of averaging factors.
-    #[must_use]
     pub fn grid(&self) -> &TauGrid {
         self.sums.grid()
     }

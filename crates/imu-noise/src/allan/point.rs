@@ -19,13 +19,11 @@ pub struct AllanPoint {
 
 impl AllanPoint {
     /// The terms at full overlap between the first and the last of `taken` differences at every `stride`th phase.
-    #[must_use]
     pub fn spanned(taken: u64, segments: u64, stride: usize) -> u64 {
         taken.saturating_sub(segments) * stride as u64 + segments.min(taken)
     }
 
     /// How many differences were averaged: fewer than [`Self::terms`] if not every phase is the newest of one.
-    #[must_use]
     pub fn taken(&self) -> u64 {
         self.terms.saturating_sub(self.segments) / self.stride.max(1) as u64 + self.segments.min(self.terms)
     }
@@ -35,7 +33,6 @@ impl AllanPoint {
     /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for segments of
     /// a few m, so that only the counts have to be carried through merges. If one segment is long and thousands of others hold a
     /// single term, that is too many.
-    #[must_use]
     pub fn edf(&self, noise: NoiseType) -> f64 {
         let phases = self.phases() as u64;
         self.segments.max(1) as f64 * equivalent_degrees_of_freedom(Estimator::Oadev, noise, self.m, phases)
@@ -50,7 +47,6 @@ impl AllanPoint {
 /// The noise that dominates at each point, by the slope of the variance over an octave to both sides; `points` in order of m. If
 /// a segment is shorter than thirty averaging times, the slope is mostly chance, and the last noise type that was identified
 /// stays.
-#[must_use]
 pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
     /// At both sides this factor in m takes part in the slope.
     const REACH: f64 = 2.1;

@@ -22,7 +22,6 @@ pub struct AllanSums {
 
 impl AllanSums {
     /// Sums without data.
-    #[must_use]
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let taus = grid.factors().len();
         Self {
@@ -37,38 +36,32 @@ impl AllanSums {
     }
 
     /// The scale of the integers.
-    #[must_use]
     pub fn scale(&self) -> FixedPoint {
         self.scale
     }
 
     /// The averaging factors, which give the shape of all fields per factor.
-    #[must_use]
     pub fn grid(&self) -> &TauGrid {
         &self.grid
     }
 
     /// The number of second differences in each sum: over a segment of `n` samples `n + 1 − 2m`, or with a stride `s`
     /// every `s`th of these from the first one on.
-    #[must_use]
     pub fn terms(&self) -> &[u64] {
         &self.terms
     }
 
     /// The number of segments that gave at least one term to each sum.
-    #[must_use]
     pub fn segments(&self) -> &[u64] {
         &self.segments
     }
 
     /// Samples that entered.
-    #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
     /// Samples that were not finite or beyond the channel's range; each ended a segment.
-    #[must_use]
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
@@ -78,7 +71,6 @@ impl AllanSums {
     ///
     /// # Source
     /// Riley & Howe, NIST SP1065 (2008), equation 10.
-    #[must_use]
     pub fn variance(&self, index: usize) -> Option<f64> {
         let (sum, terms) = (*self.squares.get(index)?, *self.terms.get(index)?);
         let m = *self.grid.factors().get(index)? as f64;
@@ -123,7 +115,6 @@ impl AllanSums {
     }
 
     /// The checkpoint: little-endian, versioned, 36 bytes per averaging factor.
-    #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(32 + 36 * self.squares.len());
         bytes.extend_from_slice(&MAGIC);

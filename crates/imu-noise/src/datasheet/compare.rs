@@ -25,7 +25,6 @@ pub enum Verdict {
 
 impl Verdict {
     /// In words.
-    #[must_use]
     pub fn words(self) -> &'static str {
         match self {
             Self::Within => "within",
@@ -52,7 +51,6 @@ pub struct Measured {
 
 impl Measured {
     /// A report's values for a channel.
-    #[must_use]
     pub fn of(report: &NoiseReport, channel: Channel) -> Self {
         let n = report.channels.get(&channel).map(|found| &found.n);
         let minimum = report.disturbances.get(&channel).and_then(|about| about.allan_minimum);
@@ -144,7 +142,6 @@ pub struct Comparison {
 }
 
 /// Compares a capture with a datasheet. Channels of which neither figure is known are left out.
-#[must_use]
 pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channel, Measured>) -> Comparison {
     let channels = measured.iter().filter_map(|(channel, measured)| {
         let triad = channel.triad()?;

@@ -14,7 +14,6 @@ use std::num::NonZeroU32;
 
 /// The reason why a datasheet's file is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum FileError {
     /// It is not TOML, or has unknown keys.
     #[error("{file} is no datasheet: {reason}")]

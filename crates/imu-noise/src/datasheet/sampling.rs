@@ -35,7 +35,6 @@ impl FilterWindows {
     pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
 
     /// The windows of a capture, by its configuration: those of register 85, else as its import stated.
-    #[must_use]
     pub fn of_configuration(configuration: &serde_json::Value) -> Option<Self> {
         let stated = || u32::try_from(configuration["sampling"]["filter_window"].as_u64()?).ok();
         let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
@@ -43,7 +42,6 @@ impl FilterWindows {
     }
 
     /// The windows as a user states them. There is no such statement for the magnetometer.
-    #[must_use]
     pub fn stated(window: u32) -> Self {
         Self { mag: 0, accel: window, gyro: window }
     }
@@ -66,7 +64,6 @@ pub struct Sampling {
 
 impl Sampling {
     /// The sampling of a capture at `rate_hz`; windows as its register 85 gives them, else the factory's.
-    #[must_use]
     pub fn new(rate_hz: f64, windows: Option<FilterWindows>) -> Self {
         Self {
             internal_rate_hz: IMU_RATE_HZ,
@@ -80,7 +77,6 @@ impl Sampling {
     /// Factor from the sensor's own white density to the one that shows in its output, at low frequencies.
     ///
     /// [`density_factor`] of the triad's window and rates.
-    #[must_use]
     pub fn density_factor(&self, triad: Triad) -> f64 {
         let window = match triad {
             Triad::Gyro => self.filter_window.gyro,

@@ -9,7 +9,6 @@ use super::{Datasheet, Figures, Sampled};
 use imu_core::units::Quantity;
 
 /// The figures of hardware v7.0.
-#[must_use]
 pub fn vn_100() -> Datasheet {
     Datasheet {
         name: "vn-100".to_owned(),

@@ -45,13 +45,11 @@ const BEYOND: usize = 3;
 /// Points of any grid are valid, from [`AllanSums::points`](crate::allan::AllanSums::points) or
 /// [`LiveAllan::points`](crate::allan::LiveAllan::points). The function never fails: a parameter that cannot be determined
 /// is not identified, and a flag states why.
-#[must_use]
 pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParameters {
     fit_as_sampled(points, rate_hz, channel, None)
 }
 
 /// The same for samples with a known `sampling`: its boxcar is then part of the law.
-#[must_use]
 pub fn fit_as_sampled(
     points: &[AllanPoint],
     rate_hz: f64,

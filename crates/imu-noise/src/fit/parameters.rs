@@ -39,7 +39,6 @@ pub struct Estimate {
 
 impl Estimate {
     /// A value with its 95 % interval.
-    #[must_use]
     pub fn identified(channel: Channel, term: Term, value: f64, ci95: [f64; 2]) -> Self {
         let also = quoted(channel, term).iter().map(|(unit, factor)| ((*unit).to_owned(), value * factor)).collect();
         Self {
@@ -55,7 +54,6 @@ impl Estimate {
     }
 
     /// A value with its 95 % interval in its own unit.
-    #[must_use]
     pub fn of(unit: &str, value: f64, ci95: [f64; 2]) -> Self {
         Self {
             value: Some(value),
@@ -70,7 +68,6 @@ impl Estimate {
     }
 
     /// No value, and an upper limit where the data sets one.
-    #[must_use]
     pub fn unidentified(channel: Channel, term: Term, upper_limit95: Option<f64>) -> Self {
         Self {
             value: None,
@@ -207,7 +204,6 @@ impl FittedCurve {
 ///
 /// # Validation
 /// `a_sampled_processs_variance_is_that_of_its_covariance`, by summing covariances.
-#[must_use]
 pub fn gauss_markov_variance(m: usize, decay: f64) -> f64 {
     let count = m as f64;
     let (phi, rest) = ((-decay).exp(), -(-decay).exp_m1());
@@ -237,13 +233,11 @@ pub struct Flag {
 
 impl Flag {
     /// A flag that concerns the whole capture.
-    #[must_use]
     pub fn whole(kind: &str, note: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
     }
 
     /// `out_of_range`, if that many values were no measurements; none if all were.
-    #[must_use]
     pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
         let note =
             || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
@@ -251,7 +245,6 @@ impl Flag {
     }
 
     /// `other_rate`, if that many samples came at another rate than the one analysed; none if none did.
-    #[must_use]
     pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
         let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
         (samples > 0).then(|| Self::whole("other_rate", note()))
@@ -352,7 +345,6 @@ impl NoiseParameters {
     }
 
     /// The estimate of a term.
-    #[must_use]
     pub fn estimate(&self, term: Term) -> &Estimate {
         match term {
             Term::N => &self.n,
@@ -405,7 +397,6 @@ impl NoiseReport {
 
     /// The reasons why parameters of this report should not be used: the `concerned` channels that are not usable, with their
     /// reasons. None if all are.
-    #[must_use]
     pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
         let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));
         let reasons: Vec<String> = unusable
@@ -418,7 +409,6 @@ impl NoiseReport {
 }
 
 /// Unit of a term's coefficient.
-#[must_use]
 pub fn unit(channel: Channel, term: Term) -> String {
     let u = channel.unit();
     match term {

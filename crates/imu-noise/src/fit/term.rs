@@ -10,7 +10,6 @@ use std::sync::OnceLock;
 
 /// One of the terms whose squared coefficients an Allan variance is linear in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
-#[expect(clippy::exhaustive_enums, reason = "IEEE Std 952 has these five")]
 pub enum Term {
     /// Angle or velocity random walk: white rate noise, two-sided density N².
     N,
@@ -29,7 +28,6 @@ impl Term {
     pub const ALL: [Self; 5] = [Self::N, Self::B, Self::K, Self::Q, Self::R];
 
     /// Letter in JSON.
-    #[must_use]
     pub fn letter(self) -> &'static str {
         match self {
             Self::N => "N",
@@ -44,7 +42,6 @@ impl Term {
     ///
     /// # Validation
     /// `every_terms_variance_is_its_spectrums_integral`: the closed forms against the integral, 1e-3 or better.
-    #[must_use]
     pub fn allan_variance(self, m: usize, dt_s: f64) -> f64 {
         let factor = m as f64;
         let tau_s = factor * dt_s;
@@ -58,7 +55,6 @@ impl Term {
     }
 
     /// Two-sided spectrum of the sampled rate for a coefficient of 1 at `u` = f·dt in (0, 1/2]; 0 for the ramp.
-    #[must_use]
     pub fn spectrum(self, u: f64, dt_s: f64) -> f64 {
         let sine = 2.0 * (PI * u).sin();
         match self {

@@ -34,7 +34,6 @@ pub(super) struct Bursts {
 
 /// Samples too far out for normal noise, and too many to be events.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[non_exhaustive]
 pub struct HeavyTails {
     /// Their share of all samples.
     pub share: f64,

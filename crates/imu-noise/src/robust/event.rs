@@ -19,7 +19,6 @@ pub enum Kind {
 
 impl Kind {
     /// The name in JSON.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Spike => "spike",
@@ -46,7 +45,6 @@ pub struct Event {
 
 impl Event {
     /// As it stands in the document.
-    #[must_use]
     pub fn flag(&self) -> Flag {
         Flag {
             kind: self.kind.name().to_owned(),

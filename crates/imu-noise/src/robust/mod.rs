@@ -52,7 +52,6 @@ pub const BLOCK: u64 = 1 << 20;
 
 /// The number of blocks in which a record of that many samples is examined. The blocks are of equal length, because a short one
 /// would carry little information.
-#[must_use]
 pub fn blocks_of(samples: u64) -> usize {
     usize::try_from(samples.div_ceil(BLOCK)).unwrap_or(usize::MAX).max(1)
 }
@@ -80,13 +79,11 @@ pub struct Examination {
 
 impl Examination {
     /// Whether the samples are pure noise, as far as can be determined.
-    #[must_use]
     pub fn is_clean(&self) -> bool {
         self.excluded_intervals.is_empty() && self.gains.iter().all(Option::is_none) && self.drift.is_none()
     }
 
     /// All findings as flags of the document, in order of time.
-    #[must_use]
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let unit = channel.unit();
         let mut flags: Vec<Flag> = self.events.iter().map(Event::flag).collect();
@@ -137,7 +134,6 @@ impl Examination {
 
 /// Looks a channel through in one block. `parts`: its samples without gaps, in order of time, in the channel's unit; `rate_hz`
 /// above 0.
-#[must_use]
 pub fn examine(parts: &[Part], rate_hz: f64) -> Examination {
     let mut survey = Survey::new(rate_hz, parts.iter().map(|part| part.values.len() as u64).sum());
     survey.look(&Portion { parts: parts.to_vec(), continues: false });
@@ -145,7 +141,6 @@ pub fn examine(parts: &[Part], rate_hz: f64) -> Examination {
 }
 
 /// Spectral sums of parts: the input of the Whittle fit.
-#[must_use]
 pub fn spectral_sums(parts: &[Part], scale: FixedPoint) -> DstSums {
     let mut transform = Transform::new();
     let mut estimator = DstEstimator::new(scale);

@@ -39,7 +39,6 @@ fn reaching<'a>(
 }
 
 /// Cuts the intervals (s, sorted, disjoint) out of parts; remainders of less than two samples are left out.
-#[must_use]
 pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     let mut kept = Vec::new();
     for part in parts {
@@ -61,7 +60,6 @@ pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64)
 
 /// Replaces intervals (s, sorted, disjoint) inside a part by the straight line between the levels before and after, of a second
 /// or as long as the interval, if it is longer; a part that is inside an interval altogether is left out.
-#[must_use]
 pub fn bridged(parts: Vec<Part>, intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     parts.into_iter().filter_map(|part| bridge(part, intervals, rate_hz)).collect()
 }
@@ -107,7 +105,6 @@ fn push(kept: &mut Vec<Part>, part: &Part, range: Range<usize>, rate_hz: f64) {
 }
 
 /// Samples `range` of parts, counted over all of them one after the other.
-#[must_use]
 pub fn samples_of(parts: &[Part], range: &Range<usize>, rate_hz: f64) -> Portion {
     let mut first = 0;
     let mut found = Portion::default();
@@ -167,7 +164,6 @@ impl Levels {
     const MOST: u64 = 1 << 20;
 
     /// None yet, of a record of so many samples.
-    #[must_use]
     pub fn new(rate_hz: f64, samples: u64) -> Self {
         let least = usize::try_from(samples.div_ceil(Self::MOST)).unwrap_or(usize::MAX);
         let per_level = ((rate_hz / Self::RATE_HZ).floor() as usize).max(least).max(1);

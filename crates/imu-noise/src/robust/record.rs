@@ -49,7 +49,6 @@ pub struct All<'a> {
 
 impl<'a> All<'a> {
     /// The parameters of sums; `rate_hz` finite and above 0. `sampling`: how the samples came about, if that is known.
-    #[must_use]
     pub fn of(channel: Channel, rate_hz: f64, sums: &'a DstSums, sampling: Option<&'a Sampling>) -> Self {
         Self { sums, sampling, parameters: fit_as_sampled(sums, rate_hz, channel, sampling) }
     }
@@ -107,7 +106,6 @@ impl Record {
     }
 
     /// [`Self::read`] of samples that are in memory.
-    #[must_use]
     pub fn of(channel: Channel, rate_hz: f64, mut parts: Vec<Part>, temperature: &Levels, company: Company) -> Self {
         let samples: usize = parts.iter().map(|part| part.values.len()).sum();
         let blocks = blocks_of(samples as u64);
@@ -125,7 +123,6 @@ impl Record {
     /// The parameters of this record alone without its disturbances, and the disturbances.
     ///
     /// `all`: all its samples. The parameters that come back carry the flags.
-    #[must_use]
     pub fn alone(self, channel: Channel, rate_hz: f64, all: &All<'_>) -> (NoiseParameters, Disturbances) {
         let records = [self];
         let (mut main, fitted) = parameters_together(channel, rate_hz, &records, all);
@@ -141,7 +138,6 @@ impl Record {
     }
 
     /// Octaves of the Allan variance without the excluded samples.
-    #[must_use]
     pub fn points(&self) -> &[AllanPoint] {
         &self.points
     }
@@ -156,7 +152,6 @@ impl Record {
     }
 
     /// The findings, as flags of the document; times count from the capture's start.
-    #[must_use]
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let mut flags = self.found.flags(channel);
         if let Some(dynamic) = self.dynamic.as_ref().filter(|dynamic| dynamic.stationary == Some(false)) {
@@ -171,7 +166,6 @@ impl Record {
     }
 
     /// The document's statement about this capture alone, besides its parameters.
-    #[must_use]
     pub fn disturbances(&self, rate_hz: f64) -> Disturbances {
         let found = &self.found;
         Disturbances {
@@ -195,7 +189,6 @@ impl Record {
 ///
 /// `all`: all samples of all of them. Flags with times stand with each capture. This result holds the time left out
 /// altogether, the bands, and the findings in the sums.
-#[must_use]
 pub fn parameters_together(
     channel: Channel,
     rate_hz: f64,

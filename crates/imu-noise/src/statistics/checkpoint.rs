@@ -7,7 +7,6 @@ const VERSION: u8 = 1;
 
 impl Accumulator {
     /// The checkpoint: little-endian, versioned, about a kilobyte (more while fewer than 64 different values came).
-    #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         let moments = &self.moments;
@@ -36,7 +35,6 @@ impl Accumulator {
     }
 
     /// The accumulator that wrote `bytes`; `None` if they are damaged or of another version.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = bytes;
         if take::<1>(&mut rest)? != [VERSION] {

@@ -46,7 +46,6 @@ pub struct Sampling {
 
 impl Sampling {
     /// Internal samples to an output sample; none if the rates are no multiples of each other, to 1 in 1,000.
-    #[must_use]
     pub fn every(&self, rate_hz: f64) -> Option<u32> {
         let ratio = self.internal_rate_hz / rate_hz;
         let whole = ratio.round();
@@ -80,7 +79,6 @@ impl Sampling {
 
     /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the images
     /// k of the output rate R. None if the rates do not fit.
-    #[must_use]
     pub fn density_factor(&self, rate_hz: f64) -> Option<f64> {
         Some(density_factor(self.window, self.every(rate_hz)?))
     }
@@ -88,7 +86,6 @@ impl Sampling {
 
 /// Factor from the white density of a sequence to that, at low frequencies, of every `every`th mean of `window` of its samples:
 /// √Σ|H|² over the images that fold onto zero. For windows no longer than `every` that is √(every / window).
-#[must_use]
 pub fn density_factor(window: u32, every: u32) -> f64 {
     (0..every).map(|image| boxcar(window, f64::from(image) / f64::from(every))).sum::<f64>().sqrt()
 }

@@ -34,7 +34,6 @@ impl std::fmt::Debug for Transform {
 
 impl Transform {
     /// A transform without plans.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }

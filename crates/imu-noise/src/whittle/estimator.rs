@@ -35,20 +35,17 @@ impl DstEstimator {
     const SHORTEST: usize = 16;
 
     /// An estimator without samples; `scale`: that of the channel's Allan sums, so that both refuse the same values.
-    #[must_use]
     pub fn new(scale: FixedPoint) -> Self {
         Self::resume(scale, DstSums::new())
     }
 
     /// Continues at the beginning of a stretch with the sums that [`Self::sums`] returned before it: the samples of a
     /// stretch that was open then are pushed again.
-    #[must_use]
     pub fn resume(scale: FixedPoint, sums: DstSums) -> Self {
         Self { sums, range: scale.range(), buffer: Vec::new(), low: None, open: 0 }
     }
 
     /// Bytes that a channel takes whose longest stretch has that many samples.
-    #[must_use]
     pub fn bytes(longest: usize) -> usize {
         let low = if longest > Self::CHUNK { 8 * Averaged::MOST } else { 0 };
         8 * longest.min(Self::CHUNK) + low
@@ -135,19 +132,16 @@ impl DstEstimator {
     }
 
     /// Samples of the stretch that has not ended.
-    #[must_use]
     pub fn open_samples(&self) -> u64 {
         self.open
     }
 
     /// The sums of the stretches that have ended.
-    #[must_use]
     pub fn sums(&self) -> &DstSums {
         &self.sums
     }
 
     /// Ends the stretch and gives the sums.
-    #[must_use]
     pub fn into_sums(mut self, transform: &mut Transform) -> DstSums {
         self.break_segment(transform);
         self.sums

@@ -51,7 +51,6 @@ const LEAST: f64 = 48.0;
 /// part. `sampling`: how the samples came about, if that is known; its filter is then part of the law. If the law misfits,
 /// filters inside the band compete with it. The function never fails: a parameter that cannot be determined is not identified,
 /// and a flag states why.
-#[must_use]
 pub fn fit(
     sums: &DstSums,
     rate_hz: f64,
@@ -63,7 +62,6 @@ pub fn fit(
 }
 
 /// The same without a search for filters: for samples that hold more than noise, which a filter would explain away.
-#[must_use]
 pub fn fit_as_sampled(sums: &DstSums, rate_hz: f64, channel: Channel, sampling: Option<&Sampling>) -> NoiseParameters {
     of_law(sums, rate_hz, channel, &[], sampling, Search::Nothing)
 }

@@ -129,7 +129,6 @@ impl Shape {
 /// Returns a of y += a (x − y), which passes half the power at `cutoff` cycles a sample.
 ///
 /// |H|² is a²/(a² + 2(1 − a)c) with c = 1 − cos(2π·cutoff).
-#[must_use]
 pub fn exponential_weight(cutoff: f64) -> f64 {
     let c = 1.0 - (2.0 * PI * cutoff).cos();
     (c * c + 2.0 * c).sqrt() - c

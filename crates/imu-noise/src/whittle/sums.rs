@@ -69,20 +69,17 @@ impl Default for DstSums {
 
 impl DstSums {
     /// Sums without data.
-    #[must_use]
     pub fn new() -> Self {
         let (bins, fine) = (vec![Bin::default(); BINS], vec![Bin::default(); FINE]);
         Self { bins, fine, samples: 0, out_of_range: 0 }
     }
 
     /// Samples of the stretches that have ended.
-    #[must_use]
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
     /// Values that were not finite or beyond the channel's range; each ended a stretch.
-    #[must_use]
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
@@ -143,7 +140,6 @@ impl DstSums {
     }
 
     /// For a checkpoint, bit for bit.
-    #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         bytes.extend(self.samples.to_le_bytes());
@@ -159,7 +155,6 @@ impl DstSums {
     }
 
     /// The sums that [`Self::to_bytes`] wrote; None if the bytes are damaged.
-    #[must_use]
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         const ROW: usize = 4 + 8 * FIELDS;
         let (_, rest) = bytes.split_first().filter(|(version, _)| **version == VERSION)?;

@@ -9,7 +9,6 @@ use std::f64::consts::PI;
 /// # Source
 /// J. Makhoul, IEEE Trans. ASSP 28 (1980) 27: the DCT-II of n samples is the Fourier transform of the 2n samples that are
 /// these and their mirror image, with a shift of half a sample.
-#[must_use]
 pub(super) fn powers(course: &[f64]) -> Vec<f64> {
     let count = course.len();
     if count < 2 {
@@ -29,7 +28,6 @@ pub(super) fn powers(course: &[f64]) -> Vec<f64> {
 ///
 /// # Source
 /// H. L. Van Trees, *Detection, Estimation, and Modulation Theory* I (1968), section 4.3: known signals in coloured noise.
-#[must_use]
 pub(super) fn nats(powers: &[f64], density_at: impl Fn(f64) -> f64) -> f64 {
     let step = 0.5 / (powers.len() + 1) as f64;
     0.5 * powers.iter().zip(1..).map(|(power, k)| power / density_at(step * f64::from(k))).sum::<f64>()

@@ -8,7 +8,6 @@ const POINTS: usize = 160;
 const HALVINGS: usize = 30;
 
 /// Frequencies in cycles per sample from half the first coefficient of `samples` to ½, denser about a peak's middle and width.
-#[must_use]
 pub(super) fn frequencies(samples: usize, peak: Option<(f64, f64)>) -> Vec<f64> {
     let from = 0.25 / samples as f64;
     let mut found: Vec<f64> =
@@ -41,7 +40,6 @@ fn integral(frequencies: &[f64], values: impl Fn(usize) -> f64) -> f64 {
 /// # Source
 /// P. Whittle, Ark. Mat. 2 (1953) 423: the likelihood; S. Kullback, *Information Theory and Statistics* (1959), chapter 9: its
 /// expectation, the divergence of two Gaussian processes.
-#[must_use]
 pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f64]) -> f64 {
     let (mut low, mut high) = (0.0, added.iter().copied().fold(0.0, f64::max));
     for _ in 0..HALVINGS {
@@ -65,7 +63,6 @@ pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f
 /// # Source
 /// T. W. Anderson, *An Introduction to Multivariate Statistical Analysis* (2003), section 9.2: tests of independence; the
 /// determinant of diagonal and rank one.
-#[must_use]
 pub(super) fn shared_nats(samples: usize, frequencies: &[f64], ratios: &[Vec<f64>]) -> f64 {
     let divergence = |at: usize| {
         let apart: f64 = ratios.iter().map(|of| of[at].ln_1p()).sum();

@@ -53,13 +53,11 @@ const WIDE: f64 = 1e3;
 const TAILS: f64 = 24.0 / 16.0;
 
 /// The probability with which noise alone may be named as one kind on one channel.
-#[must_use]
 pub fn level() -> f64 {
     Options::default().level / (CHANNELS * Kind::LIBRARY.len() as f64)
 }
 
 /// Probability that an effect worth `nats` is found.
-#[must_use]
 pub fn power(nats: f64) -> f64 {
     let threshold = SQRT_2 * erfc_inv(2.0 * level());
     0.5 * erfc((threshold - (2.0 * nats.max(0.0)).sqrt()) / SQRT_2)
@@ -67,7 +65,6 @@ pub fn power(nats: f64) -> f64 {
 
 /// A bound, or the reason why there is none.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_enums, reason = "its two answers")]
 pub enum Bound {
     /// In the units of [`super::limit::unit`], at the study's length.
     Size(f64),
@@ -79,7 +76,6 @@ pub enum Bound {
 type Nats = Box<dyn Fn(f64) -> f64>;
 
 /// The bound of a kind of the library.
-#[must_use]
 pub fn bound(kind: Kind) -> Bound {
     if let Some(reason) = meaningless(kind) {
         return Bound::Meaningless(reason);

@@ -38,7 +38,6 @@ use std::collections::BTreeMap;
 
 /// The reason why an effect cannot be imposed on samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum ImposeError {
     /// It depends on the temperature.
     #[error("{kind} needs a measured temperature, which the samples do not have")]
@@ -85,7 +84,6 @@ trait Act: std::fmt::Debug + Send + Sync {
 
 /// The role for which an effect is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Role {
     /// How sensor and model differ in it.
     pub sense: Sense,
@@ -155,7 +153,6 @@ struct Made {
 
 /// An effect with its size and parameters, ready to act.
 #[derive(Debug)]
-#[non_exhaustive]
 pub struct Effect {
     /// Which.
     pub kind: Kind,

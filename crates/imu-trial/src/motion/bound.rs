@@ -23,7 +23,6 @@ const GROUPS: f64 = 20.0;
 const NINE_OF_TEN: f64 = 1.281_551_565_545;
 
 /// Twice the nats that an effect of p numbers has to have on average, that nine of ten are above their price.
-#[must_use]
 pub fn needed(numbers: usize) -> f64 {
     let p = numbers as f64;
     let price = ChiSquared::new(p).map_or(f64::INFINITY, |of| of.inverse_cdf(1.0 - LEVEL / GROUPS));
@@ -37,7 +36,6 @@ pub fn needed(numbers: usize) -> f64 {
 
 /// The information of one effect's numbers, with all other parameters of its triad unknown. `nbk`: the triad's true N, B, K per
 /// axis.
-#[must_use]
 pub fn information(
     kind: Kind,
     triad: Triad,

@@ -31,7 +31,6 @@ const UNSEEN: f64 = 1e-6;
 
 /// An effect that a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct TrueEffect {
     /// Which.
     pub kind: Kind,
@@ -47,7 +46,6 @@ pub struct TrueEffect {
 
 /// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(clippy::exhaustive_structs, reason = "a file's keys")]
 pub struct Key {
     /// Its number.
     pub case: usize,
@@ -65,7 +63,6 @@ pub struct Key {
 
 impl Key {
     /// SHA-256 of the key, in hexadecimal digits.
-    #[must_use]
     pub fn digest(&self) -> String {
         // A key has numbers, texts and lists alone, all finite: it always has a text.
         let text = serde_json::to_string(self).unwrap_or_default();
@@ -115,7 +112,6 @@ struct OwnClock {
 
 impl Case {
     /// The case `number` of the sealed seed with these effects.
-    #[must_use]
     pub fn draw(seed: u64, number: usize, wishes: &[Wish], samples: Option<usize>) -> Self {
         let mut draw = Draw::device(seed, number as u64, "motion setting");
         let rate_hz = [40.0, 50.0, 100.0][draw.whole(0, 2)];
@@ -211,7 +207,6 @@ impl Case {
     }
 
     /// The key.
-    #[must_use]
     pub fn key(&self) -> Key {
         let (course, (_, warmth_c)) = (self.course(), self.warmth());
         Key {
@@ -225,7 +220,6 @@ impl Case {
     }
 
     /// The recording and the rows of its reference.
-    #[must_use]
     pub fn record(&self) -> (Recording, Vec<(f64, Motion)>) {
         let (course, (warm, warmth_c)) = (self.course(), self.warmth());
         let effects: Vec<Imposed> = self.effects(&course, &warmth_c).into_iter().map(|(_, imposed)| imposed).collect();
@@ -364,7 +358,6 @@ pub fn pack(case: &Case, model: &SensorModel) -> Result<Vec<u8>, crate::parcel::
 
 /// The reason why a case with a motion cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CaseError {
     /// The parcel is none.
     #[error(transparent)]

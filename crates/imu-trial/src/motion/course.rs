@@ -14,7 +14,6 @@ type Vector = [f64; 3];
 
 /// The properties of a course.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a case's facts")]
 pub struct Shape {
     /// Whether it goes from rest to rest.
     pub by_hand: bool,
@@ -26,7 +25,6 @@ pub struct Shape {
 
 impl Shape {
     /// Draws one.
-    #[must_use]
     pub fn draw(draw: &mut Draw) -> Self {
         let by_hand = draw.chance(0.4);
         let fastest = if by_hand { draw.uniform(0.8, 2.5) } else { draw.uniform(2.0, 4.0) };
@@ -36,7 +34,6 @@ impl Shape {
 }
 
 /// A course of `samples` at `rate_hz`, each of [`FINE`] instants.
-#[must_use]
 pub fn course(shape: Shape, rate_hz: f64, samples: usize, draw: &mut Draw) -> Vec<Motion> {
     let (count, fine_hz) = (samples * FINE, rate_hz * FINE as f64);
     let mut rates = vec![[0.0; 3]; count];

@@ -18,14 +18,12 @@ const CREEP_S: f64 = 4.0;
 const BAND: f64 = 1.0;
 
 /// The full scale of a triad.
-#[must_use]
 pub fn full_scale(triad: Triad) -> f64 {
     FULL_SCALE[usize::from(triad == Triad::Accel)]
 }
 
 /// An effect on a triad with its numbers: x, y, z; xy, xz, yz; rows of a matrix; seconds; a range; a cutoff.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Imposed {
     /// Which.
     pub kind: Kind,
@@ -65,7 +63,6 @@ fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
 }
 
 /// The output of a triad for a course at each sample, before noise; `warmth_c` is the temperature about its mean.
-#[must_use]
 pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed], warmth_c: &[f64]) -> [Vec<f64>; 3] {
     let own: Vec<&Imposed> = effects.iter().filter(|effect| effect.triad == triad).collect();
     let of = |kind: Kind| own.iter().copied().filter(move |effect| effect.kind == kind);

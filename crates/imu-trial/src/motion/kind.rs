@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 /// An effect that a case lacks in its model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(clippy::exhaustive_enums, reason = "the kinds of the trial")]
 pub enum Kind {
     /// A constant per axis.
     Bias,
@@ -62,7 +61,6 @@ impl Kind {
     pub const OUTSIDE: [Self; 5] = [Self::Hysteresis, Self::Creep, Self::DeadBand, Self::LeverArm, Self::WarmScale];
 
     /// Its name.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Bias => "bias",
@@ -85,13 +83,11 @@ impl Kind {
     }
 
     /// The kind of that name.
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::LIBRARY.into_iter().chain(Self::OUTSIDE).find(|kind| kind.name() == name)
     }
 
     /// The documented name of its effect; None outside the library.
-    #[must_use]
     pub fn effect(self) -> Option<&'static str> {
         match self {
             Self::UnsignedNonlinearity | Self::SignedNonlinearity => Some("scale_factor_nonlinearity"),
@@ -101,7 +97,6 @@ impl Kind {
     }
 
     /// The triads it may be on.
-    #[must_use]
     pub fn triads(self) -> &'static [Triad] {
         match self {
             Self::GSensitivity => &[Triad::Gyro],
@@ -111,13 +106,11 @@ impl Kind {
     }
 
     /// Whether it stands in the model with its channels rather than with its triad.
-    #[must_use]
     pub fn on_channels(self) -> bool {
         matches!(self, Self::LowPass | Self::TemperatureBias)
     }
 
     /// The unit of its numbers on a triad; for those outside the library, of the numbers that are drawn for them.
-    #[must_use]
     pub fn unit(self, triad: Triad) -> &'static str {
         let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
         match self {
@@ -137,7 +130,6 @@ impl Kind {
     }
 
     /// How many numbers it has that a regression finds; None if its size is another.
-    #[must_use]
     pub fn numbers(self) -> Option<usize> {
         match self {
             Self::Saturation | Self::LowPass => None,

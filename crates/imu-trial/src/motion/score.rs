@@ -17,7 +17,6 @@ const NEARLY: f64 = 0.9;
 
 /// A cause of a diagnosis, as far as it is judged.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Told {
     /// Its effect.
     pub effect: String,
@@ -29,7 +28,6 @@ pub struct Told {
 
 /// A case as it was judged.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct Judgement {
     /// Its number.
     pub case: usize,
@@ -58,7 +56,6 @@ pub struct Judgement {
 }
 
 /// Judges a diagnosis: its JSON, or the reason why there is none.
-#[must_use]
 pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f64>) -> Judgement {
     let nothing = Value::Null;
     let (value, verdict) = match report {
@@ -171,7 +168,6 @@ fn on_channels(of: &TrueEffect, cause: &Value) -> Vec<bool> {
 
 /// One kind's row.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "a row of the score")]
 pub struct OfKind {
     /// Which.
     pub kind: Kind,
@@ -202,7 +198,6 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 
 /// The summary of a trial.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-#[expect(clippy::exhaustive_structs, reason = "the score's keys")]
 pub struct Score {
     /// The program.
     pub software: String,
@@ -237,7 +232,6 @@ pub const RATES: [(&str, &str); 11] = [
 
 impl Score {
     /// Of these judgements.
-    #[must_use]
     pub fn of(software: &str, seed: u64, manifest_sha256: &str, all: &[Judgement]) -> Self {
         let inside = |of: &Judgement| !of.kinds.is_empty() && of.kinds.iter().all(|kind| kind.effect().is_some());
         let single = || all.iter().filter(move |of| of.kinds.len() == 1 && inside(of));

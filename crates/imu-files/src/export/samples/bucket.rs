@@ -12,7 +12,6 @@ pub struct Bucket {
 
 impl Bucket {
     /// A bucket of this many samples of this many channels.
-    #[must_use]
     pub fn new(size: u64, channels: usize) -> Self {
         Self { size, count: 0, first_ns: 0, last_ns: 0, extremes: vec![(f64::NAN, f64::NAN); channels] }
     }

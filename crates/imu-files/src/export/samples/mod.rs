@@ -28,7 +28,6 @@ use std::io::Write;
 
 /// The facts about a capture as a whole.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct About {
     /// Its id; `None` for a recording that is in no database.
     pub id: Option<i64>,
@@ -72,7 +71,6 @@ impl About {
 
 /// Consecutive samples, column by column; all columns have the same length.
 #[derive(Debug, Clone, Copy)]
-#[expect(clippy::exhaustive_structs, reason = "callers write it out")]
 pub struct Rows<'a> {
     /// `seq` of the first row; row i has `first_seq + i`.
     pub first_seq: u64,
@@ -88,12 +86,10 @@ pub struct Rows<'a> {
 
 impl Rows<'_> {
     /// The number of samples.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.time_ns.len()
     }
     /// Whether there are no samples.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_ns.is_empty()
     }
@@ -101,7 +97,6 @@ impl Rows<'_> {
 
 /// The reasons why samples could not be written.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ExportError {
     /// The destination accepted no more.
     #[error(transparent)]
@@ -161,7 +156,6 @@ pub trait Sink {
 
 /// The formats of exported samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum SampleFormat {
     /// The documented CSV.
     Csv,
@@ -178,7 +172,6 @@ impl SampleFormat {
     pub const ALL: [Self; 4] = [Self::Csv, Self::Ndjson, Self::Parquet, Self::Mcap];
 
     /// The name on the command line, and the extension of its files.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Csv => "csv",
@@ -189,13 +182,11 @@ impl SampleFormat {
     }
 
     /// The format of files with this extension, in any case of letters.
-    #[must_use]
     pub fn of_ending(ending: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.name().eq_ignore_ascii_case(ending))
     }
 
     /// Whether a terminal can show it.
-    #[must_use]
     pub fn is_text(self) -> bool {
         matches!(self, Self::Csv | Self::Ndjson)
     }

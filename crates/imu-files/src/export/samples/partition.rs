@@ -14,7 +14,6 @@ const IDENTITY_CHARS: usize = 8;
 
 /// The file's path inside the data set, made from the sensor (`None` if its serial number is not known), the day in UTC
 /// on which the capture began, its database, id and name.
-#[must_use]
 pub fn partition_path(about: &About) -> String {
     let About { id, database, name, origin_ns, sensor, .. } = about;
     let serial_number = sensor["serial_number"].as_str();

@@ -20,7 +20,6 @@ pub struct Tally {
 
 impl Tally {
     /// A tally of this many samples, without gaps so far.
-    #[must_use]
     pub fn of(samples: u64) -> Self {
         Self { samples, ..Self::default() }
     }

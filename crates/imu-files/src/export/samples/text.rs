@@ -24,7 +24,6 @@ impl TextFormat {
     pub const ALL: [Self; 3] = [Self::Json, Self::Csv, Self::Ndjson];
 
     /// The name in queries.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Json => "json",
@@ -34,7 +33,6 @@ impl TextFormat {
     }
 
     /// The name in HTTP's headers.
-    #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Json => "application/json",
@@ -70,7 +68,6 @@ pub struct TextWriter {
 
 impl TextWriter {
     /// A writer of these channels in this order, with two columns each if rows are minima and maxima.
-    #[must_use]
     pub fn new(format: TextFormat, channels: &[Channel], min_max: bool) -> Self {
         let suffixes: &[&str] = if min_max { &["_min", "_max"] } else { &[""] };
         let (mut names, mut units) = (vec!["time_s".to_owned()], vec!["s"]);

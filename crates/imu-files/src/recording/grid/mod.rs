@@ -43,7 +43,6 @@ pub struct StampGrid {
 
 impl StampGrid {
     /// Whether the number of missing samples is exact: stamps are nearer to their own grid point than to any other.
-    #[must_use]
     pub fn is_exact(&self) -> bool {
         self.resolved && self.jitter_ns < EXACT_JITTER * self.period_ns && (self.rounding_ns as f64) <= self.period_ns
     }

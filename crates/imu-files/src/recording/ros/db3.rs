@@ -127,7 +127,6 @@ fn open(input: &Input) -> Result<Database, RecordingError> {
 
 /// The log beside a bag that contains what its recorder had not yet moved into the bag when it was killed; `None` if
 /// there is none, or the file is no database.
-#[must_use]
 pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
     let mut begin = Vec::new();
     std::fs::File::open(file).ok()?.take(MAGIC.len() as u64).read_to_end(&mut begin).ok()?;

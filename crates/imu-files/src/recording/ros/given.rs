@@ -20,7 +20,6 @@ pub struct MessageDefinition {
 
 /// Why a definition is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
 pub enum DefinitionError {
     /// The name is no valid type name.
     #[error("message definition: {name:?} is no type's name, such as Reading or own_msgs/msg/Reading")]
@@ -109,13 +108,11 @@ impl MessageDefinition {
     }
 
     /// The type: `package/Name`, or `Name` in any package.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// The text of the type's `.msg` file without comments and empty lines, which have no effect.
-    #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
@@ -129,7 +126,6 @@ impl MessageDefinition {
 }
 
 /// Whether this is `Name`, `package/Name` or `package/msg/Name`.
-#[must_use]
 pub fn is_type_name(name: &str) -> bool {
     let parts: Vec<&str> = name.split('/').collect();
     let is_word = |part: &&str| {

@@ -68,7 +68,6 @@ pub struct DelayLine {
 
 impl DelayLine {
     /// A delay by `samples` (0 or more).
-    #[must_use]
     pub fn new(samples: f64) -> Self {
         let (skip, weights) = Self::nodes(samples);
         Self { weights, skip, past: VecDeque::new() }
@@ -76,7 +75,6 @@ impl DelayLine {
 
     /// Which samples a delay by `samples` (0 or more) is made of: how many of the latest to skip, and the weights of the
     /// four from there back.
-    #[must_use]
     pub fn nodes(samples: f64) -> (usize, [f64; 4]) {
         // The four nodes skip, skip + 1 … lie around the delay, as far as there are samples that young.
         let skip = (samples.floor() - 1.0).max(0.0);

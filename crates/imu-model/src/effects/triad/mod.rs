@@ -31,7 +31,6 @@ pub type Axes = [f64; 3];
 
 /// The inputs of a triad's effects at an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "an argument that callers write out")]
 pub struct Drive {
     /// The triad's own input: angular rate in rad/s or specific force in m/s².
     pub input: Axes,

@@ -9,7 +9,6 @@ use std::sync::Arc;
 /// The part of a model that cannot be simulated.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{path}: found {found}; expected {expected}")]
-#[expect(clippy::exhaustive_structs, reason = "one sentence's parts")]
 pub struct Fault {
     /// The place inside the model, such as `channels.gyro_x.N`.
     pub path: String,
@@ -108,7 +107,6 @@ impl Sampling {
     }
 
     /// Internal samples per sample of the output at `rate_hz`; `None` if that is not a whole number.
-    #[must_use]
     pub fn decimation(&self, rate_hz: f64) -> Option<usize> {
         let ratio = self.internal_rate_hz / rate_hz;
         let whole = ratio.round();

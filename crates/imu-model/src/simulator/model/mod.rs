@@ -45,7 +45,6 @@ const TRIADS: [Triad; 4] = [Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gy
 
 /// The reason why a sensor model was refused.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum ModelError {
     /// The text is not JSON.
     #[error("{file} is not JSON: {source}")]
@@ -71,7 +70,6 @@ pub enum ModelError {
 
 /// The parameters of one channel; U is the channel's unit.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
 pub struct ChannelModel {
     /// White noise, U/√Hz (two-sided PSD N²).
     pub n: f64,
@@ -92,7 +90,6 @@ pub struct ChannelModel {
 
 /// The effects of one triad.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
 pub struct TriadModel {
     /// The response of its axes to a motion.
     pub effects: Vec<Arc<dyn TriadEffect>>,
@@ -101,7 +98,6 @@ pub struct TriadModel {
 /// How a sensor computes its output from its own samples: the mean of the last `filter_window` of them, every n-th
 /// sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[expect(clippy::exhaustive_structs, reason = "the documented two keys")]
 pub struct Sampling {
     /// The sensor's own rate, a whole multiple of the output's.
     pub internal_rate_hz: f64,
@@ -112,7 +108,6 @@ pub struct Sampling {
 impl Sampling {
     /// Factor from the sensor's own white density to the one that is seen at `rate_hz`, at low frequencies: √Σ |H(kR)|² over the
     /// images k of the output's rate R, H the boxcar's response. 1 if the rates do not divide one another.
-    #[must_use]
     pub fn density_factor(self, rate_hz: f64) -> f64 {
         let images = self.decimation(rate_hz).unwrap_or(1);
         let gain = |image: usize| {
@@ -124,7 +119,6 @@ impl Sampling {
 
 /// A sensor: the simulator's input.
 #[derive(Debug, Clone, PartialEq, Default)]
-#[expect(clippy::exhaustive_structs, reason = "callers write models out")]
 pub struct SensorModel {
     /// A name for people.
     pub name: String,
@@ -142,7 +136,6 @@ pub struct SensorModel {
 
 impl SensorModel {
     /// The rate at which the chain runs before sampling, for an output at `rate_hz`.
-    #[must_use]
     pub fn internal_rate_hz(&self, rate_hz: f64) -> f64 {
         self.sampling.map_or(rate_hz, |sampling| sampling.internal_rate_hz)
     }

@@ -12,7 +12,6 @@ use serde_json::{Map, Value, json};
 /// It expresses what a table of ranges can express. The reader alone refuses these: frequencies from half the rate up, rates that
 /// do not divide one another, limits in the wrong order, channels that disagree about a shared effect, keys that stand twice, and
 /// uncertainties of absent parameters.
-#[must_use]
 pub fn schema() -> Value {
     let object = |properties: Map<String, Value>, required: &[&str]| json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false});
     let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "maximum": LARGEST, "default": 0, "description": meaning});

@@ -21,20 +21,17 @@ const LIMIT: &str = "upper_limit95";
 
 impl ChannelModel {
     /// The 95 % interval of N, B, K or `bias`, from low to high, in the parameter's unit; None if none is stated.
-    #[must_use]
     pub fn interval(&self, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(parameter)?)
     }
 
     /// The 95 % upper limit of N, B or K if the data does not support it; None if none is stated.
-    #[must_use]
     pub fn upper_limit(&self, parameter: &str) -> Option<f64> {
         self.uncertainty.as_ref()?.get(parameter)?.get(LIMIT)?.as_f64()
     }
 
     /// The 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], from low to high, in the
     /// parameter's unit; None if none is stated.
-    #[must_use]
     pub fn effect_interval(&self, index: usize, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(EFFECTS)?.get(index)?.get(parameter)?)
     }
