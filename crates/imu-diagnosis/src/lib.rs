@@ -7,6 +7,31 @@
 //! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]). Their deterministic part follows [`course`]s and
 //! sines ([`series`]). [`evidence`] computes the gain of each effect. [`search`] adds one effect after the other as long as each
 //! is worth its price. The price is the gain that chance makes in simulated records of the same length.
+//!
+//! # Example
+//! A sensor has a tone that its model lacks:
+//! ```
+//! use imu_core::sample::Channel;
+//! use imu_diagnosis::{Options, Recording, diagnose};
+//! use imu_model::simulator::{SensorModel, Simulator};
+//!
+//! let model = |effects: &str| {
+//!     let text = format!(
+//!         r#"{{"format": "vn100d-sensor-model-1", "name": "desk", "rate_hz": 40,
+//!             "channels": {{"gyro_x": {{"N": 1e-4, "B": 3e-5, "K": 3e-6, "effects": [{effects}]}}}}}}"#
+//!     );
+//!     SensorModel::from_json(&text, "desk.json")
+//! };
+//! let sensor = model(r#"{"effect": "tone", "frequency_hz": 3.2, "amplitude": 1e-4}"#)?;
+//! let (rate_hz, samples) = (40.0, 16_384);
+//! let mut simulator = Simulator::new(&sensor, 7, rate_hz, samples as f64 / rate_hz)?;
+//! let gyro_x = (0..samples).map(|_| simulator.next_values()[Channel::GyroX as usize]).collect();
+//! let recording = Recording { rate_hz, channels: vec![(Channel::GyroX, gyro_x)], ..Recording::default() };
+//!
+//! let found = diagnose(&recording, &model("")?, &Options::default())?;
+//! assert_eq!(found.diagnosis.causes[0].effect, "tone");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod augmented;
 mod bands;

@@ -8,6 +8,23 @@
 //!
 //! Sources: VN-100 user manual UM001 rev 2.45 (firmware 3.0.0.0), application note AN110, the official SDK 0.99.0 and
 //! recordings of real sensors; the vectors under `tests/golden/protocol/` name theirs.
+//!
+//! # Example
+//! ```
+//! use vn100_proto::{Decoder, DecoderOptions, Event, Quantity};
+//!
+//! let mut decoder = Decoder::new(DecoderOptions::default());
+//! let mut accelerations_m_s2 = Vec::new();
+//! let mut sink = |event: Event<'_>| {
+//!     if let Event::Measurement(measurement) = event {
+//!         accelerations_m_s2.extend(measurement.vector(Quantity::Accel));
+//!     }
+//! };
+//! // A line may arrive in any division.
+//! decoder.push(b"$VNACC,+00.105,-0", &mut sink);
+//! decoder.push(b"0.250,-10.148*4F\r\n", &mut sink);
+//! assert_eq!(accelerations_m_s2, [[0.105, -0.25, -10.148]]);
+//! ```
 
 pub mod ascii;
 pub mod binary;
