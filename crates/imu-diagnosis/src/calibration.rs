@@ -114,7 +114,7 @@ impl Nulls {
             gains.insert(Kind::VarianceInterval, loud);
             found.kinds.extend(gains);
             residuals.push(series.residual.clone());
-            found.statistics.extend(omnibus::statistics(&mut series));
+            found.statistics.extend(omnibus::statistics(&mut series, prepared.facts.atom));
         }
         let crosstalk = omnibus::crosstalk::greatest(residuals, &|_, _| false);
         found.statistics.extend(crosstalk.first().map(|value| (Statistic::Crosstalk, *value)));

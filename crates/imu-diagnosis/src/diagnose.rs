@@ -277,7 +277,7 @@ fn explain(
     let model = sim.channels.get(&prepared.channel);
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
-    let statistics = omnibus::statistics(&mut series);
+    let statistics = omnibus::statistics(&mut series, prepared.facts.atom);
     // The model's lines have the model's amplitudes, except those that the channel has with other amplitudes.
     let mut known = known;
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();

@@ -324,7 +324,7 @@ fn channel_of(
                 .filter(|t| outliers.binary_search(t).is_err() && sent[*t].is_finite())
                 .map(|t| sent[t])
                 .collect();
-            Facts { low: None, high: None, ..facts::of(&sent) }
+            Facts { low: None, high: None, atom: 0.0, ..facts::of(&sent) }
         }
         None => facts::of(&there),
     };

@@ -266,3 +266,24 @@ fn a_filter_with_nothing_behind_it_is_alone() {
     }
     wrong.none();
 }
+
+/// A dead band leaves out a piece of the distribution's middle and piles it up on one value: no distribution of tails does.
+#[test]
+fn a_band_in_which_the_sensor_does_not_move_is_no_heavy_tails() {
+    let mut wrong = Wrong::default();
+    for (half, seed) in [(0.16, 1), (0.31, 2), (0.6, 3)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let values = &mut real.channels[0].1;
+        let middle = values.iter().sum::<f64>() / values.len() as f64;
+        for value in values {
+            let off = *value - middle;
+            *value = middle + off.signum() * (off.abs() - half * WHITE).max(0.0);
+        }
+        let found = diagnosed(&real, &model(None)).diagnosis;
+        let shows = found.remainder.is_some_and(|of| of.what.iter().any(|what| what.contains("one value")));
+        wrong.expect(shows, || format!("{half}: {:?} {:?}", found.verdict, found.notes));
+        let sure = found.causes.iter().any(|of| of.confidence > 0.9);
+        wrong.expect(!sure, || format!("{half}: {}", found.summary));
+    }
+    wrong.none();
+}

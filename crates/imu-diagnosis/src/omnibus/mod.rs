@@ -114,12 +114,12 @@ impl Statistic {
     }
 }
 
-/// All statistics of a series' residual.
-pub fn statistics(series: &mut Series<'_>) -> Vec<(Statistic, f64)> {
+/// All statistics of a series' residual; `atom` is that of its values as they were sent.
+pub fn statistics(series: &mut Series<'_>, atom: f64) -> Vec<(Statistic, f64)> {
     let mut found = Vec::with_capacity(Statistic::ALL.len());
+    found.push((Statistic::Atom, atom));
     found.push((Statistic::Skewness, skewness(series.innovations())));
     found.push((Statistic::Component, component::worst(series)));
-    found.push((Statistic::Atom, atom(series.samples(), &series.explanation.outliers)));
     series.residual = series.scores().into_owned();
     let residual = series.residual.clone();
     let count = residual.len() as f64;
@@ -160,27 +160,6 @@ fn skewness(residual: &[f64]) -> f64 {
     let cubic = |e: f64| e.powi(3) - slope * e;
     let (sum, square) = limited().map(cubic).fold((0.0, 0.0), |(s, q), c| (s + c, q + c * c));
     if square > 0.0 { half_square(sum / square.sqrt()) } else { 0.0 }
-}
-
-/// How often the most frequent value that is no outlier is met beyond the fifth most frequent, runs counted once: about that
-/// many rare chances.
-fn atom(samples: &[f64], outliers: &[usize]) -> f64 {
-    const FIFTH: usize = 5;
-    let changes = (1..samples.len()).filter(|t| samples[*t] != samples[t - 1] && outliers.binary_search(t).is_err());
-    let mut values: Vec<f64> = changes.map(|t| samples[t]).collect();
-    values.sort_unstable_by(f64::total_cmp);
-    let mut counts: Vec<usize> = values.chunk_by(|a, b| a == b).map(<[f64]>::len).collect();
-    if counts.len() < FIFTH {
-        return 0.0;
-    }
-    let (_, fifth, top) = {
-        let at = counts.len() - FIFTH;
-        counts.select_nth_unstable(at)
-    };
-    let (fifth, most) = (*fifth as f64, top.iter().copied().max().unwrap_or(0) as f64);
-    // Poisson counts: twice the difference of roots is about normal; small counts are chance.
-    let z = 2.0 * (most.sqrt() - fifth.sqrt()) - 3.0;
-    if most >= 6.0 && z > 0.0 { half_square(z) } else { 0.0 }
 }
 
 fn tiles(tiles: &Tiles, found: &mut Vec<(Statistic, f64)>) {
