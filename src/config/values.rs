@@ -268,15 +268,7 @@ impl Day {
 
     /// The day in the calendar's type.
     pub fn weekday(self) -> Weekday {
-        match self {
-            Self::Mon => Weekday::Mon,
-            Self::Tue => Weekday::Tue,
-            Self::Wed => Weekday::Wed,
-            Self::Thu => Weekday::Thu,
-            Self::Fri => Weekday::Fri,
-            Self::Sat => Weekday::Sat,
-            Self::Sun => Weekday::Sun,
-        }
+        (0..self as u8).fold(Weekday::Mon, |day, _| day.succ())
     }
 }
 

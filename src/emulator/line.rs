@@ -22,7 +22,8 @@ pub struct Frame {
 }
 
 /// The fate of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Fate {
     /// It is in the terminal, complete and in its order.
     Sent,
@@ -49,18 +50,7 @@ pub enum Fate {
 impl Fate {
     /// The word for it in the log.
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Sent => "sent",
-            Self::Held => "held",
-            Self::Duplicated => "duplicated",
-            Self::Reordered => "reordered",
-            Self::Garbled => "garbled",
-            Self::WrongBaud => "wrong_baud",
-            Self::Dropped => "dropped",
-            Self::Silent => "silent",
-            Self::Unplugged => "unplugged",
-            Self::Overrun => "overrun",
-        }
+        self.into()
     }
 }
 

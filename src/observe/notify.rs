@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 /// What somebody may want to be told of; the name in the configuration, in JSON and in `VN100D_EVENT`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum NotifyEvent {
     /// A capture has all the sample time it was asked for.
     CaptureCompleted,
@@ -44,18 +46,7 @@ impl NotifyEvent {
 
     /// The name in the configuration, in JSON and in `VN100D_EVENT`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::CaptureCompleted => "capture_completed",
-            Self::GapOpened => "gap_opened",
-            Self::GapClosed => "gap_closed",
-            Self::StorageLow => "storage_low",
-            Self::StorageOk => "storage_ok",
-            Self::SensorLost => "sensor_lost",
-            Self::SensorBack => "sensor_back",
-            Self::DeletionPlanned => "deletion_planned",
-            Self::NightSkipped => "night_skipped",
-            Self::Test => "test",
-        }
+        self.into()
     }
 }
 

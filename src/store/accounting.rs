@@ -1,7 +1,7 @@
 //! Accounting: a capture's numbers, read in one snapshot and passed to [`imu_core::sample::audit`], which defines what
 //! must hold.
 
-use super::insert::timebase_from_name;
+use super::captures::known;
 use super::{Reader, StoreError};
 use imu_core::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit_in_order};
 use imu_core::sample::device_clock::ClockEstimate;
@@ -122,15 +122,13 @@ fn counts(connection: &Connection, capture_id: i64) -> Result<CountFacts, StoreE
 }
 
 fn segment_of(row: &Row<'_>) -> Result<SegmentFacts, StoreError> {
-    let timebase: String = row.get(5)?;
     Ok(SegmentFacts {
         number: row.get(0)?,
         epoch: row.get(1)?,
         first_seq: row.get::<_, i64>(2)? as u64,
         samples: row.get::<_, i64>(3)? as u64,
         rate_hz: row.get(4)?,
-        timebase: timebase_from_name(&timebase)
-            .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+        timebase: known("segment.timebase", row.get(5)?)?,
         ticks: None,
     })
 }

@@ -1,12 +1,12 @@
 //! Captures: creation, changes, lists and deletion.
 
-use super::insert::timebase_from_name;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use imu_core::sample::{Channel, DiscardCause, Timebase};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::str::FromStr;
 use std::time::Duration;
 
 /// The longest name in characters.
@@ -15,10 +15,13 @@ pub const NAME_MAX: usize = 100;
 const DELETE_ROWS: i64 = 4000;
 
 /// What a capture is doing or how it ended (docs/formats.md).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum CaptureState {
     /// It begins at a set time.
+    #[default]
     Waiting,
     /// It is running (or will go on when the daemon starts).
     Capturing,
@@ -33,23 +36,9 @@ pub enum CaptureState {
 }
 
 impl CaptureState {
-    /// All states.
-    pub const ALL: [Self; 6] =
-        [Self::Waiting, Self::Capturing, Self::Complete, Self::Stopped, Self::Imported, Self::Simulated];
     /// The name in the database and JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Waiting => "waiting",
-            Self::Capturing => "capturing",
-            Self::Complete => "complete",
-            Self::Stopped => "stopped",
-            Self::Imported => "imported",
-            Self::Simulated => "simulated",
-        }
-    }
-    /// The state of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.name() == name)
+        self.into()
     }
     /// Whether samples may still arrive.
     pub fn is_open(self) -> bool {
@@ -91,7 +80,7 @@ impl ChannelRow {
 }
 
 /// A capture that is to be made.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct NewCapture {
     /// Its name.
     pub name: Option<String>,
@@ -122,20 +111,7 @@ pub struct NewCapture {
 impl NewCapture {
     /// A capture from `source` in `state`, with nothing else set.
     pub fn new(source: &str, state: CaptureState) -> Self {
-        Self {
-            name: None,
-            liked_name: None,
-            source: source.to_owned(),
-            state,
-            planned: None,
-            start_at_utc_ns: None,
-            started_utc_ns: None,
-            rate_assumed: false,
-            sensor: None,
-            configuration: None,
-            channels: Vec::new(),
-            token: None,
-        }
+        Self { source: source.to_owned(), state, ..Self::default() }
     }
 }
 
@@ -562,7 +538,7 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
         let mut capture = Unfinished {
             id: row.get(0)?,
             name: row.get(1)?,
-            state: state_of(row, 2)?,
+            state: known("capture.state", row.get(2)?)?,
             planned: row.get::<_, Option<i64>>(3)?.map(|ns| Duration::from_nanos(ns.max(0) as u64)),
             start_at_utc_ns: row.get(4)?,
             started_utc_ns: row.get(5)?,
@@ -600,11 +576,9 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
         })
         .optional()?;
     if let Some((segment, epoch, rate_hz, timebase, first)) = found {
-        let timebase =
-            timebase_from_name(&timebase).ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?;
         capture.segment = segment;
         capture.epoch = epoch;
-        capture.stream = Some((rate_hz, timebase));
+        capture.stream = Some((rate_hz, known("segment.timebase", timebase)?));
         capture.epoch_first_device_ns = first.map(|ns| ns as u64);
     }
     let sql = "SELECT device_time_ns, host_mono_ns, host_utc_ns, sync_count, (SELECT boot_id FROM segment WHERE segment.capture_id = sample.capture_id AND \
@@ -637,8 +611,7 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
     let mut units = BTreeMap::new();
     let mut names = Vec::new();
     for (name, unit, resolution, original_unit, factor) in channels {
-        let channel = Channel::from_name(&name)
-            .ok_or_else(|| StoreError::Unknown { column: "channel.channel", found: name.clone() })?;
+        let channel = known("channel.channel", name.clone())?;
         names.push(channel);
         units.insert(name, ChannelRow { channel: Some(channel), unit, resolution, original_unit, factor });
     }
@@ -648,7 +621,7 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
         id: row.get(0)?,
         name: row.get(1)?,
         source: row.get(2)?,
-        state: state_of(row, 3)?,
+        state: known("capture.state", row.get(3)?)?,
         created_at: UtcNs(row.get(4)?),
         start_at: time(5)?,
         started_at: time(6)?,
@@ -681,9 +654,9 @@ pub(super) fn json_of(row: &Row<'_>, index: usize) -> Result<Option<serde_json::
     Ok(text.map(|text| serde_json::from_str(&text)).transpose()?)
 }
 
-fn state_of(row: &Row<'_>, index: usize) -> Result<CaptureState, StoreError> {
-    let name: String = row.get(index)?;
-    CaptureState::from_name(&name).ok_or(StoreError::Unknown { column: "capture.state", found: name })
+/// Reads a name that this program knows.
+pub(super) fn known<T: FromStr>(column: &'static str, found: String) -> Result<T, StoreError> {
+    found.parse().map_err(|_| StoreError::Unknown { column, found })
 }
 
 impl Reader {

@@ -89,11 +89,6 @@ impl Store {
 }
 
 impl Import {
-    /// The id that the capture will have.
-    pub fn id(&self) -> i64 {
-        self.id
-    }
-
     /// Adds a record.
     ///
     /// # Errors

@@ -308,7 +308,7 @@ fn insert_segment(
             segment.epoch,
             segment.first_seq as i64,
             segment.rate_hz,
-            timebase_name(segment.timebase),
+            <&str>::from(segment.timebase),
             serde_json::to_string(&names)?,
             segment.first_device_time_ns.map(|ns| ns as i64),
             segment.first_utc_ns,
@@ -477,20 +477,4 @@ fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64
             |row| row.get(0),
         )?;
     Ok(samples as u64)
-}
-
-pub(super) fn timebase_name(timebase: Timebase) -> &'static str {
-    match timebase {
-        Timebase::Device => "device",
-        Timebase::SyncCounter => "sync_counter",
-        Timebase::Arrival => "arrival",
-        Timebase::Stamps => "stamps",
-        Timebase::Rate => "rate",
-    }
-}
-
-pub(super) fn timebase_from_name(name: &str) -> Option<Timebase> {
-    [Timebase::Device, Timebase::SyncCounter, Timebase::Arrival, Timebase::Stamps, Timebase::Rate]
-        .into_iter()
-        .find(|timebase| timebase_name(*timebase) == name)
 }

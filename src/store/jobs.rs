@@ -1,6 +1,6 @@
 //! Jobs: durable states of background work. The room `jobs` computes; this file holds what survives a kill.
 
-use super::captures::json_of;
+use super::captures::{json_of, known};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_from_iter};
@@ -21,6 +21,8 @@ const DROP_MAX: i64 = 100;
 /// What a job is doing or how it ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum JobState {
     /// It waits for its turn.
     Queued,
@@ -35,21 +37,9 @@ pub enum JobState {
 }
 
 impl JobState {
-    /// All states.
-    pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Done, Self::Failed, Self::Cancelled];
     /// The name in the database and JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Queued => "queued",
-            Self::Running => "running",
-            Self::Done => "done",
-            Self::Failed => "failed",
-            Self::Cancelled => "cancelled",
-        }
-    }
-    /// The state of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.name() == name)
+        self.into()
     }
 }
 
@@ -120,7 +110,6 @@ pub(super) const JOB_COLUMNS: &str = "id, kind, capture_id, params, end_seq, sta
     finished_utc_ns, error, result_id, software";
 
 pub(super) fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
-    let state: String = row.get(5)?;
     let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));
     let software: String = row.get(12)?;
     Ok(JobRow {
@@ -129,7 +118,7 @@ pub(super) fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
         capture: row.get(2)?,
         params: json_of(row, 3)?.unwrap_or_default(),
         end_seq: row.get::<_, i64>(4)? as u64,
-        state: JobState::from_name(&state).ok_or(StoreError::Unknown { column: "job.state", found: state })?,
+        state: known("job.state", row.get(5)?)?,
         progress: row.get(6)?,
         created_at: UtcNs(row.get(7)?),
         started_at: time(8)?,
@@ -300,7 +289,7 @@ impl Store {
             let sql = "SELECT state, attempts FROM job WHERE id = ?1";
             let read = |row: &Row<'_>| Ok((row.get::<_, String>(0)?, row.get(1)?));
             let found = transaction.query_row(sql, [id], read).optional()?;
-            let found = found.and_then(|(state, attempts)| Some((JobState::from_name(&state)?, attempts)));
+            let found = found.and_then(|(state, attempts)| Some((state.parse().ok()?, attempts)));
             if found.is_some_and(|(state, _)| state == JobState::Failed) {
                 leave_nothing(transaction, id)?;
             }
@@ -465,17 +454,6 @@ impl Reader {
             jobs.push((job.id, job));
         }
         Ok(Page::cut(jobs, page.limit(), "jobs"))
-    }
-
-    /// The job submitted last for this capture and kind, in any state.
-    ///
-    /// # Errors
-    /// The error that the database reports.
-    pub fn latest_job(&self, capture_id: i64, kind: &str) -> Result<Option<JobRow>, StoreError> {
-        let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");
-        let mut statement = self.connection.prepare_cached(&sql)?;
-        let mut rows = statement.query(params![capture_id, kind])?;
-        rows.next()?.map(job_of).transpose()
     }
 
     /// The jobs that cover all samples of this capture below `end_seq`, the latest first, at most 1000.

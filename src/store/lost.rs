@@ -5,8 +5,8 @@
 //! data from then on. The running capture continues in it under its name, numbered from 0, with its remaining duration
 //! and an event that reports the loss. Nothing that was not committed is lost.
 
-use super::captures::name_is_free;
-use super::insert::{Inserted, timebase_from_name};
+use super::captures::{known, name_is_free};
+use super::insert::Inserted;
 use super::{SOFTWARE, StoreError};
 use imu_core::sample::{Channel, EventKind, Gap, Record, Segment};
 use rusqlite::{Connection, OptionalExtension, params};
@@ -245,8 +245,7 @@ fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, Sto
         epoch,
         first_seq: 0,
         rate_hz,
-        timebase: timebase_from_name(&timebase)
-            .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+        timebase: known("segment.timebase", timebase)?,
         channels: names.iter().filter_map(|name| Channel::from_name(name)).collect(),
         first_device_time_ns: None,
         first_utc_ns: 0,

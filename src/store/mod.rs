@@ -77,7 +77,7 @@ pub use samples::{Chunk, SeqRange, Times};
 pub use schema::{APPLICATION_ID, is_database, schema_version};
 pub use time_axis::{Moment, SampleRange, TimeAxis};
 pub use times::UtcNs;
-pub use trail::{ConfigurationRow, EventRow, GapRow, Missing, SegmentRow};
+pub use trail::{EventRow, GapRow, Missing, SegmentRow};
 pub use writer::{COMMIT_AFTER, COMMIT_RECORDS};
 
 use crate::clock::{Clock, SystemClock};
@@ -93,17 +93,12 @@ use writer::{Command, Failure, Writer, WriterParts};
 /// Name and version of this program, as stored with captures and results.
 pub const SOFTWARE: &str = concat!("vn100d ", env!("CARGO_PKG_VERSION"));
 /// The smallest queue between reader and disk, in records: 30 s at 800 Hz.
-pub const QUEUE_MIN: usize = 24_000;
-
-/// The queue size that holds 30 s of data at `rate_hz`, at least [`QUEUE_MIN`].
-pub fn queue_capacity(rate_hz: f64) -> usize {
-    QUEUE_MIN.max((30.0 * rate_hz).ceil() as usize)
-}
+const QUEUE_MIN: usize = 24_000;
 
 /// Options for opening a store.
 #[derive(Debug, Clone)]
 pub struct StoreOptions {
-    /// Records that the queue holds ([`queue_capacity`]).
+    /// Records that the queue holds.
     pub queue: usize,
     /// The clock that stamps rows which carry no time.
     pub clock: Arc<dyn Clock>,

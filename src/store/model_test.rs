@@ -117,7 +117,7 @@ fn read(path: &Path) -> Content {
     let mut jobs = reader.connection.prepare(sql).unwrap();
     let mut rows = jobs.query([]).unwrap();
     while let Some(row) = rows.next().unwrap() {
-        let state = JobState::from_name(&row.get::<_, String>(2).unwrap()).unwrap();
+        let state = row.get::<_, String>(2).unwrap().parse().unwrap();
         content.jobs.insert(row.get(0).unwrap(), (row.get(1).unwrap(), state, row.get(3).unwrap()));
     }
     content

@@ -84,17 +84,7 @@ impl RecordSender {
         })
     }
 
-    /// Puts a capture's record into the queue, waiting for room: for a reader that may pause its source.
-    ///
-    /// # Errors
-    /// [`Refused::Closed`] if the writer has ended.
-    pub async fn send(&self, capture_id: i64, record: Record) -> Result<(), Refused> {
-        self.queue.send((capture_id, record)).await.map_err(|error| Refused::Closed(error.0.1))?;
-        self.came();
-        Ok(())
-    }
-
-    /// As [`Self::send`], from a thread outside the asynchronous runtime.
+    /// Puts a capture's record into the queue, waiting for room, from a thread outside the asynchronous runtime.
     ///
     /// # Errors
     /// [`Refused::Closed`] if the writer has ended.

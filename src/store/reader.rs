@@ -101,18 +101,6 @@ impl ReaderPool {
         };
         Ok(PooledReader { reader: Some(reader), idle: Arc::clone(&self.idle) })
     }
-
-    /// Runs `work` with a reader on a thread for blocking work.
-    ///
-    /// # Errors
-    /// The error that `work` reports; [`StoreError::Closed`] if it could not be run.
-    pub async fn read<T: Send + 'static>(
-        &self,
-        work: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
-    ) -> Result<T, StoreError> {
-        let pool = self.clone();
-        tokio::task::spawn_blocking(move || work(&*pool.get()?)).await.map_err(|_| StoreError::Closed)?
-    }
 }
 
 /// A reader borrowed from the pool.

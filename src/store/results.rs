@@ -1,7 +1,7 @@
 //! Results: what jobs have computed, as the JSON documents that the interfaces return.
 
 use super::{Reader, StoreError, UtcNs};
-use rusqlite::{OptionalExtension, Row, params};
+use rusqlite::{OptionalExtension, Row};
 
 /// A result.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,15 +44,5 @@ impl Reader {
     pub fn result(&self, id: i64) -> Result<Option<ResultRow>, StoreError> {
         let sql = format!("SELECT {RESULT_COLUMNS} FROM result WHERE id = ?1");
         Ok(self.connection.prepare_cached(&sql)?.query_row([id], result_of).optional()?)
-    }
-
-    /// The latest result of this kind for a capture; `None` if there is none.
-    ///
-    /// # Errors
-    /// The error that the database reports.
-    pub fn latest_result(&self, capture_id: i64, kind: &str) -> Result<Option<ResultRow>, StoreError> {
-        let sql =
-            format!("SELECT {RESULT_COLUMNS} FROM result WHERE capture_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT 1");
-        Ok(self.connection.prepare_cached(&sql)?.query_row(params![capture_id, kind], result_of).optional()?)
     }
 }

@@ -1,7 +1,6 @@
 //! The trail of a capture: its segments, gaps, events and configurations.
 
-use super::captures::json_of;
-use super::insert::timebase_from_name;
+use super::captures::{json_of, known};
 use super::{Page, PageRequest, Reader, StoreError, UtcNs};
 use imu_core::sample::{Channel, GapCause, Timebase};
 use rusqlite::{OptionalExtension, Row, params};
@@ -70,18 +69,6 @@ pub struct EventRow {
     pub detail: Option<serde_json::Value>,
 }
 
-/// The sensor's registers as read at one connection.
-#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
-pub struct ConfigurationRow {
-    /// When.
-    pub at: UtcNs,
-    /// The samples from this `seq` on were taken with it.
-    pub before_seq: u64,
-    /// What was read.
-    #[schema(value_type = Object)]
-    pub registers: serde_json::Value,
-}
-
 /// The number of samples missing before each sample: by the first sample behind a gap, the sum of all gaps up to it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Missing(Vec<(u64, u64)>);
@@ -114,7 +101,6 @@ impl Reader {
                    first_device_time_ns, last_device_time_ns FROM segment WHERE capture_id = ?1 AND segment_id > ?2 \
                    ORDER BY segment_id LIMIT ?3";
         self.page(sql, capture_id, page, "segments", |row| {
-            let timebase: String = row.get(5)?;
             let names: Vec<String> = serde_json::from_str(&row.get::<_, String>(6)?)?;
             let device = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(|ns| ns as u64));
             Ok(SegmentRow {
@@ -123,8 +109,7 @@ impl Reader {
                 first_seq: row.get::<_, i64>(2)? as u64,
                 samples: row.get::<_, i64>(3)? as u64,
                 rate_hz: row.get(4)?,
-                timebase: timebase_from_name(&timebase)
-                    .ok_or(StoreError::Unknown { column: "segment.timebase", found: timebase })?,
+                timebase: known("segment.timebase", row.get(5)?)?,
                 channels: names.iter().filter_map(|name| Channel::from_name(name)).collect(),
                 from: UtcNs(row.get(7)?),
                 to: row.get::<_, Option<i64>>(8)?.map(UtcNs),
@@ -216,14 +201,13 @@ impl Reader {
         let sql = "SELECT gap_id, from_utc_ns, to_utc_ns, missing, missing_exact, cause, before_seq, from_device_ns, \
                    to_device_ns FROM gap WHERE +capture_id = ?1 AND gap_id > ?2 ORDER BY gap_id LIMIT ?3";
         self.page(sql, capture_id, page, "gaps", |row| {
-            let cause: String = row.get(5)?;
             let device = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(|ns| ns as u64));
             Ok(GapRow {
                 from: UtcNs(row.get(1)?),
                 to: UtcNs(row.get(2)?),
                 missing: row.get::<_, i64>(3)? as u64,
                 missing_exact: row.get(4)?,
-                cause: GapCause::from_name(&cause).ok_or(StoreError::Unknown { column: "gap.cause", found: cause })?,
+                cause: known("gap.cause", row.get(5)?)?,
                 before_seq: row.get::<_, i64>(6)? as u64,
                 from_device_ns: device(7)?,
                 to_device_ns: device(8)?,
@@ -240,22 +224,6 @@ impl Reader {
                    ORDER BY event_id LIMIT ?3";
         self.page(sql, capture_id, page, "events", |row| {
             Ok(EventRow { at: UtcNs(row.get(1)?), kind: row.get(2)?, message: row.get(3)?, detail: json_of(row, 4)? })
-        })
-    }
-
-    /// A capture's configurations in the order they were read.
-    ///
-    /// # Errors
-    /// [`StoreError::BadCursor`], or the error that the database reports.
-    pub fn configurations(&self, capture_id: i64, page: &PageRequest) -> Result<Page<ConfigurationRow>, StoreError> {
-        let sql = "SELECT configuration_id, utc_ns, before_seq, registers FROM configuration WHERE capture_id = ?1 \
-                   AND configuration_id > ?2 ORDER BY configuration_id LIMIT ?3";
-        self.page(sql, capture_id, page, "configurations", |row| {
-            Ok(ConfigurationRow {
-                at: UtcNs(row.get(1)?),
-                before_seq: row.get::<_, i64>(2)? as u64,
-                registers: json_of(row, 3)?.unwrap_or_default(),
-            })
         })
     }
 

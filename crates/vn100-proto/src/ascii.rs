@@ -2,12 +2,13 @@
 
 use super::measurement::Measurement;
 use super::{ChecksumKind, Quantity};
+use imu_core::variants;
 
 /// Longest line taken, `$` and line end included (the SDK's limit).
 pub const MAX_LINE_BYTES: usize = 320;
 
 /// The asynchronous ASCII messages (register 6).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, strum::VariantArray)]
 pub enum AsciiType {
     /// Yaw, pitch, roll.
     Ypr,
@@ -78,22 +79,7 @@ static ROWS: [Row; 14] = {
 
 impl AsciiType {
     /// All messages.
-    pub const ALL: [Self; 14] = [
-        Self::Ypr,
-        Self::Qtn,
-        Self::Qmr,
-        Self::Dcm,
-        Self::Mag,
-        Self::Acc,
-        Self::Gyr,
-        Self::Mar,
-        Self::Ymr,
-        Self::Yba,
-        Self::Yia,
-        Self::Imu,
-        Self::Dtv,
-        Self::Hve,
-    ];
+    pub const ALL: [Self; 14] = variants();
 
     fn row(self) -> &'static Row {
         &ROWS[self as usize]

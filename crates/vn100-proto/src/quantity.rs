@@ -1,9 +1,10 @@
 //! Quantities: the physical quantities in a VN-100's messages, with their size, unit and text format.
 
 use imu_core::sample::Channel;
+use imu_core::variants;
 
 /// One physical quantity; values are in the unit the sensor sends.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, strum::VariantArray)]
 #[repr(u8)]
 pub enum Quantity {
     /// Yaw, pitch, roll, deg.
@@ -61,28 +62,7 @@ impl Quantity {
     /// The number of quantities.
     pub const COUNT: usize = 20;
     /// All quantities.
-    pub const ALL: [Self; Self::COUNT] = [
-        Self::YawPitchRoll,
-        Self::Quaternion,
-        Self::DirectionCosines,
-        Self::Mag,
-        Self::Accel,
-        Self::AngularRate,
-        Self::UncompMag,
-        Self::UncompAccel,
-        Self::UncompGyro,
-        Self::Temperature,
-        Self::Pressure,
-        Self::DeltaTime,
-        Self::DeltaTheta,
-        Self::DeltaVelocity,
-        Self::LinearAccelBody,
-        Self::LinearAccelNed,
-        Self::Heave,
-        Self::MagNed,
-        Self::AccelNed,
-        Self::YprUncertainty,
-    ];
+    pub const ALL: [Self; Self::COUNT] = variants();
     /// The number of values in all quantities together.
     pub const TOTAL_LEN: usize = OFFSETS[Self::COUNT];
 

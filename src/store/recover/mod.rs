@@ -13,7 +13,7 @@ mod salvage;
 use super::backup::NewFile;
 use super::batch::{BatchRow, Run, StoredRow};
 use super::check::{Finding, check};
-use super::insert::{insert, timebase_from_name};
+use super::insert::insert;
 use super::{SOFTWARE, StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
 use cells::Value;
@@ -363,7 +363,7 @@ impl<'a> Rebuilt<'a> {
                 epoch: found[2].integer().and_then(|epoch| u32::try_from(epoch).ok()).unwrap_or(1).max(1),
                 first_seq: 0,
                 rate_hz: found[5].real().unwrap_or(1.0),
-                timebase: found[6].text().and_then(timebase_from_name).unwrap_or(Timebase::Arrival),
+                timebase: found[6].text().and_then(|name| name.parse().ok()).unwrap_or(Timebase::Arrival),
                 channels: names_of(found[7].text()),
                 first_device_time_ns: None,
                 first_utc_ns: 0,

@@ -3,10 +3,11 @@
 //! The table of a page is known from the tree that contains it, or from the form of its rows if the path to it is
 //! destroyed. Rows of small tables are kept; of samples only the places are kept.
 
+use super::super::CaptureState;
 use super::super::batch::{BatchRow, StoredRow};
 use super::cells::{Kind, Page, Value, parse};
 use super::image::{Image, u32_at};
-use imu_core::sample::{Channel, DiscardCause, GapCause};
+use imu_core::sample::{Channel, DiscardCause, GapCause, Timebase};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Pages whose rows are cached.
@@ -270,7 +271,7 @@ fn text(row: &[Value], column: usize) -> Option<&str> {
 fn is_capture(row: &[Value]) -> bool {
     row.len() >= 22
         && text(row, 1).is_some()
-        && text(row, 3).is_some_and(|state| super::super::CaptureState::from_name(state).is_some())
+        && text(row, 3).is_some_and(|state| state.parse::<CaptureState>().is_ok())
         && text(row, 4).is_some_and(|lifecycle| ["live", "importing", "deleted"].contains(&lifecycle))
         && integers(row, &[5, 13, 14])
 }
@@ -279,14 +280,14 @@ fn is_segment(row: &[Value]) -> bool {
     row.len() >= 12
         && integers(row, &[0, 1, 2, 3, 4])
         && row[5].real().is_some_and(|rate_hz| rate_hz.is_finite() && rate_hz > 0.0)
-        && text(row, 6).is_some_and(|name| super::super::insert::timebase_from_name(name).is_some())
+        && text(row, 6).is_some_and(|name| name.parse::<Timebase>().is_ok())
         && text(row, 7).is_some_and(|names| serde_json::from_str::<Vec<String>>(names).is_ok())
 }
 
 fn is_gap(row: &[Value]) -> bool {
     row.len() >= 10
         && integers(row, &[1, 2, 3, 4, 7, 8])
-        && text(row, 9).is_some_and(|cause| GapCause::ALL.iter().any(|known| known.name() == cause))
+        && text(row, 9).is_some_and(|cause| GapCause::from_name(cause).is_some())
 }
 
 fn is_rejected(row: &[Value]) -> bool {

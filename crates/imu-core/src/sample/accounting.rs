@@ -75,7 +75,7 @@ pub struct Position {
 }
 
 /// Counts the received and the missing samples of a capture.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Accountant {
     rate_hz: f64,
     timebase: Timebase,
@@ -116,30 +116,7 @@ pub struct Accountant {
 impl Accountant {
     /// An accountant of a new capture. `rate_hz` is above 0.
     pub fn new(rate_hz: f64, timebase: Timebase) -> Self {
-        Self {
-            rate_hz,
-            timebase,
-            last: None,
-            last_rate_hz: rate_hz,
-            open: None,
-            segments: 0,
-            epoch: 1,
-            received: 0,
-            missing: 0,
-            gaps: 0,
-            interrupted: None,
-            suspicion: None,
-            host_trouble: None,
-            trial: Trial::default(),
-            refused: Vec::new(),
-            told: None,
-            arrival: Arrival::default(),
-            doubt: None,
-            host_jitter_ns: 0.0,
-            backward: 0,
-            late_ns: 0.0,
-            on_line_ns: 0.0,
-        }
+        Self { rate_hz, timebase, last_rate_hz: rate_hz, epoch: 1, ..Self::default() }
     }
 
     /// The same, for a host whose own lateness in reading is up to `host_jitter_ns`.

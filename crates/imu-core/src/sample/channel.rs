@@ -1,10 +1,13 @@
 //! Channels: the fourteen quantities of a VN-100, their names, units and resolutions.
 
+use crate::variants;
 use serde::{Deserialize, Serialize};
 
 /// One measured quantity. The order is the order of the columns of table `sample`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::Display, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 #[repr(u8)]
 #[expect(missing_docs, reason = "name() and unit() say it all")]
 pub enum Channel {
@@ -27,6 +30,8 @@ pub enum Channel {
 /// Three channels that belong together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[expect(missing_docs, reason = "the names are the field's own")]
 pub enum Triad {
     Attitude,
@@ -48,12 +53,7 @@ impl Triad {
     }
     /// `attitude`, `mag`, `accel` or `gyro`.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Attitude => "attitude",
-            Self::Mag => "mag",
-            Self::Accel => "accel",
-            Self::Gyro => "gyro",
-        }
+        self.into()
     }
 }
 
@@ -61,22 +61,7 @@ impl Channel {
     /// The number of channels.
     pub const COUNT: usize = 14;
     /// All channels in column order.
-    pub const ALL: [Self; Self::COUNT] = [
-        Self::Yaw,
-        Self::Pitch,
-        Self::Roll,
-        Self::MagX,
-        Self::MagY,
-        Self::MagZ,
-        Self::AccelX,
-        Self::AccelY,
-        Self::AccelZ,
-        Self::GyroX,
-        Self::GyroY,
-        Self::GyroZ,
-        Self::Temperature,
-        Self::Pressure,
-    ];
+    pub const ALL: [Self; Self::COUNT] = variants();
     /// The nine channels whose noise is analysed: magnetometer, accelerometer, gyroscope. Angles wrap and are filtered;
     /// temperature and pressure are conditions, not noise.
     pub const ANALYSED: [Self; 9] = [
@@ -93,26 +78,11 @@ impl Channel {
 
     /// The name in tables, JSON and on the command line.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Yaw => "yaw",
-            Self::Pitch => "pitch",
-            Self::Roll => "roll",
-            Self::MagX => "mag_x",
-            Self::MagY => "mag_y",
-            Self::MagZ => "mag_z",
-            Self::AccelX => "accel_x",
-            Self::AccelY => "accel_y",
-            Self::AccelZ => "accel_z",
-            Self::GyroX => "gyro_x",
-            Self::GyroY => "gyro_y",
-            Self::GyroZ => "gyro_z",
-            Self::Temperature => "temperature",
-            Self::Pressure => "pressure",
-        }
+        self.into()
     }
     /// The channel with that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|channel| channel.name() == name)
+        name.parse().ok()
     }
     /// The channels of a comma-separated list of names, each once.
     ///
@@ -200,12 +170,6 @@ impl Channel {
     }
 }
 
-impl std::fmt::Display for Channel {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
 /// The number of characters of an unknown name that are repeated.
 const NAME_CHARS: usize = 40;
 
@@ -263,14 +227,6 @@ impl ChannelSet {
     pub fn iter(self) -> impl Iterator<Item = Channel> {
         Channel::ALL.into_iter().filter(move |channel| self.contains(*channel))
     }
-    /// The bits, for storing.
-    pub fn bits(self) -> u16 {
-        self.0
-    }
-    /// The set of these bits; bits beyond the last channel are dropped.
-    pub fn from_bits(bits: u16) -> Self {
-        Self(bits & ((1 << Channel::COUNT) - 1))
-    }
 }
 
 impl FromIterator<Channel> for ChannelSet {
@@ -299,7 +255,6 @@ mod tests {
     fn a_set_holds_what_was_put_in() {
         let set: ChannelSet = [Channel::GyroZ, Channel::Yaw].into_iter().collect();
         assert_eq!(set.iter().collect::<Vec<_>>(), [Channel::Yaw, Channel::GyroZ]);
-        assert_eq!(ChannelSet::from_bits(set.bits()), set);
         assert!(!set.contains(Channel::GyroX));
     }
 }

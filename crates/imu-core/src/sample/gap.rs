@@ -1,10 +1,13 @@
 //! Gaps: intervals with missing samples, each with its cause.
 
+use crate::variants;
 use serde::{Deserialize, Serialize};
 
 /// Why samples are missing (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum GapCause {
     /// The port disappeared.
     Unplugged,
@@ -32,38 +35,14 @@ pub enum GapCause {
 
 impl GapCause {
     /// All causes.
-    pub const ALL: [Self; 11] = [
-        Self::Unplugged,
-        Self::SensorReset,
-        Self::Silent,
-        Self::Checksum,
-        Self::RateChange,
-        Self::FormatChange,
-        Self::HostStall,
-        Self::HostSuspend,
-        Self::DaemonStopped,
-        Self::StorageBackpressure,
-        Self::Source,
-    ];
+    pub const ALL: [Self; 11] = variants();
     /// The name in the database and JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Unplugged => "unplugged",
-            Self::SensorReset => "sensor_reset",
-            Self::Silent => "silent",
-            Self::Checksum => "checksum",
-            Self::RateChange => "rate_change",
-            Self::FormatChange => "format_change",
-            Self::HostStall => "host_stall",
-            Self::HostSuspend => "host_suspend",
-            Self::DaemonStopped => "daemon_stopped",
-            Self::StorageBackpressure => "storage_backpressure",
-            Self::Source => "source",
-        }
+        self.into()
     }
     /// The cause with that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|cause| cause.name() == name)
+        name.parse().ok()
     }
 }
 

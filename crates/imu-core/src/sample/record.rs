@@ -2,13 +2,17 @@
 
 use super::device_clock::ClockEstimate;
 use super::{ChannelSet, Gap, Sample};
+use crate::variants;
 use serde::{Deserialize, Serialize};
 
 /// What the times of a segment rest on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Timebase {
     /// The sensor's TimeStartup.
+    #[default]
     Device,
     /// The sensor's sync counter in ASCII messages.
     SyncCounter,
@@ -46,6 +50,8 @@ pub struct Segment {
 /// Why something that arrived did not become a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum DiscardCause {
     /// A frame whose checksum or CRC was wrong.
     Checksum,
@@ -69,30 +75,10 @@ pub enum DiscardCause {
 
 impl DiscardCause {
     /// All causes.
-    pub const ALL: [Self; 9] = [
-        Self::Checksum,
-        Self::GarbageBytes,
-        Self::Malformed,
-        Self::Duplicate,
-        Self::OutOfOrder,
-        Self::UnexpectedFormat,
-        Self::StorageBackpressure,
-        Self::AfterEnd,
-        Self::Probing,
-    ];
+    pub const ALL: [Self; 9] = variants();
     /// The name in the database and JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Checksum => "checksum",
-            Self::GarbageBytes => "garbage_bytes",
-            Self::Malformed => "malformed",
-            Self::Duplicate => "duplicate",
-            Self::OutOfOrder => "out_of_order",
-            Self::UnexpectedFormat => "unexpected_format",
-            Self::StorageBackpressure => "storage_backpressure",
-            Self::AfterEnd => "after_end",
-            Self::Probing => "probing",
-        }
+        self.into()
     }
     /// Whether the discarded data is a valid measurement, one of those that `received` counts; the other causes are of
     /// bytes that never became one.
@@ -101,13 +87,15 @@ impl DiscardCause {
     }
     /// The cause with that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|cause| cause.name() == name)
+        name.parse().ok()
     }
 }
 
 /// Kinds of events that a capture keeps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[expect(missing_docs, reason = "the names are the description")]
 pub enum EventKind {
     CaptureStarted,
@@ -128,21 +116,7 @@ pub enum EventKind {
 impl EventKind {
     /// The name in the database and JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::CaptureStarted => "capture_started",
-            Self::CaptureEnded => "capture_ended",
-            Self::SensorFound => "sensor_found",
-            Self::SensorLost => "sensor_lost",
-            Self::SensorReset => "sensor_reset",
-            Self::SensorError => "sensor_error",
-            Self::Configured => "configured",
-            Self::Reconfigured => "reconfigured",
-            Self::ClockStep => "clock_step",
-            Self::Rejected => "rejected",
-            Self::Warning => "warning",
-            Self::DaemonStarted => "daemon_started",
-            Self::DaemonStopped => "daemon_stopped",
-        }
+        self.into()
     }
 }
 

@@ -26,99 +26,68 @@ pub use form::Noise;
 
 use form::Form;
 use imu_core::sample::{Channel, Triad};
+use imu_core::variants;
 use imu_model::simulator::{SensorModel, plateau};
 use imu_noise::NoiseReport;
 use imu_noise::fit::{Estimate, NoiseParameters};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
+use strum::EnumMessage as _;
 
-/// The targets of parameters.
+/// The targets of parameters. The documentation of each is its description for the user.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
+#[derive(strum::EnumMessage, strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "kebab-case")]
 pub enum Target {
-    /// Kalibr's `imu.yaml`.
+    /// Kalibr's imu.yaml
     Kalibr,
-    /// `kalibr_imu_chain.yaml` of `OpenVINS`.
+    /// kalibr_imu_chain.yaml of OpenVINS
     Openvins,
-    /// Configuration of VINS-Fusion and VINS-Mono.
+    /// Configuration of VINS-Fusion and VINS-Mono
     VinsFusion,
-    /// Settings of ORB-SLAM3.
+    /// Settings of ORB-SLAM3
     OrbSlam3,
-    /// `params.yaml` of LIO-SAM.
+    /// params.yaml of LIO-SAM
     LioSam,
-    /// Configuration of FAST-LIO.
+    /// Configuration of FAST-LIO
     FastLio,
-    /// Covariances for `robot_localization`.
+    /// Covariances for robot_localization
     RobotLocalization,
-    /// Parameters of PX4's EKF2.
+    /// Parameters of PX4's EKF2
     Px4,
-    /// Parameters of ArduPilot's EKF3.
+    /// Parameters of ArduPilot's EKF3
     Ardupilot,
-    /// Covariances of `sensor_msgs/Imu` and `MagneticField`.
+    /// Covariances of sensor_msgs/Imu and MagneticField
     Ros,
-    /// Noise elements of an SDF IMU sensor.
+    /// Noise elements of an SDF sensor
     Gazebo,
-    /// Observation noise of Isaac Lab.
+    /// Observation noise of Isaac Lab
     Isaac,
-    /// The `imu_err` dictionary of gnss-ins-sim.
+    /// The imu_err dictionary of gnss-ins-sim
     GnssInsSim,
-    /// JSON for `loadparams` of MATLAB's `imuSensor`.
+    /// JSON for imuSensor's loadparams
     Matlab,
 }
 
 impl Target {
     /// All targets.
-    pub const ALL: [Self; 14] = [
-        Self::Kalibr,
-        Self::Openvins,
-        Self::VinsFusion,
-        Self::OrbSlam3,
-        Self::LioSam,
-        Self::FastLio,
-        Self::RobotLocalization,
-        Self::Px4,
-        Self::Ardupilot,
-        Self::Ros,
-        Self::Gazebo,
-        Self::Isaac,
-        Self::GnssInsSim,
-        Self::Matlab,
-    ];
-
-    /// The name on the command line and in queries, and a description of the text for the user.
-    const fn words(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Kalibr => ("kalibr", "Kalibr's imu.yaml"),
-            Self::Openvins => ("openvins", "kalibr_imu_chain.yaml of OpenVINS"),
-            Self::VinsFusion => ("vins-fusion", "Configuration of VINS-Fusion and VINS-Mono"),
-            Self::OrbSlam3 => ("orb-slam3", "Settings of ORB-SLAM3"),
-            Self::LioSam => ("lio-sam", "params.yaml of LIO-SAM"),
-            Self::FastLio => ("fast-lio", "Configuration of FAST-LIO"),
-            Self::RobotLocalization => ("robot-localization", "Covariances for robot_localization"),
-            Self::Px4 => ("px4", "Parameters of PX4's EKF2"),
-            Self::Ardupilot => ("ardupilot", "Parameters of ArduPilot's EKF3"),
-            Self::Ros => ("ros", "Covariances of sensor_msgs/Imu and MagneticField"),
-            Self::Gazebo => ("gazebo", "Noise elements of an SDF sensor"),
-            Self::Isaac => ("isaac", "Observation noise of Isaac Lab"),
-            Self::GnssInsSim => ("gnss-ins-sim", "The imu_err dictionary of gnss-ins-sim"),
-            Self::Matlab => ("matlab", "JSON for imuSensor's loadparams"),
-        }
-    }
+    pub const ALL: [Self; 14] = variants();
 
     /// The name on the command line and in queries.
-    pub const fn name(self) -> &'static str {
-        self.words().0
+    pub fn name(self) -> &'static str {
+        self.into()
     }
 
     /// A short description of the text that it writes.
-    pub const fn about(self) -> &'static str {
-        self.words().1
+    pub fn about(self) -> &'static str {
+        self.get_documentation().unwrap_or_default()
     }
 
     /// The target with that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|target| target.name() == name)
+        name.parse().ok()
     }
 
     /// Media type of its text.

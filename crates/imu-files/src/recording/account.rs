@@ -18,7 +18,7 @@ use imu_core::sample::{
 };
 
 /// Counts the samples and the missing samples of a recording.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct RecordingAccountant {
     rate_hz: f64,
     timebase: Timebase,
@@ -51,16 +51,8 @@ impl RecordingAccountant {
             channels: info.channels,
             started_utc_ns: info.started_utc_ns,
             exact: info.stamp_grid.as_ref().is_some_and(StampGrid::is_exact) && info.findings.off_grid == 0,
-            last: None,
-            segment_open: false,
-            segments: 0,
-            received: 0,
-            frames: 0,
-            missing: 0,
-            gaps: 0,
-            between: Between::default(),
             entry: info.kind.entry(),
-            events: 0,
+            ..Self::default()
         }
     }
 

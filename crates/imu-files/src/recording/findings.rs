@@ -6,7 +6,6 @@ use super::doubts::shown;
 use super::grid::StampGrid;
 use super::info::RecordingInfo;
 use imu_core::sample::Channel;
-use imu_core::units::NANOS_PER_SECOND;
 use std::collections::BTreeMap;
 
 /// A given rate is reported if it differs by more than this share from the rate found.
@@ -399,7 +398,5 @@ fn rate(hz: f64) -> String {
 
 /// UTC to the millisecond.
 fn rfc3339(utc_ns: i64) -> String {
-    let (seconds, nanos) = (utc_ns.div_euclid(NANOS_PER_SECOND as i64), utc_ns.rem_euclid(NANOS_PER_SECOND as i64));
-    chrono::DateTime::from_timestamp(seconds, nanos as u32)
-        .map_or_else(String::new, |time| time.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
+    chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Millis, true)
 }

@@ -2,11 +2,14 @@
 //!
 //! All take rate samples and integrate them to phases with a leading 0. All return `None` if no term fits.
 
+use imu_core::variants;
 use serde::{Deserialize, Serialize};
 
 /// Which deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum Estimator {
     /// Overlapping Allan deviation: the default and the one that streams.
     #[default]
@@ -25,23 +28,16 @@ pub enum Estimator {
 
 impl Estimator {
     /// All.
-    pub const ALL: [Self; 6] = [Self::Oadev, Self::Adev, Self::Mdev, Self::Hdev, Self::Ohdev, Self::Totdev];
+    pub const ALL: [Self; 6] = variants();
 
     /// The name on the command line and in JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Oadev => "oadev",
-            Self::Adev => "adev",
-            Self::Mdev => "mdev",
-            Self::Hdev => "hdev",
-            Self::Ohdev => "ohdev",
-            Self::Totdev => "totdev",
-        }
+        self.into()
     }
 
     /// The estimator of that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|estimator| estimator.name() == name)
+        name.parse().ok()
     }
 }
 

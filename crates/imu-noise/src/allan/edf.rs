@@ -6,12 +6,15 @@
 //! Intervals: χ² quantiles, SP1065 equation 45.
 
 use super::Estimator;
+use imu_core::variants;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// The kind of noise that dominates at an averaging time; α is the exponent of the rate's spectrum, S(f) ∝ f^α.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum NoiseType {
     /// α = 2: white angle, Q.
     WhiteAngle,
@@ -27,18 +30,11 @@ pub enum NoiseType {
 
 impl NoiseType {
     /// All, from α = 2 down.
-    pub const ALL: [Self; 5] =
-        [Self::WhiteAngle, Self::FlickerAngle, Self::WhiteRate, Self::FlickerRate, Self::RandomWalkRate];
+    pub const ALL: [Self; 5] = variants();
 
     /// The name in JSON and CSV.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::WhiteAngle => "white_angle",
-            Self::FlickerAngle => "flicker_angle",
-            Self::WhiteRate => "white_rate",
-            Self::FlickerRate => "flicker_rate",
-            Self::RandomWalkRate => "random_walk_rate",
-        }
+        self.into()
     }
 
     /// The exponent of the spectrum.

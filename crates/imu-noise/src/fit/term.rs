@@ -4,12 +4,27 @@
 //! IEEE Std 952-1997, annex C, for the spectra and their Allan variances; the sampled forms follow from
 //! σ²(m) = ∫ S(f) · 2 sin⁴(πfmΔt) / (m² sin²(πfΔt)) df between minus and plus half the rate.
 
+use imu_core::variants;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{LN_2, PI};
 use std::sync::OnceLock;
 
 /// One of the terms whose squared coefficients an Allan variance is linear in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    utoipa::ToSchema,
+    strum::IntoStaticStr,
+    strum::VariantArray,
+)]
 pub enum Term {
     /// Angle or velocity random walk: white rate noise, two-sided density N².
     N,
@@ -25,17 +40,11 @@ pub enum Term {
 
 impl Term {
     /// All five.
-    pub const ALL: [Self; 5] = [Self::N, Self::B, Self::K, Self::Q, Self::R];
+    pub const ALL: [Self; 5] = variants();
 
     /// Letter in JSON.
     pub fn letter(self) -> &'static str {
-        match self {
-            Self::N => "N",
-            Self::B => "B",
-            Self::K => "K",
-            Self::Q => "Q",
-            Self::R => "R",
-        }
+        self.into()
     }
 
     /// Allan variance at averaging factor `m` of sampled data for a coefficient of 1; `dt_s`: sampling interval.

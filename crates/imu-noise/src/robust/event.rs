@@ -3,7 +3,8 @@
 use crate::fit::Flag;
 
 /// The kind of an event.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 pub enum Kind {
     /// One to three samples far outside the noise.
     Spike,
@@ -20,13 +21,7 @@ pub enum Kind {
 impl Kind {
     /// The name in JSON.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Spike => "spike",
-            Self::Knock => "knock",
-            Self::Handling => "handling",
-            Self::Bump => "bump",
-            Self::Step => "step",
-        }
+        self.into()
     }
 }
 

@@ -24,6 +24,7 @@ pub use self::tally::{GAPS_LISTED, Tally};
 pub use self::text::{TextFormat, TextHead, TextSink, TextWriter};
 
 use imu_core::sample::Channel;
+use imu_core::variants;
 use std::io::Write;
 
 /// The facts about a capture as a whole.
@@ -155,7 +156,8 @@ pub trait Sink {
 }
 
 /// The formats of exported samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum SampleFormat {
     /// The documented CSV.
     Csv,
@@ -169,16 +171,11 @@ pub enum SampleFormat {
 
 impl SampleFormat {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::Csv, Self::Ndjson, Self::Parquet, Self::Mcap];
+    pub const ALL: [Self; 4] = variants();
 
     /// The name on the command line, and the extension of its files.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::Ndjson => "ndjson",
-            Self::Parquet => "parquet",
-            Self::Mcap => "mcap",
-        }
+        self.into()
     }
 
     /// The format of files with this extension, in any case of letters.

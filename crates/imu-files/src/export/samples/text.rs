@@ -5,11 +5,13 @@
 
 use super::{ExportError, Rows, Sink, Tally};
 use imu_core::sample::Channel;
+use imu_core::variants;
 use std::fmt::Write as _;
 use std::io::Write;
 
 /// The text formats of samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum TextFormat {
     /// One document.
     Json,
@@ -21,15 +23,11 @@ pub enum TextFormat {
 
 impl TextFormat {
     /// All formats.
-    pub const ALL: [Self; 3] = [Self::Json, Self::Csv, Self::Ndjson];
+    pub const ALL: [Self; 3] = variants();
 
     /// The name in queries.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Json => "json",
-            Self::Csv => "csv",
-            Self::Ndjson => "ndjson",
-        }
+        self.into()
     }
 
     /// The name in HTTP's headers.
