@@ -1,30 +1,17 @@
 //! `vn100d allan`: deviation curves.
 
 use super::analysis;
-use super::args::{AllanArgs, Estimator as Named, Format, Taus};
+use super::args::{AllanArgs, Format};
 use super::{Context, Outcome, print_json, table};
 use crate::jobs::{JobParameters, direct};
-use imu_noise::allan::{AllanReport, Estimator, TauSpacing};
+use imu_noise::allan::AllanReport;
 use std::io::Write as _;
 
 /// Prints the curves.
 pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome> {
     let together = analysis::open(context, &args.captures, args.rate)?;
-    let taus = match args.taus {
-        Taus::Octave => TauSpacing::Octave,
-        Taus::Log => TauSpacing::Log,
-        Taus::All => TauSpacing::All,
-    };
-    let estimator = match args.estimator {
-        Named::Oadev => Estimator::Oadev,
-        Named::Adev => Estimator::Adev,
-        Named::Mdev => Estimator::Mdev,
-        Named::Hdev => Estimator::Hdev,
-        Named::Ohdev => Estimator::Ohdev,
-        Named::Totdev => Estimator::Totdev,
-    };
     let (name, rejected) = (together.name(), together.rejected());
-    let parameters = JobParameters { taus, estimator, channels: None, with: Vec::new() };
+    let parameters = JobParameters { taus: args.taus, estimator: args.estimator, channels: None, with: Vec::new() };
     let report = direct::allan(&together.source, together.plan, &parameters)?;
     match (context.json, args.format) {
         (true, _) | (_, Format::Json) => print_json(&report)?,

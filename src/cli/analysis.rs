@@ -1,14 +1,13 @@
 //! What is analysed: captures in the database, or recordings' files directly.
 
-use super::{CliError, Context, Failure};
-use crate::clock::{Clock as _, SystemClock};
+use super::source::{Source, has_rejected, tell_rate};
+use super::{Context, usage};
 use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor};
-use crate::store::{Chunk, Missing, Reader, StoreError};
+use crate::store::{CaptureRow, Chunk, Missing, Reader, StoreError};
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::NANOS_PER_SECOND;
-use imu_files::recording::{Kind, LoadedRecording, Options, load_columns};
+use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, columns};
 use imu_noise::datasheet::FilterWindows;
-use std::ops::Range;
 use std::path::Path;
 
 /// What is known of a capture or recording besides its samples.
@@ -72,66 +71,37 @@ pub(super) struct Shelf {
     recordings: Vec<Loaded>,
 }
 
-/// Samples of a recording.
+/// A recording in memory.
 struct Loaded {
     name: String,
-    rate_hz: f64,
-    /// Stretches of samples without a gap.
-    segments: Vec<Range<usize>>,
+    recording: LoadedRecording,
     missing: Missing,
-    missing_total: u64,
-    /// NaN where a sample has no value.
-    columns: Vec<(Channel, Vec<f64>)>,
-    /// The samples' stamps, s; empty where there are none or they are the host's.
-    stamps_s: Vec<f64>,
 }
 
 impl Loaded {
     fn new(name: &str, mut recording: LoadedRecording) -> Self {
+        recording.columns.retain(|of| Channel::ANALYSED.contains(&of.channel) || of.channel == Channel::Temperature);
         // Whose stamps a table has nobody knows; those before raw lines and in bags are the host's.
-        let of_table = recording.info.kind == Kind::Csv;
-        let stamps_ns = std::mem::take(&mut recording.stamps_ns);
-        let stamps = stamps_ns.into_iter().filter(|_| of_table).map(|ns| ns as f64 / NANOS_PER_SECOND as f64).collect();
-        let columns = std::mem::take(&mut recording.columns).into_iter();
-        let wanted = columns.filter(|of| Channel::ANALYSED.contains(&of.channel) || of.channel == Channel::Temperature);
-        let marked = wanted.map(|mut column| {
-            let mut absent_from = 0;
-            for segment in column.segments.iter().chain([&(column.values.len()..column.values.len())]) {
-                if let Some(absent) = column.values.get_mut(absent_from..segment.start) {
-                    absent.fill(f64::NAN);
-                }
-                absent_from = segment.end;
-            }
-            (column.channel, column.values)
-        });
-        Self {
-            name: name.to_owned(),
-            rate_hz: recording.info.rate_hz,
-            columns: marked.collect(),
-            stamps_s: stamps,
-            missing: Missing::of(recording.gaps.iter().map(|gap| (gap.before_seq, gap.missing))),
-            missing_total: recording.missing,
-            segments: recording.segments,
+        if recording.info.kind != Kind::Csv {
+            recording.stamps_ns = Vec::new();
         }
-    }
-
-    fn samples(&self) -> u64 {
-        self.segments.last().map_or(0, |last| last.end as u64)
+        let missing = Missing::of(recording.gaps.iter().map(|gap| (gap.before_seq, gap.missing)));
+        Self { name: name.to_owned(), recording, missing }
     }
 
     fn chunk(&self, from_seq: u64, limit: usize, channels: &[Channel]) -> Chunk {
-        let end = self.segments.last().map_or(0, |last| last.end);
+        let segments = &self.recording.segments;
+        let end = segments.last().map_or(0, |last| last.end);
         let from = usize::try_from(from_seq).unwrap_or(end).min(end);
         let rows = from..from.saturating_add(limit).min(end);
         let column = |channel: &Channel| {
-            let found = self.columns.iter().find(|(other, _)| other == channel);
-            let values = found.and_then(|(_, values)| values.get(rows.clone()));
+            let values = self.recording.column(*channel).and_then(|column| column.values.get(rows.clone()));
             values.map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
         };
         // Segments are numbered from 1, as the plan has them.
         let mut segment = Vec::with_capacity(rows.len());
-        let first = self.segments.partition_point(|range| range.end <= rows.start);
-        for (number, range) in (1..).zip(&self.segments).skip(first) {
+        let first = segments.partition_point(|range| range.end <= rows.start);
+        for (number, range) in (1..).zip(segments).skip(first) {
             let until = range.end.min(rows.end);
             segment.resize(until.saturating_sub(rows.start), number);
             if until == rows.end {
@@ -191,18 +161,19 @@ impl SampleSource for Shelf {
             return self.reader(capture_id)?.stamps(capture_id, from_seq, limit);
         };
         let from = usize::try_from(from_seq).unwrap_or(usize::MAX);
-        Ok(recording.stamps_s.iter().skip(from).take(limit).map(|time_s| Some((1, *time_s))).collect())
+        let stamps_ns = recording.recording.stamps_ns.iter().skip(from).take(limit);
+        Ok(stamps_ns.map(|ns| Some((1, *ns as f64 / NANOS_PER_SECOND as f64))).collect())
     }
 
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
-        let Some(recording) = self.recording(capture_id) else {
+        let Some(Loaded { name, recording, .. }) = self.recording(capture_id) else {
             return self.reader(capture_id)?.extent(capture_id, end_seq);
         };
         Ok(Extent {
-            capture: recording.name.clone(),
-            duration_s: (recording.samples() + recording.missing_total) as f64 / recording.rate_hz,
-            samples: recording.samples(),
-            missing: recording.missing_total,
+            capture: name.clone(),
+            duration_s: recording.duration_s(),
+            samples: recording.samples,
+            missing: recording.missing,
             complete: true,
             captures: Vec::new(),
         })
@@ -215,10 +186,9 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
     let mut source = Shelf::default();
     let (mut captures, mut whole): (Vec<Material>, Option<Plan>) = (Vec::new(), None);
     for name in named {
-        let (material, plan) = if Path::new(name).is_file() {
-            from_file(&mut source, name, rate_hz)?
-        } else {
-            from_database(context, &mut source, name)?
+        let (material, plan) = match Source::open(context, name, rate_hz, KeepOn::default())? {
+            Source::Recording(recording) => of_recording(&mut source, name, &recording)?,
+            Source::Capture(reader, row) => of_capture(&mut source, *reader, *row)?,
         };
         let same = |other: &Material| match (other.id, material.id) {
             (None, None) => same_file(&other.name, &material.name),
@@ -229,9 +199,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             return Err(JobError::Together { reason }.into());
         }
         if material.rate_assumed {
-            // On standard error, so that machine-readable output stays alone.
-            let rate_hz = material.setting.rate_hz;
-            eprintln!("note: {name} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+            tell_rate(name, material.setting.rate_hz);
         }
         if let Some(overridden) = &material.overridden {
             eprintln!("note: {name}: {overridden}");
@@ -250,7 +218,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
 
 /// A sampling that cannot be is a matter of how the command was used.
 pub(super) fn contradicted(error: SamplingError) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message: error.to_string() }.into()
+    usage(error.to_string())
 }
 
 fn same_file(one: &str, two: &str) -> bool {
@@ -258,10 +226,9 @@ fn same_file(one: &str, two: &str) -> bool {
     one == two || place(one).is_some_and(|place_of_one| place(two) == Some(place_of_one))
 }
 
-fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::Result<(Material, Plan)> {
-    let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() };
-    let recording = load_columns(Path::new(named), options)?;
-    let info = &recording.info;
+fn of_recording(source: &mut Shelf, named: &str, recording: &Recording) -> anyhow::Result<(Material, Plan)> {
+    let loaded = columns(recording)?;
+    let info = &loaded.info;
     let units = info.channels.iter().map(|channel| {
         let converted = info.conversions.iter().find(|conversion| conversion.channel == channel);
         (channel, converted.map_or(channel.unit(), |conversion| conversion.original_unit).to_owned())
@@ -273,21 +240,17 @@ fn from_file(source: &mut Shelf, named: &str, rate_hz: Option<f64>) -> anyhow::R
         overridden: info.overridden(),
         name: named.to_owned(),
         rate_assumed: info.rate_assumed,
-        rejected: info.rejected.values().any(|count| *count > 0),
+        rejected: has_rejected(info),
     };
-    let loaded = Loaded::new(named, recording);
-    let channels: Vec<Channel> = loaded.columns.iter().map(|(channel, _)| *channel).collect();
-    let (rate_hz, segments) = (loaded.rate_hz, loaded.segments.clone());
-    let plan = Plan::of_recording(source.add(loaded), named, rate_hz, &channels, &segments)?;
-    Ok((material, plan))
+    let channels: Vec<Channel> = info.channels.iter().collect();
+    let (rate_hz, segments) = (info.rate_hz, loaded.segments.clone());
+    let id = source.add(Loaded::new(named, loaded));
+    Ok((material, Plan::of_recording(id, named, rate_hz, &channels, &segments)?))
 }
 
-fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::Result<(Material, Plan)> {
-    let (reader, id) = context.capture(named)?;
-    let reader = source.reader.insert(reader);
-    let row = reader.capture(id)?;
+fn of_capture(source: &mut Shelf, reader: Reader, row: CaptureRow) -> anyhow::Result<(Material, Plan)> {
     // As the background jobs do: the rate that most samples have; nothing mixes two.
-    let plan = Plan::read(reader, row.id, row.samples, &Channel::ANALYSED)?;
+    let plan = Plan::read(source.reader.insert(reader), row.id, row.samples, &Channel::ANALYSED)?;
     let material = Material {
         windows: FilterWindows::of_configuration(&row.configuration),
         setting: Setting::of(&row, plan.rate_hz),
@@ -303,18 +266,16 @@ fn from_database(context: &Context, source: &mut Shelf, named: &str) -> anyhow::
 #[cfg(test)]
 mod tests {
     use super::*;
+    use imu_files::recording::{Input, Options};
 
     #[test]
     fn a_loaded_recording_gives_the_segments_of_any_range() {
-        let loaded = Loaded {
-            name: "desk.csv".to_owned(),
-            rate_hz: 40.0,
-            segments: vec![0..3, 3..4, 4..9],
-            missing: Missing::of([(3, 10), (4, 2)]),
-            missing_total: 12,
-            columns: vec![(Channel::GyroX, (0..9).map(f64::from).collect())],
-            stamps_s: Vec::new(),
-        };
+        let rows = [0, 1, 2, 13, 16, 17, 18, 19, 20];
+        let text: String = rows.iter().enumerate().map(|(row, at)| format!("{at},{row}\n")).collect();
+        let recording = Input::memory("desk.csv", format!("time_s,gyro_x_rad_s\n{text}").into_bytes());
+        let recording = Recording::read(recording, Options::default()).unwrap();
+        let loaded = Loaded::new("desk.csv", columns(&recording).unwrap());
+        assert_eq!(loaded.missing, Missing::of([(3, 10), (4, 2)]));
         let numbers = [1, 1, 1, 2, 3, 3, 3, 3, 3];
         for from in 0..10 {
             for limit in 0..11 {

@@ -6,16 +6,16 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use imu_core::units::parse_duration;
 use imu_diagnosis::model_fit::effects_named;
 use imu_files::export::Target;
+use imu_noise::allan::{Estimator, TauSpacing};
 use imu_noise::datasheet::{Datasheet, DatasheetError};
 use std::path::PathBuf;
-use std::sync::LazyLock;
 use std::time::Duration;
 
 mod pictures;
 mod recordings;
 
 pub use pictures::{PlotArgs, ReportArgs};
-pub use recordings::{ChannelList, ExportArgs, ExportFormat, ImportArgs, TimeOrigin};
+pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
 
 /// Captures a VectorNav VN-100 unattended into SQLite and tells its noise parameters.
 #[derive(Debug, Parser)]
@@ -228,29 +228,6 @@ pub struct ClientArgs {
     pub listen: Option<String>,
 }
 
-/// Estimators of the Allan family.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[expect(missing_docs, reason = "the names are the field's own")]
-pub enum Estimator {
-    Oadev,
-    Adev,
-    Mdev,
-    Hdev,
-    Ohdev,
-    Totdev,
-}
-
-/// Grids of averaging times.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Taus {
-    /// Powers of two
-    Octave,
-    /// About twenty per decade
-    Log,
-    /// Every averaging time
-    All,
-}
-
 /// Forms of noise parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the names say it")]
@@ -262,33 +239,40 @@ pub enum NoiseFormat {
     For(Target),
 }
 
-impl ValueEnum for NoiseFormat {
-    fn value_variants<'a>() -> &'a [Self] {
-        const OWN: [NoiseFormat; 3] = [NoiseFormat::Table, NoiseFormat::Json, NoiseFormat::Csv];
-        static ALL: LazyLock<Vec<NoiseFormat>> =
-            LazyLock::new(|| OWN.into_iter().chain(Target::ALL.map(NoiseFormat::For)).collect());
-        &ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        match self {
-            Self::Table => Some(PossibleValue::new("table")),
-            Self::Json => Some(PossibleValue::new("json")),
-            Self::Csv => Some(PossibleValue::new("csv")),
-            Self::For(target) => Some(possible(*target)),
-        }
-    }
-}
-
-/// A program's name as a value of an argument.
-fn possible(target: Target) -> PossibleValue {
-    PossibleValue::new(target.name()).help(target.about())
+/// Parses the name of one of these values.
+fn one_of<T: Clone + Send + Sync + 'static>(values: Vec<(PossibleValue, T)>) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(values.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>()).try_map(move |given| {
+        let found = values.iter().find(|(name, _)| name.get_name() == given);
+        found.map(|(_, value)| value.clone()).ok_or("expected one of the names")
+    })
 }
 
 /// Parses the name of a program.
 fn target() -> impl TypedValueParser<Value = Target> {
-    PossibleValuesParser::new(Target::ALL.map(possible))
-        .try_map(|name| Target::from_name(&name).ok_or("expected one of the programs"))
+    one_of(targets().collect())
+}
+
+fn targets() -> impl Iterator<Item = (PossibleValue, Target)> {
+    Target::ALL.into_iter().map(|target| (PossibleValue::new(target.name()).help(target.about()), target))
+}
+
+fn noise_format() -> impl TypedValueParser<Value = NoiseFormat> {
+    let own = [("table", NoiseFormat::Table), ("json", NoiseFormat::Json), ("csv", NoiseFormat::Csv)];
+    let own = own.into_iter().map(|(name, format)| (name.into(), format));
+    one_of(own.chain(targets().map(|(name, target)| (name, NoiseFormat::For(target)))).collect())
+}
+
+fn estimator() -> impl TypedValueParser<Value = Estimator> {
+    one_of(Estimator::ALL.map(|estimator| (estimator.name().into(), estimator)).to_vec())
+}
+
+fn taus() -> impl TypedValueParser<Value = TauSpacing> {
+    let values = [
+        ("octave", "Powers of two", TauSpacing::Octave),
+        ("log", "About twenty per decade", TauSpacing::Log),
+        ("all", "Every averaging time", TauSpacing::All),
+    ];
+    one_of(values.map(|(name, help, taus)| (PossibleValue::new(name).help(help), taus)).to_vec())
 }
 
 /// Forms of a table.
@@ -310,11 +294,11 @@ pub struct AllanArgs {
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Estimator
-    #[arg(long, value_enum, default_value_t = Estimator::Oadev)]
+    #[arg(long, value_parser = estimator(), default_value = "oadev")]
     pub estimator: Estimator,
     /// Averaging times
-    #[arg(long, value_enum, default_value_t = Taus::Log)]
-    pub taus: Taus,
+    #[arg(long, value_parser = taus(), default_value = "log")]
+    pub taus: TauSpacing,
     /// Form of the output
     #[arg(long, value_enum, default_value_t = Format::Table)]
     pub format: Format,
@@ -330,7 +314,7 @@ pub struct NoiseArgs {
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
     /// Form of the output
-    #[arg(long, value_enum, default_value_t = NoiseFormat::Table)]
+    #[arg(long, value_parser = noise_format(), default_value = "table")]
     pub format: NoiseFormat,
     /// How samples came about
     #[command(flatten)]
@@ -577,7 +561,8 @@ pub struct TrialPartArgs {
 }
 
 /// Parts of a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, strum::Display, strum::IntoStaticStr)]
+#[strum(serialize_all = "kebab-case")]
 pub enum TrialPart {
     /// Digests of all keys
     Manifest,
@@ -593,21 +578,6 @@ pub enum TrialPart {
     Truth,
     /// Diagnoses of a second record, and of what the corrected model makes
     Again,
-}
-
-impl TrialPart {
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Manifest => "manifest",
-            Self::Case => "case",
-            Self::Own => "own",
-            Self::Diagnose => "diagnose",
-            Self::Key => "key",
-            Self::Truth => "truth",
-            Self::Again => "again",
-        }
-    }
 }
 
 /// Arguments of `model`.

@@ -1,22 +1,13 @@
 //! `vn100d captures`: the list.
 
-use super::{Context, Outcome, print_json, table};
-use crate::store::{CaptureFilter, CaptureRow, PageRequest};
+use super::{Context, Outcome, all, print_json, table};
+use crate::store::CaptureFilter;
 use std::io::Write as _;
 
 /// Prints all captures, newest first.
 pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
     let reader = context.reader()?;
-    let mut captures: Vec<CaptureRow> = Vec::new();
-    let mut request = PageRequest::first();
-    loop {
-        let page = reader.captures(&CaptureFilter::default(), &request)?;
-        captures.extend(page.rows);
-        match page.next {
-            Some(next) => request.cursor = Some(next),
-            None => break,
-        }
-    }
+    let captures = all(|page| reader.captures(&CaptureFilter::default(), page))?;
     if context.json {
         print_json(&serde_json::json!({ "captures": captures, "next": null }))?;
         return Ok(Outcome::Done);

@@ -3,7 +3,7 @@
 use super::args::DemoArgs;
 use super::hangup::Hangup;
 use super::progress::bar;
-use super::{CliError, Context, Failure, Outcome};
+use super::{Context, Outcome, failed};
 use crate::clock::ScaledClock;
 use crate::config::{Config, Device};
 use crate::control::CaptureRequest;
@@ -236,11 +236,7 @@ async fn finished(url: String) -> anyhow::Result<serde_json::Value> {
                 return Ok(serde_json::from_str(&body)?);
             }
             if Instant::now() > deadline {
-                return Err(CliError {
-                    failure: Failure::Other,
-                    message: format!("{url} is not ready after five minutes: {body}"),
-                }
-                .into());
+                return Err(failed(format!("{url} is not ready after five minutes: {body}")));
             }
             std::thread::sleep(Duration::from_millis(100));
         }

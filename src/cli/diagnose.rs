@@ -2,13 +2,13 @@
 
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
-use super::{CliError, Context, Failure, Outcome, analysis, model, print_json, table};
+use super::{Context, Outcome, analysis, model, print_json, table, usage};
 use crate::jobs::{TwoThreads, gridded};
 use crate::page;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
 use imu_diagnosis::report::{Cause, Driver, Hint, Of, Offset, Place, Sense};
-use imu_diagnosis::{Diagnosis, DiagnosisError, Drawings, Options, Reference};
+use imu_diagnosis::{Diagnosis, Drawings, Options, Reference};
 use imu_model::motion::file::Rows;
 use imu_model::simulator::SensorModel;
 use serde_json::Value;
@@ -25,8 +25,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     if let (Some(one), Some(other)) = (&args.augmented_model, &args.html)
         && is_same(one, other)
     {
-        let message = format!("{} cannot be both the model and the page: choose another name", one.display());
-        return Err(CliError { failure: Failure::Usage, message }.into());
+        return Err(usage(format!("{} cannot be both the model and the page: choose another name", one.display())));
     }
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
     let html = args.html.as_ref().map(create).transpose()?;
@@ -47,7 +46,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         ..Options::default()
     };
     let outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options);
-    let mut outcome = outcome.map_err(|error| refused(&error))?;
+    let mut outcome = outcome?;
     if let Some(path) = &args.reference {
         outcome.diagnosis.inputs.insert("reference", path.display().to_string());
     }
@@ -83,7 +82,7 @@ fn reference(path: &Path) -> anyhow::Result<Reference> {
 fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<(SensorModel, Option<String>)> {
     let path = Path::new(&args.sim);
     let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
-    let same_rate = |sim_hz| imu_diagnosis::same_rate(real_hz, sim_hz).map_err(|error| refused(&error));
+    let same_rate = |sim_hz| imu_diagnosis::same_rate(real_hz, sim_hz);
     if is_model {
         let sim = model::load(path)?;
         same_rate(sim.rate_hz)?;
@@ -92,11 +91,6 @@ fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Re
     let together = analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?;
     same_rate(together.plan.rate_hz)?;
     Ok(model::fitted(together, &imu_diagnosis::effect_names(), None)?.fitted.as_law()?)
-}
-
-fn refused(error: &DiagnosisError) -> anyhow::Error {
-    let failure = Failure::Other;
-    CliError { failure, message: error.to_string() }.into()
 }
 
 fn print(of: &Diagnosis) -> std::io::Result<()> {

@@ -2,7 +2,7 @@
 
 use super::args::EmulateArgs;
 use super::hangup::Hangup;
-use super::{CliError, Failure, Outcome};
+use super::{Outcome, failed, usage};
 use crate::clock::ScaledClock;
 use crate::emulator::faults::{Fault, FaultError, Schedule, parse_line};
 use crate::emulator::replay::Replay;
@@ -26,10 +26,10 @@ pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
     };
     let mut sensor = VirtualSensor::new(&SensorOptions::default());
     let mut preset = |register, values: &str, what: &str| {
-        sensor.registers_mut().preset(register, values).map_err(|error| CliError {
-            failure: Failure::Usage,
-            message: format!("{what} {values}: a VN-100 does not have that ({error})"),
-        })
+        sensor
+            .registers_mut()
+            .preset(register, values)
+            .map_err(|error| usage(format!("{what} {values}: a VN-100 does not have that ({error})")))
     };
     preset(BAUD_RATE, &args.baud.to_string(), "--baud")?;
     if let Some(rate_hz) = args.rate {
@@ -51,7 +51,7 @@ pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
     let stop = stop_on_signal()?;
     let clock = Arc::new(ScaledClock::new(args.speed));
     match terminal.run(sensor, source, &clock, &stop) {
-        Err(EmulatorError::Fault(error)) => Err(usage(&error)),
+        Err(EmulatorError::Fault(error)) => Err(usage(error.to_string())),
         ended => Ok(ended.map(|()| Outcome::Done)?),
     }
 }
@@ -64,7 +64,7 @@ fn faults(script: Option<&Path>) -> anyhow::Result<Faults> {
     if path != Path::new("-") {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).with_context(|| format!("the faults {name} cannot be read"))?;
-        return Ok((Schedule::parse(&text, &name).map_err(|error| usage(&error))?, None));
+        return Ok((Schedule::parse(&text, &name).map_err(|error| usage(error.to_string()))?, None));
     }
     let (sender, receiver) = mpsc::channel();
     std::thread::Builder::new().name("faults".to_owned()).spawn(move || {
@@ -77,10 +77,6 @@ fn faults(script: Option<&Path>) -> anyhow::Result<Faults> {
         }
     })?;
     Ok((Schedule::default(), Some(receiver)))
-}
-
-fn usage(error: &FaultError) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message: error.to_string() }.into()
 }
 
 /// The model of this file, or the built-in one.
@@ -109,11 +105,9 @@ fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + S
     });
     let mut lines = lines.peekable();
     if lines.peek().is_none() {
-        return Err(CliError {
-            failure: Failure::Other,
-            message: format!("{name} holds no raw sensor lines: expected lines that begin with `$VN`, plain or .gz"),
-        }
-        .into());
+        return Err(failed(format!(
+            "{name} holds no raw sensor lines: expected lines that begin with `$VN`, plain or .gz"
+        )));
     }
     Ok(Box::new(lines))
 }

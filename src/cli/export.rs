@@ -1,20 +1,20 @@
 //! `vn100d export`: a capture's samples for other programs, as one file or as part of a data set.
 
-use super::args::{ExportArgs, ExportFormat, TimeOrigin};
-use super::emulate::stop_on_signal;
-use super::export_source::{Block, Part, Source};
+use super::args::{ExportArgs, TimeOrigin};
 use super::output::Output;
 use super::progress::{SAMPLES, bar};
-use super::{CliError, Context, Failure, Outcome, print_json};
-use crate::store::{CaptureFilter, PageRequest, StoreError};
+use super::samples::{Block, Part, Samples};
+use super::source::file;
+use super::subject::Stop;
+use super::{Context, Outcome, print_json, usage};
+use crate::store::{CaptureFilter, StoreError};
 use anyhow::Context as _;
 use imu_core::sample::{Channel, ChannelError};
 use imu_files::export::samples::{About, ExportError, SampleFormat, Tally, partition_path};
-use imu_files::recording::KeepOn;
 use std::io::{BufWriter, IsTerminal as _, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::mpsc;
 
 /// Bytes that are written at a time.
 const WRITE_BYTES: usize = 1 << 20;
@@ -42,41 +42,32 @@ pub(super) fn run(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcom
     }
 }
 
-fn usage(message: String) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message }.into()
-}
-
 /// What was asked for and does not exist is the command line's fault.
-fn opened(source: anyhow::Result<Source>) -> anyhow::Result<Source> {
+fn opened(source: anyhow::Result<Samples>) -> anyhow::Result<Samples> {
     source.map_err(|error| if error.is::<ChannelError>() { usage(error.to_string()) } else { error })
 }
 
 fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
     let [named] = args.captures.as_slice() else {
-        return Err(usage(
-            "several captures were given: one file holds one (--partitioned DIR takes several)".to_owned(),
-        ));
+        return Err(usage("several captures were given: one file holds one (--partitioned DIR takes several)"));
     };
     let path = args.out.as_deref().filter(|path| *path != Path::new("-"));
     let format = format(args, path)?;
     if args.time == TimeOrigin::Utc && !format.is_text() {
-        let message = "--time is of csv and ndjson: parquet and mcap tell the time of day as well".to_owned();
-        return Err(usage(message));
+        return Err(usage("--time is of csv and ndjson: parquet and mcap tell the time of day as well"));
     }
     if path.is_none() && context.json {
-        return Err(usage("--json and the samples both want standard output: name --out FILE".to_owned()));
+        return Err(usage("--json and the samples both want standard output: name --out FILE"));
     }
     if path.is_none() && !format.is_text() && std::io::stdout().is_terminal() {
         return Err(usage(format!("{} is nothing for a terminal: name --out FILE", format.name())));
     }
-    let stop = stop_on_signal()?;
-    let read: Vec<&Path> = [Path::new(named)].into_iter().filter(|path| path.is_file()).collect();
+    let stop = Stop::listen()?;
+    let read: Vec<&Path> = file(named).into_iter().collect();
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
     let part =
         Part { from: args.from, to: args.to, channels: args.channels.as_ref().map(|channels| channels.0.clone()) };
-    let wanted = stop.clone();
-    let keep_on = KeepOn::asking(move || !wanted.load(Ordering::Relaxed));
-    let source = opened(Source::open(context, named, args.rate, part, keep_on))?;
+    let source = opened(Samples::open(context, named, args.rate, part, stop.keep_on()))?;
     let outcome = if source.rejected { Outcome::WithLoss } else { Outcome::Done };
     let utc = args.time == TimeOrigin::Utc;
     let Some(output) = output else {
@@ -96,15 +87,9 @@ fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
 
 /// The form that was named, else the one that the file's name ends with.
 fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat> {
-    let named = args.format.map(|format| match format {
-        ExportFormat::Csv => SampleFormat::Csv,
-        ExportFormat::Ndjson => SampleFormat::Ndjson,
-        ExportFormat::Parquet => SampleFormat::Parquet,
-        ExportFormat::Mcap => SampleFormat::Mcap,
-    });
-    let Some(path) = path else { return Ok(named.unwrap_or(SampleFormat::Csv)) };
+    let Some(path) = path else { return Ok(args.format.unwrap_or(SampleFormat::Csv)) };
     let ending = path.extension().and_then(|ending| SampleFormat::of_ending(&ending.to_string_lossy()));
-    named.or(ending).ok_or_else(|| {
+    args.format.or(ending).ok_or_else(|| {
         let known = SampleFormat::ALL.map(SampleFormat::name).join(", ");
         usage(format!("{} does not end with its form: name --format ({known})", path.display()))
     })
@@ -112,12 +97,12 @@ fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat
 
 /// Every capture's file in its place; each is whole or not there.
 fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Result<Outcome> {
-    let stop = stop_on_signal()?;
+    let stop = Stop::listen()?;
     // One schema for all files: a capture without a channel has an empty column.
     let channels = args.channels.as_ref().map_or_else(|| Channel::ALL.to_vec(), |channels| channels.0.clone());
     let (mut outcome, mut reports) = (Outcome::Done, Vec::new());
     for id in wanted(context, args)? {
-        let placed = match Source::of_capture(context, id, channels.clone()) {
+        let placed = match Samples::of_capture(context, id, channels.clone()) {
             Ok(source) if source.samples == 0 => {
                 eprintln!("note: capture {id} has no samples: it is left out");
                 continue;
@@ -159,7 +144,7 @@ fn is_gone(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture { .. }))
 }
 
-fn place(source: Source, path: &Path, stop: &Arc<AtomicBool>) -> anyhow::Result<Report> {
+fn place(source: Samples, path: &Path, stop: &Stop) -> anyhow::Result<Report> {
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent).with_context(|| format!("{} cannot be made", parent.display()))?;
     }
@@ -184,19 +169,16 @@ fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
     let reader = context.reader()?;
     let mut ids = Vec::new();
     for named in &args.captures {
-        if Path::new(named).is_file() {
+        if file(named).is_some() {
             return Err(usage(format!(
                 "{named} is a file: a data set has captures of the database, so import it first"
             )));
         }
-        ids.push(context.capture(named)?.1);
+        ids.push(context.capture(named)?.1.id);
     }
-    let mut page = args.all.then(PageRequest::first);
-    while let Some(request) = &mut page {
-        let captures = reader.captures(&CaptureFilter::default(), request)?;
-        ids.extend(captures.rows.iter().filter(|capture| capture.samples > 0).map(|capture| capture.id));
-        request.cursor = captures.next;
-        page = page.filter(|request| request.cursor.is_some());
+    if args.all {
+        let captures = super::all(|page| reader.captures(&CaptureFilter::default(), page))?;
+        ids.extend(captures.iter().filter(|capture| capture.samples > 0).map(|capture| capture.id));
     }
     ids.sort_unstable();
     ids.dedup();
@@ -211,11 +193,11 @@ enum Piece {
 
 /// Writes all samples and what stands after them: one thread reads, another one writes.
 fn write(
-    source: Source,
+    source: Samples,
     format: SampleFormat,
     utc: bool,
     to: impl Write + Send,
-    stop: &AtomicBool,
+    stop: &Stop,
     shown: &str,
 ) -> anyhow::Result<Report> {
     let bar = bar(SAMPLES, source.samples);
@@ -227,10 +209,7 @@ fn write(
     let tally = std::thread::scope(|scope| {
         let writer = scope.spawn(|| all(read, format, &about, utc, &mut counted, &abandoned));
         let tally = source.each(&mut |block| {
-            if stop.load(Ordering::Relaxed) {
-                let message = "stopped before the end: no file is kept of it".to_owned();
-                return Err(CliError { failure: Failure::Other, message }.into());
-            }
+            stop.unless(Ok(()))?;
             bar.inc(block.rows().len() as u64);
             pieces.send(Piece::Samples(block)).map_err(|_| anyhow::anyhow!("the writing ended before the reading"))
         });

@@ -1,7 +1,7 @@
 //! `vn100d completions` and `vn100d generate`: what a shell and a manual need, made of the arguments themselves.
 
 use super::args::{Cli, CompletionsArgs, GenerateArgs};
-use super::{CliError, Failure, Outcome};
+use super::{Outcome, usage};
 use anyhow::Context as _;
 use clap::CommandFactory as _;
 use clap_complete::Shell;
@@ -34,11 +34,7 @@ pub(super) fn generate(args: &GenerateArgs) -> anyhow::Result<Outcome> {
             }
         }
         other => {
-            return Err(CliError {
-                failure: Failure::Usage,
-                message: format!("`{other}` cannot be generated: expected man or completions"),
-            }
-            .into());
+            return Err(usage(format!("`{other}` cannot be generated: expected man or completions")));
         }
     }
     Ok(Outcome::Done)

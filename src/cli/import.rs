@@ -3,7 +3,7 @@
 use super::args::ImportArgs;
 use super::client;
 use super::progress::bar;
-use super::{CliError, Context, Failure, Outcome, print_json};
+use super::{Context, Outcome, print_json, usage};
 use crate::clock::SystemClock;
 use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
@@ -32,12 +32,10 @@ const DEFINITION_BYTES: u64 = 1 << 20;
 /// Imports each file; a file that was imported before is named, not doubled.
 pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcome> {
     if args.name.is_some() && args.files.len() > 1 {
-        let message = "--name names one capture, but several files were given".to_owned();
-        return Err(CliError { failure: Failure::Usage, message }.into());
+        return Err(usage("--name names one capture, but several files were given"));
     }
     // A daemon is sent what was understood here.
-    let columns = ColumnMap::parse(&args.columns)
-        .map_err(|error| CliError { failure: Failure::Usage, message: format!("--{error}") })?;
+    let columns = ColumnMap::parse(&args.columns).map_err(|error| usage(format!("--{error}")))?;
     let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
     let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
     let told = Given { columns, definitions };
@@ -87,8 +85,8 @@ fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
     definition.with_context(|| format!("--message-definition {given}"))
 }
 
-fn no_definition(error: DefinitionError) -> CliError {
-    CliError { failure: Failure::Usage, message: error.to_string() }
+fn no_definition(error: DefinitionError) -> anyhow::Error {
+    usage(error.to_string())
 }
 
 /// The daemon that was named, or the one that has the database; without one the database itself.
@@ -164,11 +162,10 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
     if let Some(log) = unmerged_log(file) {
         // The daemon gets one file: what is in the log alone would be missing without a word.
         let (file, log) = (file.display(), log.display());
-        let message = format!(
+        return Err(usage(format!(
             "{file} was not closed by its recorder: {log} holds what is not in it yet. `sqlite3 '{file}' .tables` puts it \
              there; then import it"
-        );
-        return Err(CliError { failure: Failure::Usage, message }.into());
+        )));
     }
     let opened = open_regular(file)?;
     let length = opened.metadata().with_context(unreadable)?.len();

@@ -13,7 +13,6 @@ mod demo;
 mod diagnose;
 mod emulate;
 mod export;
-mod export_source;
 mod generate;
 mod hangup;
 mod import;
@@ -28,9 +27,11 @@ mod progress;
 mod recover;
 mod report;
 mod run;
+mod samples;
 mod sealed;
 mod show;
 mod simulate;
+mod source;
 mod status;
 mod subject;
 mod trial;
@@ -44,7 +45,7 @@ use crate::config::{Config, ConfigError, Environment, MACHINE_TOKEN, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
-use crate::store::{Reader, StoreError, StoreErrorKind};
+use crate::store::{CaptureRow, Page, PageRequest, Reader, StoreError, StoreErrorKind};
 use args::{Cli, Command};
 use clap::Parser as _;
 use imu_files::recording::{RecordingError, open_regular};
@@ -102,6 +103,16 @@ pub struct CliError {
     pub message: String,
 }
 
+/// The error of a wrong command line.
+fn usage(message: impl Into<String>) -> anyhow::Error {
+    CliError { failure: Failure::Usage, message: message.into() }.into()
+}
+
+/// The error of a command that failed.
+fn failed(message: impl Into<String>) -> anyhow::Error {
+    CliError { failure: Failure::Other, message: message.into() }.into()
+}
+
 /// What every command may need besides its own arguments.
 #[derive(Debug, Clone)]
 pub struct Context {
@@ -127,10 +138,10 @@ impl Context {
 
     /// The capture that was named. A path that leads to no file, or to a folder, a pipe or a device, is refused as what it
     /// is: whoever typed it meant a recording.
-    fn capture(&self, named: &str) -> anyhow::Result<(Reader, i64)> {
+    fn capture(&self, named: &str) -> anyhow::Result<(Reader, CaptureRow)> {
         let found = self.reader().and_then(|reader| {
-            let id = reader.resolve(named)?;
-            Ok((reader, id))
+            let row = reader.capture(reader.resolve(named)?)?;
+            Ok((reader, row))
         });
         found.map_err(|error| {
             let is_unknown =
@@ -202,6 +213,19 @@ fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
     told.map_or_else(String::new, |(at_rest_s, moving_s)| {
         format!("At rest {at_rest_s:.1} s, in motion {moving_s:.1} s; only the time at rest is analysed.\n")
     })
+}
+
+/// Every item of a list that comes in pages.
+fn all<T>(mut page: impl FnMut(&PageRequest) -> Result<Page<T>, StoreError>) -> Result<Vec<T>, StoreError> {
+    let (mut items, mut request) = (Vec::new(), PageRequest::first());
+    loop {
+        let next = page(&request)?;
+        items.extend(next.rows);
+        request.cursor = next.next;
+        if request.cursor.is_none() {
+            return Ok(items);
+        }
+    }
 }
 
 /// A table for a person.

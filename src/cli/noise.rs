@@ -2,7 +2,7 @@
 
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat, SheetChoice};
-use super::{CliError, Context, Failure, Outcome, print_json, table};
+use super::{Context, Outcome, failed, print_json, table};
 use crate::jobs::direct;
 use anyhow::Context as _;
 use imu_files::export::paste::{NoiseDocument, Paste};
@@ -56,7 +56,7 @@ fn datasheet(choice: &SheetChoice) -> anyhow::Result<Datasheet> {
 /// What says that parameters contradict the record, and how to have them all the same.
 pub(super) fn refused(what: &str, why: &str) -> anyhow::Error {
     let message = format!("{what}, since it would be wrong: {why}; --force writes it with a comment");
-    CliError { failure: Failure::Other, message }.into()
+    failed(message)
 }
 
 /// Marks a number that the curve alone supports.

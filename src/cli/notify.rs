@@ -1,6 +1,6 @@
 //! `vn100d notify`: tells the configured receivers a test message, once, and says how it went.
 
-use super::{CliError, Context, Failure, Outcome, print_json};
+use super::{CliError, Context, Failure, Outcome, failed, print_json};
 use crate::clock::{Clock as _, SystemClock};
 use crate::config::Overrides;
 use crate::daemon::notices;
@@ -37,10 +37,9 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
             writeln!(std::io::stdout(), "{receiver}: {said}")?;
         }
     }
-    let failed = outcomes.iter().filter(|(_, error)| error.is_some()).count();
-    if failed > 0 {
-        let message = format!("{failed} of {} receivers did not take the test message", outcomes.len());
-        return Err(CliError { failure: Failure::Other, message }.into());
+    let refused = outcomes.iter().filter(|(_, error)| error.is_some()).count();
+    if refused > 0 {
+        return Err(failed(format!("{refused} of {} receivers did not take the test message", outcomes.len())));
     }
     Ok(Outcome::Done)
 }

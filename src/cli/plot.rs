@@ -2,8 +2,9 @@
 
 use super::args::PlotArgs;
 use super::output::Output;
+use super::source::file;
 use super::subject::{Stop, Subject};
-use super::{CliError, Context, Failure, Outcome, print_json};
+use super::{Context, Outcome, failed, print_json, usage};
 use crate::gallery::{self, Documents, Picture, Window};
 use crate::jobs::{JobError, JobKind};
 use crate::plot;
@@ -34,14 +35,12 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
     let form = path.map_or(Ok(Form::Svg), form)?;
     let window = Window { from: args.from, to: args.to };
     if window != Window::default() && !matches!(picture, Picture::Timeseries(_)) {
-        let message = format!("--from and --to are for timeseries-<channel>, not for {}", picture.name());
-        return Err(CliError { failure: Failure::Usage, message }.into());
+        return Err(usage(format!("--from and --to are for timeseries-<channel>, not for {}", picture.name())));
     }
     if path.is_none() && context.json {
-        let message = "--json and the plot both want standard output: name --out FILE.svg".to_owned();
-        return Err(CliError { failure: Failure::Usage, message }.into());
+        return Err(usage("--json and the plot both want standard output: name --out FILE.svg"));
     }
-    let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
+    let read: Vec<&Path> = file(&args.capture).into_iter().collect();
     let stop = Stop::listen()?;
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
     let subject = Subject::open(context, &args.capture, args.rate, args.sampling.stated(), &stop)?;
@@ -63,15 +62,12 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
 }
 
 /// The form that a file's name ends with.
-fn form(path: &Path) -> Result<Form, CliError> {
+fn form(path: &Path) -> anyhow::Result<Form> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     match ending.as_deref() {
         Some("svg") => Ok(Form::Svg),
         Some("png") => Ok(Form::Png),
-        _ => {
-            let message = format!("--out {}: expected a name that ends with .svg or .png", path.display());
-            Err(CliError { failure: Failure::Usage, message })
-        }
+        _ => Err(usage(format!("--out {}: expected a name that ends with .svg or .png", path.display()))),
     }
 }
 
@@ -79,13 +75,12 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
     let row = &subject.row;
     if let Some(lacking) = subject.lacks(&picture.channels()) {
         let there: Vec<&str> = row.channels.iter().map(|channel| channel.name()).collect();
-        let message = format!(
+        return Err(failed(format!(
             "{} needs {lacking}, which {} does not have: it has {}",
             picture.name(),
             row.name,
             there.join(", ")
-        );
-        return Err(CliError { failure: Failure::Other, message }.into());
+        )));
     }
     let needs = picture.needs();
     let mut documents = Documents::default();
@@ -104,8 +99,7 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
     }
     let svg = gallery::svg(&subject.reader, &row.id.to_string(), picture, window, &documents)?;
     if svg.is_empty() {
-        let message = format!("{} has not enough data for {}", row.name, picture.name());
-        return Err(CliError { failure: Failure::Other, message }.into());
+        return Err(failed(format!("{} has not enough data for {}", row.name, picture.name())));
     }
     Ok(match form {
         Form::Svg => plot::alone(&svg).into_bytes(),
@@ -115,6 +109,7 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Failure, failure};
     use super::*;
 
     #[test]
@@ -123,7 +118,8 @@ mod tests {
         assert_eq!(form(Path::new("/tmp/a.b.PNG")).unwrap(), Form::Png);
         for wrong in ["a", "a.pdf", ".svg", "svg"] {
             let refused = form(Path::new(wrong)).unwrap_err();
-            assert!(refused.failure == Failure::Usage && refused.message.contains(".svg or .png"), "{wrong}");
+            assert_eq!(failure(&refused), Failure::Usage);
+            assert!(refused.to_string().contains(".svg or .png"), "{wrong}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! `vn100d probe`: what is plugged in, without changing anything.
 
 use super::args::ProbeArgs;
-use super::{CliError, Context, Failure, Outcome, print_json, table};
+use super::{Context, Outcome, failed, print_json, table};
 use crate::capture::book::Sink;
 use crate::capture::output::Output;
 use crate::capture::session::SessionOptions;
@@ -43,8 +43,7 @@ pub(super) fn run(context: &Context, args: &ProbeArgs) -> anyhow::Result<Outcome
     let Some(description) = progress.description else {
         let state = serde_json::to_value(progress.sensor.state)?;
         let hint = progress.sensor.hint.unwrap_or_else(|| "nothing was found".to_owned());
-        let message = format!("no sensor ({}): {hint}", state.as_str().unwrap_or("absent"));
-        return Err(CliError { failure: Failure::Other, message }.into());
+        return Err(failed(format!("no sensor ({}): {hint}", state.as_str().unwrap_or("absent"))));
     };
     if context.json {
         print_json(&description)?;

@@ -3,8 +3,9 @@
 use super::args::ReportArgs;
 use super::output::Output;
 use super::progress::bar;
+use super::source::file;
 use super::subject::{Stop, Subject};
-use super::{CliError, Context, Failure, Outcome, print_json};
+use super::{Context, Outcome, print_json, usage};
 use crate::gallery::{self, Documents, Facts, Window};
 use crate::jobs::{DiagnosisDocument, JobError, JobKind};
 use crate::page::{self, CaptureView, Figure};
@@ -35,18 +36,17 @@ struct Report<'a> {
 /// Writes the page.
 pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcome> {
     let path = Some(args.out.as_path()).filter(|path| *path != Path::new("-"));
-    let usage = |message| Err(CliError { failure: Failure::Usage, message }.into());
     let ending = path.and_then(Path::extension).map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     match path {
         Some(path) if !matches!(ending.as_deref(), Some("html" | "htm")) => {
-            return usage(format!("--out {}: expected a name that ends with .html", path.display()));
+            return Err(usage(format!("--out {}: expected a name that ends with .html", path.display())));
         }
         None if context.json => {
-            return usage("--json and the report both want standard output: name --out FILE.html".to_owned());
+            return Err(usage("--json and the report both want standard output: name --out FILE.html"));
         }
         _ => {}
     }
-    let read: Vec<&Path> = [Path::new(&args.capture)].into_iter().filter(|path| path.is_file()).collect();
+    let read: Vec<&Path> = file(&args.capture).into_iter().collect();
     let stop = Stop::listen()?;
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
     let subject = Subject::open(context, &args.capture, args.rate, args.sampling.stated(), &stop)?;

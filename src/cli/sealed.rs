@@ -3,7 +3,7 @@
 
 use super::args::{TrialArgs, TrialPart};
 use super::progress::bar;
-use super::{CliError, Failure, Outcome};
+use super::{Outcome, usage};
 use crate::clock::{Clock as _, SystemClock};
 use anyhow::Context as _;
 use imu_trial::Manifest;
@@ -174,7 +174,7 @@ impl<'a> Sealed<'a> {
     fn command(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Command> {
         let program = std::env::current_exe().context("the program does not find itself")?;
         let mut command = Command::new(program);
-        command.args(["trial-part", part.name()]);
+        command.args(["trial-part", part.into()]);
         if self.args.motion {
             command.arg("--motion");
         }
@@ -198,7 +198,7 @@ impl<'a> Sealed<'a> {
     fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
         let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
         let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        anyhow::ensure!(output.status.success(), "the trial's {} failed: {}", part.name(), said());
+        anyhow::ensure!(output.status.success(), "the trial's {part} failed: {}", said());
         Ok(output.stdout)
     }
 }
@@ -290,8 +290,4 @@ pub(super) fn read<T: DeserializeOwned>(text: &[u8], what: &str) -> anyhow::Resu
 
 pub(super) fn write(path: &Path, text: &[u8]) -> anyhow::Result<()> {
     std::fs::write(path, text).with_context(|| format!("{} cannot be written", path.display()))
-}
-
-pub(super) fn usage(message: String) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message }.into()
 }

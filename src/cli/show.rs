@@ -1,14 +1,13 @@
 //! `vn100d show`: one capture with its segments, gaps and counts.
 
-use super::{Context, Outcome, print_json, table};
-use crate::clock::{Clock as _, SystemClock};
-use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow, StoreError};
+use super::source::{Source, has_rejected};
+use super::{Context, Outcome, all, print_json, table};
+use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow};
 use imu_core::sample::GapCause;
 use imu_core::sample::audit::{Report, Unchecked};
-use imu_files::recording::{Options, load_columns};
+use imu_files::recording::{KeepOn, LoadedRecording, columns};
 use std::collections::BTreeMap;
 use std::io::Write as _;
-use std::path::Path;
 
 /// Rows that a person is shown of a long list.
 const SHOWN: usize = 20;
@@ -18,11 +17,11 @@ const REJECTED_CHARS: usize = 90;
 
 /// Prints the capture.
 pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
-    if Path::new(capture).is_file() {
-        return recording(context, capture, rate_hz);
-    }
-    let (reader, id) = context.capture(capture)?;
-    let row = reader.capture(id)?;
+    let (reader, row) = match Source::open(context, capture, rate_hz, KeepOn::default())? {
+        Source::Recording(recording) => return show_recording(context, capture, &columns(&recording)?),
+        Source::Capture(reader, row) => (reader, row),
+    };
+    let id = row.id;
     // As of the last commit: what is in flight only the running daemon knows.
     let accounting = reader.accounting(id)?;
     let clocks = reader.device_clocks(id)?;
@@ -123,11 +122,8 @@ fn accounting_lines(report: &Report) -> Vec<String> {
 }
 
 /// Prints what a recording's file would be as a capture.
-fn recording(context: &Context, file: &str, rate_hz: Option<f64>) -> anyhow::Result<Outcome> {
-    let recording =
-        load_columns(Path::new(file), Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() })?;
+fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) -> anyhow::Result<Outcome> {
     let info = &recording.info;
-    let rejected = info.rejected.values().any(|count| *count > 0);
     if context.json {
         print_json(&serde_json::json!({
             "id": null,
@@ -170,7 +166,7 @@ fn recording(context: &Context, file: &str, rate_hz: Option<f64>) -> anyhow::Res
             writeln!(stdout, "  {line}")?;
         }
     }
-    Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
+    Ok(if has_rejected(info) { Outcome::WithLoss } else { Outcome::Done })
 }
 
 /// One line per cause of gaps.
@@ -182,17 +178,4 @@ fn by_cause(gaps: impl Iterator<Item = (GapCause, u64)>) -> Vec<String> {
         *sum += missing;
     }
     causes.iter().map(|(cause, (gaps, missing))| format!("{gaps} gaps by {cause}: {missing} missing")).collect()
-}
-
-/// Every item of a list that comes in pages.
-fn all<T>(mut page: impl FnMut(&PageRequest) -> Result<Page<T>, StoreError>) -> Result<Vec<T>, StoreError> {
-    let (mut items, mut request) = (Vec::new(), PageRequest::first());
-    loop {
-        let next = page(&request)?;
-        items.extend(next.rows);
-        match next.next {
-            Some(cursor) => request.cursor = Some(cursor),
-            None => return Ok(items),
-        }
-    }
 }

@@ -4,7 +4,7 @@ use super::args::SimulateArgs;
 use super::emulate::{load_model, stop_on_signal};
 use super::output::{Output, is_same, refuse_without_room};
 use super::progress::{SAMPLES, bar};
-use super::{CliError, Context, Failure, Outcome, print_json};
+use super::{Context, Outcome, failed, print_json, usage};
 use crate::clock::{Clock as _, SystemClock};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
@@ -55,7 +55,7 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
             told_s.min(motion_s)
         }
         (Some(one), None) | (None, Some(one)) => one,
-        (None, None) => return Err(usage("--duration is missing: how much sample time, such as 5h".to_owned())),
+        (None, None) => return Err(usage("--duration is missing: how much sample time, such as 5h")),
     };
     let samples = (duration_s * rate_hz).round() as u64;
     if samples == 0 {
@@ -126,15 +126,15 @@ fn whole(failed: &Failed) -> anyhow::Result<()> {
 /// Where samples and motion go, refused before anything is made; None is standard output or the database.
 fn outputs(args: &SimulateArgs) -> anyhow::Result<(Option<Output>, Option<Output>)> {
     if args.out.is_none() && args.into_db.is_none() {
-        return Err(usage("name --out FILE or --into-db NAME: where the samples go".to_owned()));
+        return Err(usage("name --out FILE or --into-db NAME: where the samples go"));
     }
     if args.motion_out.is_some() && args.motion.is_none() {
-        return Err(usage("--motion-out has nothing to write without --motion".to_owned()));
+        return Err(usage("--motion-out has nothing to write without --motion"));
     }
     let stdout = Path::new("-");
     match (&args.out, &args.motion_out) {
         (_, Some(motion)) if motion == stdout => {
-            return Err(usage("--motion-out -: expected a file; standard output takes samples alone".to_owned()));
+            return Err(usage("--motion-out -: expected a file; standard output takes samples alone"));
         }
         (Some(one), Some(other)) if is_same(one, other) => {
             return Err(usage(format!("{} cannot be samples and motion", one.display())));
@@ -161,10 +161,6 @@ pub(super) fn without_gravity(model: &mut SensorModel, brings: &str) {
             Site::default().gravity_m_s2
         );
     }
-}
-
-fn usage(message: String) -> anyhow::Error {
-    CliError { failure: Failure::Usage, message }.into()
 }
 
 fn given(named: &str, rate_hz: f64, internal_hz: f64, duration_s: Option<f64>) -> anyhow::Result<Given> {
@@ -286,19 +282,17 @@ impl Run<'_> {
         while left > 0 {
             let Some(block) = self.simulator.next_block() else { break };
             if self.stop.load(Ordering::Relaxed) {
-                let message = "stopped before the end: nothing is kept".to_owned();
-                return Err(CliError { failure: Failure::Other, message }.into());
+                return Err(failed("stopped before the end: nothing is kept"));
             }
             let length = block.len().min(usize::try_from(left).unwrap_or(usize::MAX));
             for channel in channels.iter() {
                 let values = block.values(channel).and_then(|values| values.get(..length)).unwrap_or_default();
                 if let Some(place) = values.iter().position(|value| !value.is_finite()) {
                     let at_s = (block.first_index + place as u64) as f64 / rate_hz;
-                    let message = format!(
+                    return Err(failed(format!(
                         "channel {channel} is no finite number at {at_s} s: an effect on it is too large for this motion, \
                          temperature or length"
-                    );
-                    return Err(CliError { failure: Failure::Other, message }.into());
+                    )));
                 }
             }
             take(&block, length)?;

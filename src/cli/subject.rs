@@ -3,7 +3,8 @@
 use super::analysis::contradicted;
 use super::emulate::stop_on_signal;
 use super::progress::bar;
-use super::{CliError, Context, Failure};
+use super::source::{file, tell_rate, tell_time};
+use super::{Context, failed};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
 use crate::jobs::{JobError, JobKind, Plan, StatedSampling, direct};
@@ -33,6 +34,12 @@ impl Stop {
         Ok(Self(stop_on_signal()?))
     }
 
+    /// What reads a recording until then.
+    pub(super) fn keep_on(&self) -> KeepOn {
+        let stop = self.clone();
+        KeepOn::asking(move || !stop.is_wanted())
+    }
+
     fn is_wanted(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -43,8 +50,7 @@ impl Stop {
     /// The result's own; that it was stopped.
     pub(super) fn unless<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         if self.is_wanted() {
-            let message = "stopped before the end: no file is kept of it".to_owned();
-            return Err(CliError { failure: Failure::Other, message }.into());
+            return Err(failed("stopped before the end: no file is kept of it"));
         }
         result
     }
@@ -79,16 +85,15 @@ impl Subject {
         told: Option<StatedSampling>,
         stop: &Stop,
     ) -> anyhow::Result<Self> {
-        let mut subject = if Path::new(named).is_file() {
-            stop.unless(Self::of_recording(Path::new(named), rate_hz, stop))?
-        } else {
-            let (reader, id) = context.capture(named)?;
-            let row = reader.capture(id)?;
-            Self { reader, row, of_file: false, told: None, remarks: Vec::new(), _folder: None }
+        let mut subject = match file(named) {
+            Some(path) => stop.unless(Self::of_recording(path, rate_hz, stop))?,
+            None => {
+                let (reader, row) = context.capture(named)?;
+                Self { reader, row, of_file: false, told: None, remarks: Vec::new(), _folder: None }
+            }
         };
         if subject.row.rate_assumed {
-            let rate_hz = subject.row.rate_hz.unwrap_or_default();
-            eprintln!("note: {named} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+            tell_rate(named, subject.row.rate_hz.unwrap_or_default());
         }
         if let Some(told) = told {
             let row = &subject.row;
@@ -105,8 +110,7 @@ impl Subject {
         let folder = tempfile::Builder::new().prefix("vn100d-").tempdir().context("no temporary folder can be made")?;
         let database = folder.path().join("vn100d.db");
         let store = Store::open(&database, StoreOptions::default())?;
-        let wanted = stop.clone();
-        let source = Source { rate_hz, keep_on: KeepOn::asking(move || !wanted.is_wanted()), ..Source::of(file) };
+        let source = Source { rate_hz, keep_on: stop.keep_on(), ..Source::of(file) };
         let bar = bar("{bar:40} {percent} %  {human_pos} samples read", 0);
         let imported = import(&store, &SystemClock, source, None, &mut |written, of| {
             bar.set_length(of);
@@ -120,8 +124,7 @@ impl Subject {
         let row = reader.capture(imported.end.id())?;
         let mut remarks = Vec::new();
         if imported.info.stamps != Stamps::Unix {
-            let shown = file.display();
-            eprintln!("note: {shown} tells no time of day: its first sample counts as taken now");
+            tell_time(&file.display().to_string());
             remarks.push(
                 "The recording tells no time of day: its first sample counts as taken when this was made.".to_owned(),
             );

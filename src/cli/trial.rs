@@ -5,9 +5,9 @@
 //! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
 
 use super::args::{TrialArgs, TrialPart};
-use super::sealed::{Sealed, Shape, Threshold, read, usage, words, write};
+use super::sealed::{Sealed, Shape, Threshold, read, words, write};
 use super::trial_on::Ground;
-use super::{Context, Outcome, print_json, trial_show};
+use super::{Context, Outcome, print_json, trial_show, usage};
 use crate::store::SOFTWARE;
 use imu_trial::again::{Again, Diagnoses, closed_under};
 use imu_trial::impose::SAMPLES_MIN;

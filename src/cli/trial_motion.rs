@@ -4,8 +4,8 @@
 //! the keys' digests comes first and the keys last.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
-use super::sealed::{Sealed, Shape, Threshold, discrepancy, usage, words};
-use super::{Context, Outcome, print_json, table};
+use super::sealed::{Sealed, Shape, Threshold, discrepancy, words};
+use super::{Context, Outcome, print_json, table, usage};
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
 use imu_core::sample::Triad;

@@ -3,7 +3,7 @@
 
 use super::args::TrialArgs;
 use super::sealed::each;
-use super::{CliError, Context, Failure, analysis};
+use super::{Context, analysis, usage};
 use crate::jobs::gridded;
 use anyhow::Context as _;
 use imu_diagnosis::{Options, Recording};
@@ -37,7 +37,7 @@ impl Ground {
             let whole = gridded(&together.source, &together.plan, u64::MAX)?.recording;
             drop(together);
             let mut stretches = recorded::cut(&whole, args.samples.unwrap_or(STUDY))
-                .map_err(|error| CliError { failure: Failure::Usage, message: format!("--on {named}: {error}") })?;
+                .map_err(|error| usage(format!("--on {named}: {error}")))?;
             stretches.truncate(args.cases.max(1));
             stretches
         };

@@ -1,9 +1,11 @@
 //! Arguments of what brings recordings in and out: `import`, `export`.
 
-use super::{SamplingArgs, rate};
+use super::{SamplingArgs, one_of, rate};
 use crate::store::Moment;
+use clap::builder::{PossibleValue, TypedValueParser};
 use clap::{Args, ValueEnum};
 use imu_core::sample::Channel;
+use imu_files::export::samples::SampleFormat;
 use std::path::PathBuf;
 
 /// Arguments of `import`.
@@ -41,8 +43,8 @@ pub struct ExportArgs {
     #[arg(required_unless_present = "all", value_name = "CAPTURE")]
     pub captures: Vec<String>,
     /// Form of the file (default: the one that --out ends with, csv on standard output)
-    #[arg(long, value_enum)]
-    pub format: Option<ExportFormat>,
+    #[arg(long, value_parser = sample_format())]
+    pub format: Option<SampleFormat>,
     /// From this time on: RFC 3339, or seconds since the first sample
     #[arg(long, value_name = "T", value_parser = moment)]
     pub from: Option<Moment>,
@@ -72,17 +74,15 @@ pub struct ExportArgs {
     pub force: bool,
 }
 
-/// Forms of exported samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ExportFormat {
-    /// The table that `import` reads
-    Csv,
-    /// A JSON document per line
-    Ndjson,
-    /// Apache Parquet, units in Arrow's field metadata
-    Parquet,
-    /// MCAP with ROS 2 messages
-    Mcap,
+fn sample_format() -> impl TypedValueParser<Value = SampleFormat> {
+    let helps = [
+        "The table that `import` reads",
+        "A JSON document per line",
+        "Apache Parquet, units in Arrow's field metadata",
+        "MCAP with ROS 2 messages",
+    ];
+    let values = SampleFormat::ALL.into_iter().zip(helps);
+    one_of(values.map(|(format, help)| (PossibleValue::new(format.name()).help(help), format)).collect())
 }
 
 /// What times count from.

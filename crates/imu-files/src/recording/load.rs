@@ -13,10 +13,8 @@ use std::path::Path;
 pub struct LoadedColumn {
     /// The channel.
     pub channel: Channel,
-    /// One value per sample of the recording, in the channel's unit; 0 if the channel is absent.
+    /// One value per sample of the recording, in the channel's unit; NaN if the channel is absent.
     pub values: Vec<f64>,
-    /// Stretches of `values` without a gap in which every sample has the channel. Values outside are no measurements.
-    pub segments: Vec<Range<usize>>,
 }
 
 /// A recording in memory: 8 bytes per sample and channel, and per stamp.
@@ -64,11 +62,8 @@ pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, Re
 pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError> {
     let info = recording.info().clone();
     let capacity = usize::try_from(info.samples).unwrap_or(0);
-    let mut columns: Vec<LoadedColumn> = info
-        .channels
-        .iter()
-        .map(|channel| LoadedColumn { channel, values: Vec::with_capacity(capacity), segments: Vec::new() })
-        .collect();
+    let mut columns: Vec<LoadedColumn> =
+        info.channels.iter().map(|channel| LoadedColumn { channel, values: Vec::with_capacity(capacity) }).collect();
     let mut stamps_ns = Vec::new();
     let (mut segments, mut gaps) = (Vec::<Range<usize>>::new(), Vec::new());
     let mut accountant = RecordingAccountant::new(&info);
@@ -82,14 +77,13 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
                 Record::Gap(gap) => gaps.push(gap),
                 Record::Segment(_) => begins = true,
                 Record::Sample { sample, .. } => {
-                    extend(&mut segments, count, begins);
+                    match segments.last_mut() {
+                        Some(last) if !begins => last.end = count + 1,
+                        _ => segments.push(count..count + 1),
+                    }
                     stamps_ns.extend(sample.device_time_ns);
                     for column in &mut columns {
-                        let value = sample.get(column.channel);
-                        column.values.push(value.unwrap_or(0.0));
-                        if value.is_some() {
-                            extend(&mut column.segments, count, begins);
-                        }
+                        column.values.push(sample.get(column.channel).unwrap_or(f64::NAN));
                     }
                     count += 1;
                     begins = false;
@@ -110,12 +104,4 @@ pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError>
         missing: accountant.missing(),
         info,
     })
-}
-
-/// Adds position `at` to the last range, or begins a new range if `begins` is set or the last one does not reach it.
-fn extend(ranges: &mut Vec<Range<usize>>, at: usize, begins: bool) {
-    match ranges.last_mut() {
-        Some(last) if !begins && last.end == at => last.end = at + 1,
-        _ => ranges.push(at..at + 1),
-    }
 }

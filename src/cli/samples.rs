@@ -1,12 +1,11 @@
-//! What is exported: a capture of the database, or a recording's file without one; block by block either way.
+//! Samples: what is exported, from a capture of the database or a recording's file, block by block.
 
 use super::Context;
-use crate::clock::{Clock as _, SystemClock};
+use super::source::{Source, has_rejected, tell_rate, tell_time};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use imu_core::sample::{Channel, Gap, Record, Sample};
 use imu_files::export::samples::{About, Rows, Tally};
-use imu_files::recording::{Input, Item, KeepOn, Options, Recording, RecordingAccountant, Stamps};
-use std::path::Path;
+use imu_files::recording::{Item, KeepOn, Recording, RecordingAccountant, Stamps};
 
 /// Samples of a block: one short query, some 1 MB.
 const BLOCK: usize = 8192;
@@ -20,7 +19,7 @@ pub(super) struct Part {
 }
 
 /// Samples to be exported.
-pub(super) struct Source {
+pub(super) struct Samples {
     /// What is known of the capture.
     pub about: About,
     /// Samples to come: exact for a capture, at most so many for a recording.
@@ -36,7 +35,7 @@ enum Held {
     Recording { recording: Box<Recording>, part: Part },
 }
 
-impl Source {
+impl Samples {
     /// A file where one of that name exists, read while `keep_on` says so, else a capture.
     ///
     /// # Errors
@@ -48,13 +47,14 @@ impl Source {
         part: Part,
         keep_on: KeepOn,
     ) -> anyhow::Result<Self> {
-        if Path::new(named).is_file() {
-            return Self::of_recording(named, rate_hz, part, keep_on);
+        match Source::open(context, named, rate_hz, keep_on)? {
+            Source::Recording(recording) => Self::of_recording(named, recording, part),
+            Source::Capture(reader, row) => {
+                let range = SampleRange::read(&reader, &row.id.to_string(), part.from, part.to)?;
+                let channels = Channel::chosen(part.channels.as_deref(), &range.capture.channels)?;
+                Ok(Self::of_range(*reader, range, channels)?)
+            }
         }
-        let (reader, id) = context.capture(named)?;
-        let range = SampleRange::read(&reader, &id.to_string(), part.from, part.to)?;
-        let channels = Channel::chosen(part.channels.as_deref(), &range.capture.channels)?;
-        Ok(Self::of_range(reader, range, channels)?)
     }
 
     /// A whole capture with these columns, whether it has them or not.
@@ -88,16 +88,14 @@ impl Source {
         })
     }
 
-    fn of_recording(named: &str, rate_hz: Option<f64>, part: Part, keep_on: KeepOn) -> anyhow::Result<Self> {
-        let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), definitions: Vec::new() };
-        let recording = Recording::read(Input::file(Path::new(named)).while_wanted(keep_on), options)?;
+    fn of_recording(named: &str, recording: Box<Recording>, part: Part) -> anyhow::Result<Self> {
         let info = recording.info();
         let has: Vec<Channel> = info.channels.iter().collect();
         if info.rate_assumed {
-            eprintln!("note: {named} tells no rate: {} Hz is assumed (--rate HZ tells another)", info.rate_hz);
+            tell_rate(named, info.rate_hz);
         }
         if info.stamps != Stamps::Unix {
-            eprintln!("note: {named} tells no time of day: its first sample counts as taken now");
+            tell_time(named);
         }
         let about = About {
             id: None,
@@ -113,8 +111,8 @@ impl Source {
         Ok(Self {
             about,
             samples: info.samples,
-            rejected: info.rejected.values().any(|count| *count > 0),
-            held: Held::Recording { recording: Box::new(recording), part },
+            rejected: has_rejected(info),
+            held: Held::Recording { recording, part },
         })
     }
 
