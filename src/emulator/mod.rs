@@ -18,7 +18,7 @@ pub mod terminal;
 pub mod uart;
 
 pub use instant::Values;
-pub use sensor::{Notice, SensorOptions, VirtualSensor};
+pub use sensor::{SensorOptions, VirtualSensor};
 
 #[cfg(test)]
 mod tests;

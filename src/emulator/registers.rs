@@ -100,17 +100,6 @@ impl Settings {
     }
 }
 
-/// The effect of a write beyond the register.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
-    /// Nothing.
-    Value,
-    /// The baud rate of the port in use.
-    Baud(u32),
-    /// The synchronization control.
-    Synchronization,
-}
-
 /// RAM and flash of the sensor.
 #[derive(Debug, Clone)]
 pub struct RegisterFile {
@@ -210,9 +199,7 @@ impl RegisterFile {
         let mut settings = self.ram.clone();
         match settings.plain.get_mut(&register) {
             Some(plain) => values.clone_into(plain),
-            None => {
-                self.apply(&mut settings, register, values)?;
-            }
+            None => self.apply(&mut settings, register, values)?,
         }
         self.ram = settings.clone();
         self.flash = settings;
@@ -302,23 +289,23 @@ impl RegisterFile {
     ///
     /// # Errors
     /// The error that the sensor reports; then nothing is changed.
-    pub fn write(&mut self, register: u16, values: &str) -> Result<Change, DeviceError> {
+    pub fn write(&mut self, register: u16, values: &str) -> Result<(), DeviceError> {
         let read_only = PLAIN.iter().any(|(number, _, writable)| *number == register && !writable);
         if read_only || self.fixed.contains_key(&register) || AsciiType::from_register(register).is_some() {
             return Err(DeviceError::UnauthorizedAccess);
         }
         let mut settings = self.ram.clone();
-        let change = self.apply(&mut settings, register, values)?;
+        self.apply(&mut settings, register, values)?;
         let concerns_link =
             matches!(register, BAUD_RATE | ASYNC_TYPE | ASYNC_RATE | COMMUNICATION | BINARY_OUTPUT_1..=BINARY_OUTPUT_3);
         if concerns_link && !settings.fits() {
             return Err(DeviceError::InsufficientBaudRate);
         }
         self.ram = settings;
-        Ok(change)
+        Ok(())
     }
 
-    fn apply(&self, settings: &mut Settings, register: u16, values: &str) -> Result<Change, DeviceError> {
+    fn apply(&self, settings: &mut Settings, register: u16, values: &str) -> Result<(), DeviceError> {
         let count = if values.is_empty() { 0 } else { values.split(',').count() };
         let invalid = DeviceError::InvalidParameter;
         match register {
@@ -356,7 +343,6 @@ impl RegisterFile {
                     return Err(invalid);
                 }
                 settings.synchronization = control;
-                return Ok(Change::Synchronization);
             }
             BINARY_OUTPUT_1..=BINARY_OUTPUT_3 => {
                 // whatever the error in a binary output, a sensor reports 07
@@ -384,7 +370,7 @@ impl RegisterFile {
                 values.clone_into(plain);
             }
         }
-        Ok(Change::Value)
+        Ok(())
     }
 
     fn apply_port_value(
@@ -393,7 +379,7 @@ impl RegisterFile {
         register: u16,
         index: usize,
         value: u32,
-    ) -> Result<Change, DeviceError> {
+    ) -> Result<(), DeviceError> {
         let invalid = DeviceError::InvalidParameter;
         match register {
             BAUD_RATE => {
@@ -401,9 +387,6 @@ impl RegisterFile {
                     return Err(invalid);
                 }
                 settings.baud[index] = value;
-                if index == self.port_index() {
-                    return Ok(Change::Baud(value));
-                }
             }
             ASYNC_TYPE => {
                 let id = u8::try_from(value).map_err(|_| invalid)?;
@@ -422,7 +405,7 @@ impl RegisterFile {
                 settings.ascii_rate_hz[index] = value;
             }
         }
-        Ok(Change::Value)
+        Ok(())
     }
 
     /// Ticks of 1/800 s between two ASCII messages of the port in use; `None` if none is sent.
@@ -521,24 +504,24 @@ mod tests {
     fn the_link_carries_what_the_arithmetic_says() {
         // VNYMR 122 bytes: 50 Hz is 53 % of 115200 baud, 100 Hz is 106 %
         let mut file = file();
-        assert_eq!(file.write(7, "50"), Ok(Change::Value));
+        assert_eq!(file.write(7, "50"), Ok(()));
         assert_eq!(file.write(7, "100"), Err(DeviceError::InsufficientBaudRate));
         // 110 bytes at 800 Hz through 921600 baud (95.5 %), once the text is off
-        assert_eq!(file.write(5, "921600"), Ok(Change::Baud(921_600)));
+        assert_eq!(file.write(5, "921600"), Ok(()));
         assert_eq!(file.write(75, "1,1,01,0739"), Err(DeviceError::InsufficientBaudRate));
-        assert_eq!(file.write(6, "0"), Ok(Change::Value));
-        assert_eq!(file.write(75, "1,1,01,0739"), Ok(Change::Value));
+        assert_eq!(file.write(6, "0"), Ok(()));
+        assert_eq!(file.write(75, "1,1,01,0739"), Ok(()));
         // a second output does not fit any more; on the other port it does not interfere
         assert_eq!(file.write(76, "1,20,01,0609,"), Err(DeviceError::InvalidParameter));
         assert_eq!(file.write(76, "1,8,01,0739"), Err(DeviceError::InsufficientBaudRate));
-        assert_eq!(file.write(76, "2,40,01,0609"), Ok(Change::Value));
+        assert_eq!(file.write(76, "2,40,01,0609"), Ok(()));
     }
 
     #[test]
     fn the_ports_have_settings_of_their_own() {
         let mut file = file();
-        assert_eq!(file.write(6, "1,2"), Ok(Change::Value));
-        assert_eq!(file.write(5, "230400,2"), Ok(Change::Value));
+        assert_eq!(file.write(6, "1,2"), Ok(()));
+        assert_eq!(file.write(5, "230400,2"), Ok(()));
         assert_eq!(file.read(6, Some("2")).as_deref(), Ok("1,2"));
         assert_eq!(file.read(6, Some("1")).as_deref(), Ok("14,1"));
         assert_eq!(file.read(6, None).as_deref(), Ok("14"));

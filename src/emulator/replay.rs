@@ -60,11 +60,6 @@ impl Replay {
             }
         }
     }
-
-    /// Whether every line was sent.
-    pub fn is_over(&self) -> bool {
-        self.next.is_none()
-    }
 }
 
 #[cfg(test)]
@@ -86,7 +81,6 @@ mod tests {
         }
         assert_eq!(ticks, [1000, 1020, 1040]);
         assert_eq!(out, b"$VNYPR,0\r\n$VNYPR,1\r\n$VNYPR,2\r\n");
-        assert!(replay.is_over());
     }
 
     #[test]

@@ -1,21 +1,20 @@
 //! The virtual sensor: a VN-100's behaviour as a pure function of bytes, ticks and values.
 //!
 //! In: command bytes in any division ([`VirtualSensor::on_bytes`]), and one instant of channel values for each tick
-//! that it requests ([`VirtualSensor::next_output_tick`], [`VirtualSensor::emit`]). Out: the bytes it sends, and
-//! [`Notice`]s of other events. Time is a tick of 1/800 s that the caller counts; the sensor's own clock starts with
-//! it, or at 0 after a reset.
+//! that it requests ([`VirtualSensor::next_output_tick`], [`VirtualSensor::emit`]). Out: the bytes it sends.
+//! Time is a tick of 1/800 s that the caller counts; the sensor's own clock starts with it, or at 0 after a reset.
 //!
 //! It accepts both checksum forms and the bypass, and answers with the one that register 30 selects. Not supported:
 //! bootloader and command prompt (error 04), SPI, the on-board filters.
 
 use super::instant::{Values, measure};
-use super::registers::{Change, RegisterFile};
+use super::registers::RegisterFile;
 use imu_core::units::NANOS_PER_SECOND;
 use std::collections::VecDeque;
 use std::ops::Range;
 use vn100_proto::ascii::{Trailer, split_line};
 use vn100_proto::link::INTERNAL_RATE_HZ;
-use vn100_proto::register::{BINARY_OUTPUT_1, SYNCHRONIZATION_STATUS, SyncStatus};
+use vn100_proto::register::{BINARY_OUTPUT_1, SYNCHRONIZATION, SYNCHRONIZATION_STATUS, SyncStatus};
 use vn100_proto::{AsciiType, ChecksumKind, DeviceError, MeasurementKind, Verb, encode};
 
 /// Nanoseconds of one tick: 1/800 s, a whole number of microseconds, as a real TimeStartup is.
@@ -61,20 +60,6 @@ impl Default for SensorOptions {
     }
 }
 
-/// An event apart from the bytes sent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Notice {
-    /// The port in use has another baud rate from now on; the reply still went out at the old one.
-    BaudChanged(u32),
-    /// The sensor restarts at this tick: silent until its firmware runs, then its clock begins at 0.
-    Reset {
-        /// The time of the reset.
-        tick: u64,
-    },
-    /// The flash was written.
-    FlashWritten,
-}
-
 /// Something to be sent later, in order.
 #[derive(Debug, Clone)]
 enum Queued {
@@ -112,7 +97,6 @@ pub struct VirtualSensor {
     /// SyncOut counter at `sync_since`, the tick from which it counts.
     sync_out_count: u32,
     sync_since: u64,
-    notices: Vec<Notice>,
     /// The positions of the messages of the last instant in the bytes sent.
     frames: Vec<Range<usize>>,
 }
@@ -137,7 +121,6 @@ impl VirtualSensor {
             queue: VecDeque::new(),
             sync_out_count: 0,
             sync_since: 0,
-            notices: Vec::new(),
         }
     }
 
@@ -165,11 +148,6 @@ impl VirtualSensor {
     /// Whether asynchronous output goes out at this tick: the sensor runs and is not paused.
     pub fn may_send(&self, tick: u64) -> bool {
         tick >= self.silent_until && !self.paused
-    }
-
-    /// The events since the last call.
-    pub fn take_notices(&mut self) -> Vec<Notice> {
-        std::mem::take(&mut self.notices)
     }
 
     /// TimeStartup at a tick, ns.
@@ -211,7 +189,6 @@ impl VirtualSensor {
         self.clock_start = i64::try_from(self.silent_until).unwrap_or(i64::MAX);
         self.clock_offset_ns = 0;
         (self.sync_out_count, self.sync_since) = (0, self.silent_until);
-        self.notices.push(Notice::Reset { tick: self.now });
     }
 
     /// Ticks between two SyncOut events (register 32): IMU samples come at 800 Hz, attitude at 400 Hz; GPS pulses never.
@@ -330,32 +307,20 @@ impl VirtualSensor {
             Verb::SetGyroBias => self.answer(echo, out),
             Verb::WriteSettings => {
                 self.registers.save();
-                self.notices.push(Notice::FlashWritten);
                 self.queue_at(self.now + FLASH_TICKS, echo);
             }
             Verb::Reset => {
                 self.answer(echo, out);
-                let baud = self.baud();
                 self.registers.load();
-                self.note_baud(baud);
                 self.restart();
             }
             Verb::RestoreFactorySettings => {
                 self.answer(echo, out);
-                let baud = self.baud();
                 self.registers.restore_factory();
-                self.notices.push(Notice::FlashWritten);
-                self.note_baud(baud);
                 self.restart();
             }
         }
         Ok(())
-    }
-
-    fn note_baud(&mut self, before: u32) {
-        if self.baud() != before {
-            self.notices.push(Notice::BaudChanged(self.baud()));
-        }
     }
 
     fn on_read(&mut self, rest: Option<&str>, out: &mut Vec<u8>) -> Result<(), DeviceError> {
@@ -395,14 +360,12 @@ impl VirtualSensor {
         }
         let count = self.sync_out_count(self.now);
         let checksum = self.checksum();
-        let change = self.registers.write(register, values)?;
+        self.registers.write(register, values)?;
         self.output_since = self.now;
         // the reply has the form (and is sent at the rate) in force when the command arrived
         self.answer_as(echo, checksum, out);
-        match change {
-            Change::Value => {}
-            Change::Baud(baud) => self.notices.push(Notice::BaudChanged(baud)),
-            Change::Synchronization => self.set_sync_out_count(count),
+        if register == SYNCHRONIZATION {
+            self.set_sync_out_count(count);
         }
         Ok(())
     }

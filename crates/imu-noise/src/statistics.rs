@@ -43,33 +43,6 @@ impl Moments {
         self.mean += step;
     }
 
-    /// Takes the values of another part.
-    pub fn merge(&mut self, other: &Self) {
-        if other.count == 0 {
-            return;
-        }
-        if self.count == 0 {
-            *self = *other;
-            return;
-        }
-        let (a, b) = (self.count as f64, other.count as f64);
-        let count = a + b;
-        let delta = other.mean - self.mean;
-        let step = delta / count;
-        self.m4 += other.m4
-            + delta * step.powi(3) * a * b * (a * a - a * b + b * b)
-            + 6.0 * step * step * (a * a * other.m2 + b * b * self.m2)
-            + 4.0 * step * (a * other.m3 - b * self.m3);
-        self.m3 += other.m3 + delta * step * step * a * b * (a - b) + 3.0 * step * (a * other.m2 - b * self.m2);
-        self.m2 += other.m2 + delta * step * a * b;
-        self.mean += step * b;
-        self.count += other.count;
-    }
-
-    /// How many values.
-    pub fn count(&self) -> u64 {
-        self.count
-    }
     /// Their mean; `None` without a value.
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0).then_some(self.mean)
@@ -153,21 +126,6 @@ impl Bins {
         self.counts = counts;
         self.exponent += 1;
     }
-
-    fn merge(&mut self, other: &Self) {
-        let mut other = other.clone();
-        while self.exponent < other.exponent {
-            self.coarsen();
-        }
-        while other.exponent < self.exponent {
-            other.coarsen();
-        }
-        // A bin's middle is inside it, for any rounding of its edges.
-        for (index, count) in other.counts.iter().enumerate().filter(|(_, count)| **count > 0) {
-            let middle = ((other.first + index as i64) as f64 + 0.5) * other.width();
-            self.add(middle, *count);
-        }
-    }
 }
 
 /// Folds the samples of one channel.
@@ -233,30 +191,6 @@ impl Accumulator {
             bins.add(*value, if index == 0 { 1 + surplus } else { 1 });
         }
         bins
-    }
-
-    /// Adds the samples of another part.
-    pub fn merge(&mut self, other: &Self) {
-        self.not_finite += other.not_finite;
-        if other.moments.count == 0 {
-            return;
-        }
-        if self.moments.count == 0 {
-            *self = Self { not_finite: self.not_finite, ..other.clone() };
-            return;
-        }
-        let bins = |part: &Self, whole: &Self| {
-            part.bins.clone().unwrap_or_else(|| {
-                let range = Self { min: whole.min, max: whole.max, ..part.clone() };
-                range.lay_out()
-            })
-        };
-        (self.min, self.max) = (self.min.min(other.min), self.max.max(other.max));
-        let mut joined = bins(self, self);
-        joined.merge(&bins(other, self));
-        self.moments.merge(&other.moments);
-        self.seed = Vec::new();
-        self.bins = Some(joined);
     }
 
     /// The statistics so far.
@@ -476,34 +410,12 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn parts_add_up_to_the_whole(
+        fn the_histogram_has_every_sample(
             samples in proptest::collection::vec(-1e3..1e3f64, 0..400),
-            cut in 0usize..400,
             scale in prop::sample::select(vec![1e-6, 1.0, 1e4]),
         ) {
             let samples: Vec<f64> = samples.iter().map(|value| value * scale + 3.0).collect();
-            let cut = cut.min(samples.len());
-            let whole = of(&samples);
-            let mut left = Accumulator::new();
-            left.push(&samples[..cut]);
-            let mut right = Accumulator::new();
-            right.push(&samples[cut..]);
-            left.merge(&right);
-            let parts = left.statistics("rad/s");
-            prop_assert_eq!((parts.n, parts.min, parts.max), (whole.n, whole.min, whole.max));
-            for (part, whole) in [
-                (parts.mean, whole.mean),
-                (parts.std, whole.std),
-                (parts.skewness, whole.skewness),
-                (parts.kurtosis, whole.kurtosis),
-            ] {
-                match (part, whole) {
-                    (Some(part), Some(whole)) => prop_assert!((part - whole).abs() <= 1e-6 * (1.0 + whole.abs())),
-                    (part, whole) => prop_assert_eq!(part, whole),
-                }
-            }
-            check_histogram(&samples, &whole.histogram)?;
-            check_histogram(&samples, &parts.histogram)?;
+            check_histogram(&samples, &of(&samples).histogram)?;
         }
     }
 }

@@ -25,11 +25,6 @@ pub enum Command {
     },
     /// Pause (`false`) or resume all asynchronous output of this port; registers keep their values (`$VNASY,0`).
     AsyncOutput(bool),
-    /// Request one frame of binary output 1, 2 or 3 (`$VNBOM,n`).
-    PollBinary(u8),
-    /// Reset (`$VNRST`): the sensor answers, then restarts with its saved settings within 1.25 s (ArduPilot#22488; the SDK
-    /// waits 2.5 s).
-    Reset,
 }
 
 impl Command {
@@ -50,8 +45,6 @@ impl Command {
             Self::ReadRegister { register, port: Some(port) } => format!("VNRRG,{register:02},{port}"),
             Self::WriteRegister { register, values } => format!("VNWRG,{register:02},{values}"),
             Self::AsyncOutput(on) => format!("VNASY,{}", u8::from(*on)),
-            Self::PollBinary(output) => format!("VNBOM,{output}"),
-            Self::Reset => "VNRST".to_owned(),
         }
     }
 
@@ -152,8 +145,6 @@ impl<'a> Reply<'a> {
                 self.verb == Verb::WriteRegister && self.register == Some(*register)
             }
             Command::AsyncOutput(_) => self.verb == Verb::AsyncOutput,
-            Command::PollBinary(_) => self.verb == Verb::PollBinary,
-            Command::Reset => self.verb == Verb::Reset,
         }
     }
 
@@ -185,10 +176,8 @@ mod tests {
         assert_eq!(text(&Command::write(6, "1,1"), Crc16), "$VNWRG,06,1,1*CA15\r\n");
         assert_eq!(text(&Command::read(1), Crc16), "$VNRRG,01*E15F\r\n");
         assert_eq!(text(&Command::read(7), Xor8), "$VNRRG,07*74\r\n");
-        assert_eq!(text(&Command::Reset, Xor8), "$VNRST*4D\r\n");
         assert_eq!(Command::ReadRegister { register: 5, port: Some(2) }.body(), "VNRRG,05,2");
         assert_eq!(Command::AsyncOutput(false).body(), "VNASY,0");
-        assert_eq!(Command::PollBinary(1).body(), "VNBOM,1");
         assert_eq!(Command::read(115).body(), "VNRRG,115");
     }
 

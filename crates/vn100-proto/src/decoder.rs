@@ -147,11 +147,6 @@ impl Decoder {
         self.need = 0;
     }
 
-    /// The binary frames to search for.
-    pub fn binary(&self) -> BinaryAcceptance {
-        self.binary
-    }
-
     /// The totals so far.
     pub fn stats(&self) -> DecoderStats {
         self.stats

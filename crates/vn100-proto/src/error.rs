@@ -55,43 +55,32 @@ pub enum DeviceError {
 }
 
 impl DeviceError {
+    const KNOWN: [(u8, Self); 13] = [
+        (0x01, Self::HardFault),
+        (0x02, Self::SerialBufferOverflow),
+        (0x03, Self::InvalidChecksum),
+        (0x04, Self::InvalidCommand),
+        (0x05, Self::NotEnoughParameters),
+        (0x06, Self::TooManyParameters),
+        (0x07, Self::InvalidParameter),
+        (0x08, Self::InvalidRegister),
+        (0x09, Self::UnauthorizedAccess),
+        (0x0A, Self::WatchdogReset),
+        (0x0B, Self::OutputBufferOverflow),
+        (0x0C, Self::InsufficientBaudRate),
+        (0xFF, Self::ErrorBufferOverflow),
+    ];
+
     /// The error with this code.
     pub fn from_code(code: u8) -> Self {
-        match code {
-            0x01 => Self::HardFault,
-            0x02 => Self::SerialBufferOverflow,
-            0x03 => Self::InvalidChecksum,
-            0x04 => Self::InvalidCommand,
-            0x05 => Self::NotEnoughParameters,
-            0x06 => Self::TooManyParameters,
-            0x07 => Self::InvalidParameter,
-            0x08 => Self::InvalidRegister,
-            0x09 => Self::UnauthorizedAccess,
-            0x0A => Self::WatchdogReset,
-            0x0B => Self::OutputBufferOverflow,
-            0x0C => Self::InsufficientBaudRate,
-            0xFF => Self::ErrorBufferOverflow,
-            other => Self::Unknown(other),
-        }
+        Self::KNOWN.into_iter().find(|(known, _)| *known == code).map_or(Self::Unknown(code), |(_, error)| error)
     }
 
     /// The code.
     pub fn code(self) -> u8 {
         match self {
-            Self::HardFault => 0x01,
-            Self::SerialBufferOverflow => 0x02,
-            Self::InvalidChecksum => 0x03,
-            Self::InvalidCommand => 0x04,
-            Self::NotEnoughParameters => 0x05,
-            Self::TooManyParameters => 0x06,
-            Self::InvalidParameter => 0x07,
-            Self::InvalidRegister => 0x08,
-            Self::UnauthorizedAccess => 0x09,
-            Self::WatchdogReset => 0x0A,
-            Self::OutputBufferOverflow => 0x0B,
-            Self::InsufficientBaudRate => 0x0C,
-            Self::ErrorBufferOverflow => 0xFF,
             Self::Unknown(code) => code,
+            known => Self::KNOWN.into_iter().find(|(_, error)| *error == known).map_or(0, |(code, _)| code),
         }
     }
 
@@ -109,11 +98,6 @@ impl DeviceError {
             _ => return None,
         };
         Some(Self::from_code(code))
-    }
-
-    /// Whether the sensor restarts at this error, so that its clock begins at 0 and unsaved settings are lost.
-    pub fn restarts_sensor(self) -> bool {
-        matches!(self, Self::HardFault | Self::WatchdogReset)
     }
 }
 
@@ -145,6 +129,5 @@ mod tests {
             assert_eq!(DeviceError::from_code(code).code(), code);
         }
         assert!(DeviceError::InsufficientBaudRate.to_string().contains("0C"));
-        assert!(DeviceError::HardFault.restarts_sensor());
     }
 }

@@ -24,38 +24,16 @@ pub const BAUD_RATE: u16 = 5;
 pub const ASYNC_TYPE: u16 = 6;
 /// Rate of the asynchronous ASCII message.
 pub const ASYNC_RATE: u16 = 7;
-/// Magnetic and gravity reference vectors.
-pub const REFERENCE_VECTORS: u16 = 21;
-/// Magnetometer compensation.
-pub const MAG_COMPENSATION: u16 = 23;
-/// Accelerometer compensation.
-pub const ACCEL_COMPENSATION: u16 = 25;
-/// Reference frame rotation.
-pub const REFERENCE_ROTATION: u16 = 26;
 /// Communication protocol control.
 pub const COMMUNICATION: u16 = 30;
 /// Synchronization control.
 pub const SYNCHRONIZATION: u16 = 32;
 /// Synchronization status.
 pub const SYNCHRONIZATION_STATUS: u16 = 33;
-/// VPE basic control.
-pub const VPE_CONTROL: u16 = 35;
-/// Filter start-up gyro bias.
-pub const STARTUP_GYRO_BIAS: u16 = 43;
-/// Magnetometer calibration control.
-pub const MAG_CALIBRATION: u16 = 44;
 /// Binary output 1; 76 and 77 are outputs 2 and 3.
 pub const BINARY_OUTPUT_1: u16 = 75;
-/// Binary output 2.
-pub const BINARY_OUTPUT_2: u16 = 76;
 /// Binary output 3.
 pub const BINARY_OUTPUT_3: u16 = 77;
-/// Delta theta and delta velocity configuration.
-pub const DELTA_CONFIGURATION: u16 = 82;
-/// Reference vector configuration.
-pub const REFERENCE_CONFIGURATION: u16 = 83;
-/// Gyro compensation.
-pub const GYRO_COMPENSATION: u16 = 84;
 /// IMU filtering.
 pub const IMU_FILTER: u16 = 85;
 
@@ -79,37 +57,6 @@ fn numbers<T: std::str::FromStr + Copy + Default, const N: usize>(values: &str) 
         *slot = fields.next()?.trim().parse().ok()?;
     }
     fields.next().is_none().then_some(numbers)
-}
-
-/// A value of registers 5, 6 or 7, with the serial port if one was named (1 RS-232, 2 TTL).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct PortValue {
-    /// Baud rate (register 5), message id (6; see [`AsciiType::from_id`](super::AsciiType::from_id)) or rate in Hz (7).
-    pub value: u32,
-    /// The port: a reply carries it only if the command did.
-    pub port: Option<u8>,
-}
-
-impl PortValue {
-    /// Reads the values of register 5, 6 or 7.
-    ///
-    /// # Errors
-    /// [`RegisterError`] if they are not one number and an optional port.
-    pub fn parse(register: u16, values: &str) -> Result<Self, RegisterError> {
-        let refuse =
-            || RegisterError { register, expected: "a number and perhaps a serial port", found: values.to_owned() };
-        match numbers::<u32, 2>(values) {
-            Some([value, port]) => Ok(Self { value, port: Some(u8::try_from(port).map_err(|_| refuse())?) }),
-            None => numbers::<u32, 1>(values).map(|[value]| Self { value, port: None }).ok_or_else(refuse),
-        }
-    }
-}
-
-impl fmt::Display for PortValue {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}", self.value)?;
-        self.port.map_or(Ok(()), |port| write!(formatter, ",{port}"))
-    }
 }
 
 /// Register 30: the additions to ASCII messages, their checksum, and the reporting of errors.
@@ -421,9 +368,6 @@ mod tests {
 
     #[test]
     fn values_are_printed_as_they_were_read() {
-        assert_eq!(PortValue::parse(5, "115200").unwrap().to_string(), "115200");
-        assert_eq!(PortValue::parse(6, "1,1").unwrap(), PortValue { value: 1, port: Some(1) });
-        assert_eq!(PortValue::parse(7, "2,1").unwrap().to_string(), "2,1");
         for values in ["0,0,0,0,1,0,1", "3,1,0,0,3,0,2"] {
             assert_eq!(CommunicationControl::parse(values).unwrap().to_string(), values);
         }
@@ -446,9 +390,6 @@ mod tests {
 
     #[test]
     fn values_that_do_not_belong_there_are_refused() {
-        assert!(PortValue::parse(5, "").is_err());
-        assert!(PortValue::parse(5, "1,2,3").is_err());
-        assert!(PortValue::parse(5, "1,300").is_err());
         assert!(CommunicationControl::parse("0,0,0").is_err());
         assert!(SyncControl::parse("a,0,0,0,6,1,0,100000000,0").is_err());
         assert!(BinaryOutput::parse(75, "1,20").is_err());

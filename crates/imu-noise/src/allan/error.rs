@@ -34,22 +34,6 @@ pub enum AllanError {
         /// Bits available.
         bits: u32,
     },
-    /// Sums of different fixed-point scales cannot be added.
-    #[error("sums in steps of 1/{found} cannot be added to sums in steps of 1/{expected}: compute one of them again")]
-    ScaleMismatch {
-        /// Steps per unit of the receiver.
-        expected: f64,
-        /// Steps per unit of the other.
-        found: f64,
-    },
-    /// Sums over different averaging factors cannot be added.
-    #[error("sums over {found} averaging factors cannot be added to sums over {expected} others: use the same grid")]
-    GridMismatch {
-        /// Factors of the receiver.
-        expected: usize,
-        /// Factors of the other.
-        found: usize,
-    },
     /// A checkpoint is of another version.
     #[error("a checkpoint of version {found} is not of version {expected}: start the job again")]
     CheckpointVersion {

@@ -34,7 +34,6 @@ impl Level {
 /// Folds the samples of one channel into octave Allan variances. It takes about 12 kB, for any length.
 #[derive(Debug, Clone)]
 pub struct LiveAllan {
-    scale: FixedPoint,
     steps_per_unit: f64,
     levels: [Level; LEVELS],
     /// The latest phases at every 1, 2, 4… samples; `[0]` serves the dense levels.
@@ -50,7 +49,6 @@ impl LiveAllan {
     /// An estimator without samples.
     pub fn new(scale: FixedPoint) -> Self {
         Self {
-            scale,
             steps_per_unit: scale.steps_per_unit(),
             levels: [Level::default(); LEVELS],
             rings: vec![[0; KEPT]; LEVELS - DENSE + 1],
@@ -144,11 +142,6 @@ impl LiveAllan {
             points.push(AllanPoint { m, variance: mean / steps / steps, terms, segments: level.segments, stride });
         }
         points
-    }
-
-    /// The scale of the integers.
-    pub fn scale(&self) -> FixedPoint {
-        self.scale
     }
 }
 

@@ -403,30 +403,13 @@ mod tests {
             let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut % count).chain([0, count]).collect();
             cuts.sort_unstable();
             let mut checkpoint = Overlapping::new(scale(), grid.clone()).save();
-            let of_full_overlap = TauGrid::custom(grid.full_overlap().iter().copied()).unwrap();
-            let none = AllanSums::new(scale(), of_full_overlap.clone());
-            let mut side_by_side = none.clone();
             for pair in cuts.windows(2) {
                 let halo = &samples[pair[0].saturating_sub(grid.halo_len() + more)..pair[0]];
                 let mut resumed = Overlapping::restore(&checkpoint, halo).unwrap();
                 resumed.push(&samples[pair[0]..pair[1]]);
                 checkpoint = resumed.save();
-                // With full overlap, parts of a segment need their halo alone.
-                let mut part = Overlapping::resume(none.clone(), Strided::new(&of_full_overlap), halo);
-                part.push(&samples[pair[0]..pair[1]]);
-                side_by_side.merge(part.sums()).unwrap();
             }
             prop_assert_eq!(Overlapping::restore(&checkpoint, &[]).unwrap().into_sums(), expected);
-            prop_assert_eq!(side_by_side, whole(&samples, &of_full_overlap));
-        }
-
-        #[test]
-        fn sums_of_captures_add_beyond_full_overlap_too(first in 1usize..2000, second in 1usize..2000) {
-            let grid = TauGrid::with_full_overlap([1, 17, 144, 336], 7).unwrap();
-            let samples = noise(first + second, 0.1);
-            let mut merged = whole(&samples[..first], &grid);
-            merged.merge(&whole(&samples[first..], &grid)).unwrap();
-            prop_assert_eq!(merged, fold(&samples, &[first], &grid, &[usize::MAX / 2]));
         }
     }
 

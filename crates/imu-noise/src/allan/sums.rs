@@ -7,8 +7,7 @@ const VERSION: u8 = 2;
 
 /// Per averaging factor the exact sum of squared second differences, how many there were, and how many segments gave any.
 ///
-/// Sums of disjoint pieces of data add ([`AllanSums::merge`]); the result does not depend on how the data was cut, to the
-/// last bit. They are all a checkpoint has to hold.
+/// The result does not depend on how the data was cut, to the last bit. They are all a checkpoint has to hold.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllanSums {
     scale: FixedPoint,
@@ -80,38 +79,6 @@ impl AllanSums {
         // Powers of ten and two separately: the square of their product is not always exact.
         let steps = self.scale.steps_per_unit();
         Some(sum as f64 / (2.0 * terms as f64 * m * m) / steps / steps)
-    }
-
-    /// Adds the sums of other data.
-    ///
-    /// # Errors
-    /// [`AllanError::ScaleMismatch`] and [`AllanError::GridMismatch`] if they are not of the same kind.
-    pub fn merge(&mut self, other: &Self) -> Result<(), AllanError> {
-        if self.scale != other.scale {
-            return Err(AllanError::ScaleMismatch {
-                expected: self.scale.steps_per_unit(),
-                found: other.scale.steps_per_unit(),
-            });
-        }
-        if self.grid != other.grid {
-            return Err(AllanError::GridMismatch {
-                expected: self.grid.factors().len(),
-                found: other.grid.factors().len(),
-            });
-        }
-        for (mine, theirs) in self.squares.iter_mut().zip(&other.squares) {
-            // Saturating addition of non-negative numbers is associative: the result stays independent of the order.
-            *mine = mine.saturating_add(*theirs);
-        }
-        for (mine, theirs) in self.terms.iter_mut().zip(&other.terms) {
-            *mine += theirs;
-        }
-        for (mine, theirs) in self.segments.iter_mut().zip(&other.segments) {
-            *mine += theirs;
-        }
-        self.samples += other.samples;
-        self.out_of_range += other.out_of_range;
-        Ok(())
     }
 
     /// The checkpoint: little-endian, versioned, 36 bytes per averaging factor.
@@ -215,20 +182,9 @@ mod tests {
     }
 
     #[test]
-    fn sums_that_differ_in_kind_are_not_added() {
-        let mut sums = some();
-        let other_grid = AllanSums::new(sums.scale(), TauGrid::octave(8).unwrap());
-        assert!(matches!(sums.merge(&other_grid), Err(AllanError::GridMismatch { .. })));
-        let other_scale = AllanSums::new(FixedPoint::for_channel(Channel::AccelX), sums.grid().clone());
-        assert!(matches!(sums.merge(&other_scale), Err(AllanError::ScaleMismatch { .. })));
-    }
-
-    #[test]
     fn a_sum_beyond_its_bits_is_absent_not_wrong() {
         let mut sums = some();
-        for _ in 0..3 {
-            sums.merge(&some()).unwrap();
-        }
+        sums.squares[0] = u128::MAX;
         assert_eq!(sums.variance(0), None);
         assert!(sums.variance(4).is_some());
     }

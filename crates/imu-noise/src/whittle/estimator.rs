@@ -4,7 +4,6 @@ use super::dst::{Transform, efficient_length};
 use super::sums::{Bin, DstSums, edge, fine_edge, fine_index_of, index_of};
 use crate::allan::FixedPoint;
 use std::f64::consts::PI;
-use std::ops::Range;
 
 /// Folds the samples of one channel into [`DstSums`].
 ///
@@ -71,26 +70,6 @@ impl DstEstimator {
                 self.break_segment(transform);
             }
         }
-    }
-
-    /// As [`Self::push`], for samples of the numbers from `first` on: those in `excluded` (ascending, apart) take no part, and no
-    /// transform spans them. For knocks, warm-up and the like, by any numbering that the caller uses.
-    pub fn push_except(&mut self, transform: &mut Transform, samples: &[f64], first: u64, excluded: &[Range<u64>]) {
-        let mut rest = samples;
-        let mut next = first;
-        for range in excluded {
-            let before = usize::try_from(range.start.saturating_sub(next)).unwrap_or(usize::MAX);
-            if range.end <= next || before >= rest.len() {
-                continue;
-            }
-            let (kept, from) = rest.split_at(before);
-            self.push(transform, kept);
-            self.break_segment(transform);
-            let left_out = usize::try_from(range.end - next.max(range.start)).unwrap_or(usize::MAX).min(from.len());
-            rest = from.get(left_out..).unwrap_or_default();
-            next += (before + left_out) as u64;
-        }
-        self.push(transform, rest);
     }
 
     fn take(&mut self, transform: &mut Transform, mut samples: &[f64]) {

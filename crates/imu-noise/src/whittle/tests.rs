@@ -270,24 +270,6 @@ fn portions_do_not_matter_and_a_stretch_goes_on_after_a_kill() {
 }
 
 #[test]
-fn what_is_excluded_by_time_takes_no_part_however_the_samples_come() {
-    let mut samples = record(3.5e-3, 1e-3, 3e-4, 6_000, 10);
-    let excluded = [0..100, 2_000..2_300, 5_990..7_000];
-    let expected = sums_of(&[&samples[100..2_000], &samples[2_300..5_990]]);
-    for knock in [50, 2_150, 5_995] {
-        samples[knock] += 1.0;
-    }
-    for portion in [6_000, 1_000, 37, 1] {
-        let mut transform = Transform::new();
-        let mut estimator = DstEstimator::new(FixedPoint::for_range(0, 6).unwrap());
-        for (index, part) in samples.chunks(portion).enumerate() {
-            estimator.push_except(&mut transform, part, (index * portion) as u64, &excluded);
-        }
-        assert_eq!(estimator.into_sums(&mut transform), expected, "in portions of {portion}");
-    }
-}
-
-#[test]
 fn too_little_or_constant_data_is_said_to_be_so_and_no_number_is_nan() {
     for (samples, kind) in
         [(vec![], "insufficient"), (record(1.0, 0.0, 0.0, 20, 1), "insufficient"), (vec![0.5; 5_000], "constant")]
