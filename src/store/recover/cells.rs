@@ -4,38 +4,20 @@
 //! "Database File Format", sqlite.org/fileformat2.html: b-tree pages (1.6), the record format (2.1).
 
 use super::image::{Image, u32_at};
+use rusqlite::types::{FromSql, Value};
+use std::str::FromStr;
 
 /// The longest chain of overflow pages that is followed; registers and results stay far below.
 const OVERFLOW_MAX: usize = 4096;
 
-/// A stored value.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) enum Value {
-    Null,
-    Integer(i64),
-    Real(f64),
-    Text(String),
-    Blob,
+/// A column's value if it is of this type; a column of type REAL may be stored as an integer.
+pub(super) fn get<T: FromSql>(row: &[Value], column: usize) -> Option<T> {
+    T::column_result(row.get(column)?.into()).ok()
 }
 
-impl Value {
-    pub(super) fn integer(&self) -> Option<i64> {
-        if let Self::Integer(value) = self { Some(*value) } else { None }
-    }
-    /// A column of type REAL may be stored as an integer.
-    pub(super) fn real(&self) -> Option<f64> {
-        match self {
-            Self::Real(value) => Some(*value),
-            Self::Integer(value) => Some(*value as f64),
-            _ => None,
-        }
-    }
-    pub(super) fn text(&self) -> Option<&str> {
-        if let Self::Text(text) = self { Some(text) } else { None }
-    }
-    pub(super) fn is_null(&self) -> bool {
-        matches!(self, Self::Null)
-    }
+/// The value that a column names.
+pub(super) fn named<T: FromStr>(row: &[Value], column: usize) -> Option<T> {
+    get::<String>(row, column)?.parse().ok()
 }
 
 /// Kinds of b-tree pages.
@@ -157,7 +139,7 @@ fn record(bytes: &[u8]) -> Option<Vec<Value>> {
             8 => Value::Integer(0),
             9 => Value::Integer(1),
             7 => Value::Real(f64::from_be_bytes(part.try_into().ok()?)),
-            12.. if kind % 2 == 0 => Value::Blob,
+            12.. if kind % 2 == 0 => Value::Blob(part.to_vec()),
             12.. => Value::Text(String::from_utf8(part.to_vec()).ok()?),
             _ => {
                 let negative = part.first().is_some_and(|byte| *byte >= 0x80);

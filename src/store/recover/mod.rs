@@ -16,12 +16,11 @@ use super::check::{Finding, check};
 use super::insert::insert;
 use super::{SOFTWARE, StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
-use cells::Value;
+use cells::{get, named};
 use image::Image;
-use imu_core::sample::{
-    Channel, ChannelSet, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Segment, Timebase,
-};
+use imu_core::sample::{Channel, ChannelSet, EventKind, EventRecord, Gap, GapCause, Record, Segment, Timebase};
 use imu_core::units::NANOS_PER_SECOND;
+use rusqlite::types::Value;
 use rusqlite::{Connection, params};
 use salvage::Salvage;
 use serde::Serialize;
@@ -127,7 +126,7 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
     ids.extend(salvage.places.keys());
     for id in ids {
         let row = salvage.captures.get(&id);
-        if row.is_some_and(|row| row.get(4).and_then(Value::text) != Some("live")) {
+        if row.is_some_and(|row| get::<String>(row, 4).as_deref() != Some("live")) {
             continue;
         }
         report.captures.push(Rebuilt::new(&mut connection, &mut salvage, id)?.run()?);
@@ -144,7 +143,7 @@ struct Rebuilt<'a> {
     salvage: &'a mut Salvage,
     report: RecoveredCapture,
     pending: Vec<(i64, Record)>,
-    row: Option<Vec<Value>>,
+    row: Vec<Value>,
     /// Samples that the capture had.
     end: i64,
     gaps: std::vec::IntoIter<Gap>,
@@ -160,10 +159,9 @@ struct Rebuilt<'a> {
 
 impl<'a> Rebuilt<'a> {
     fn new(connection: &'a mut Connection, salvage: &'a mut Salvage, id: i64) -> Result<Self, StoreError> {
-        let row = salvage.captures.get(&id).cloned();
-        let integer = |column: usize| row.as_ref().and_then(|row| row.get(column)).and_then(Value::integer);
-        let text = |column: usize| row.as_ref().and_then(|row| row.get(column)).and_then(Value::text);
-        let name = text(1).map_or_else(|| format!("recovered-{id}"), str::to_owned);
+        let row = salvage.captures.get(&id).cloned().unwrap_or_default();
+        let (integer, text) = (|column| get::<i64>(&row, column), |column| get::<String>(&row, column));
+        let name = text(1).unwrap_or_else(|| format!("recovered-{id}"));
         connection.execute(
             "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
              started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
@@ -171,8 +169,8 @@ impl<'a> Rebuilt<'a> {
             params![
                 id,
                 name,
-                text(2).unwrap_or("unknown"),
-                text(3).unwrap_or("stopped"),
+                text(2).unwrap_or_else(|| "unknown".to_owned()),
+                text(3).unwrap_or_else(|| "stopped".to_owned()),
                 integer(5).unwrap_or_else(|| SystemClock.utc_ns()),
                 integer(6),
                 integer(7).filter(|ns| *ns > 0),
@@ -180,7 +178,7 @@ impl<'a> Rebuilt<'a> {
                 integer(11) == Some(1),
                 text(18).filter(|json| is_json(json)),
                 text(19).filter(|json| is_json(json)),
-                text(20).unwrap_or(SOFTWARE),
+                text(20).unwrap_or_else(|| SOFTWARE.to_owned()),
                 text(21),
             ],
         )?;
@@ -212,10 +210,6 @@ impl<'a> Rebuilt<'a> {
             segments: 0,
             shifts: Vec::new(),
         })
-    }
-
-    fn integer(&self, column: usize) -> Option<i64> {
-        self.row.as_ref()?.get(column)?.integer()
     }
 
     fn run(mut self) -> Result<RecoveredCapture, StoreError> {
@@ -342,7 +336,7 @@ impl<'a> Rebuilt<'a> {
 
     /// The samples lost before the first one present.
     fn leading_gap(&self, row: &StoredRow) -> Gap {
-        let started = self.integer(8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
+        let started = get(&self.row, 8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
         Gap {
             before_seq: 0,
             from_utc_ns: started,
@@ -360,11 +354,11 @@ impl<'a> Rebuilt<'a> {
         if let Some(found) = self.salvage.segments.get(&id).and_then(|segments| segments.get(&row.segment_id)) {
             return Segment {
                 number: 0,
-                epoch: found[2].integer().and_then(|epoch| u32::try_from(epoch).ok()).unwrap_or(1).max(1),
+                epoch: get(found, 2).unwrap_or(1).max(1),
                 first_seq: 0,
-                rate_hz: found[5].real().unwrap_or(1.0),
-                timebase: found[6].text().and_then(|name| name.parse().ok()).unwrap_or(Timebase::Arrival),
-                channels: names_of(found[7].text()),
+                rate_hz: get(found, 5).unwrap_or(1.0),
+                timebase: named(found, 6).unwrap_or(Timebase::Arrival),
+                channels: names_of(found, 7),
                 first_device_time_ns: None,
                 first_utc_ns: 0,
                 boot_id: None,
@@ -389,8 +383,7 @@ impl<'a> Rebuilt<'a> {
 
     /// The rate of the capture, or of the samples that follow, in Hz.
     fn rate_after(&mut self, row: &StoredRow) -> f64 {
-        let told = self.row.as_ref().and_then(|capture| capture.get(10)).and_then(Value::real);
-        if let Some(rate_hz) = told.filter(|rate_hz| *rate_hz > 0.0) {
+        if let Some(rate_hz) = get(&self.row, 10).filter(|rate_hz| *rate_hz > 0.0) {
             return rate_hz;
         }
         let rows = self.salvage.samples(self.report.id, row.seq, row.seq + 100);
@@ -402,14 +395,14 @@ impl<'a> Rebuilt<'a> {
     }
 
     fn channels(&mut self) -> Result<(), StoreError> {
-        for row in self.salvage.channels.iter().filter(|row| row[0].integer() == Some(self.report.id)) {
-            let (name, unit) = (row[1].text(), row[2].text());
-            let values = params![self.report.id, name, unit, row[3].real(), row[4].text(), row[5].real()];
+        for row in self.salvage.channels.iter().filter(|row| get(row, 0) == Some(self.report.id)) {
+            let [name, unit, original_unit] = [1, 2, 4].map(|column| get::<String>(row, column));
+            let (resolution, factor) = (get::<f64>(row, 3), get::<f64>(row, 5));
             if name.is_some() && unit.is_some() {
                 self.connection.execute(
                     "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
                      VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT DO NOTHING",
-                    values,
+                    params![self.report.id, name, unit, resolution, original_unit, factor],
                 )?;
             }
         }
@@ -431,7 +424,7 @@ impl<'a> Rebuilt<'a> {
 
     fn finish(mut self) -> Result<RecoveredCapture, StoreError> {
         let id = self.report.id;
-        let state = self.row.as_ref().and_then(|row| row.get(3)).and_then(Value::text).unwrap_or("stopped").to_owned();
+        let state = get(&self.row, 3).unwrap_or_else(|| "stopped".to_owned());
         let trailing: Vec<Gap> = self.next_gap.take().into_iter().chain(self.gaps.by_ref()).collect();
         if let Some((last, (_, segment))) = self.last.zip(self.segment.clone()) {
             let lost = (self.end - 1 - last.seq).max(0) as u64;
@@ -450,11 +443,11 @@ impl<'a> Rebuilt<'a> {
                 self.push(Record::Gap(Gap { before_seq: self.next_seq, ..gap }))?;
             }
         }
-        let rejected = self.salvage.rejected.iter().filter(|row| row[0].integer() == Some(id));
+        let rejected = self.salvage.rejected.iter().filter(|row| get(row, 0) == Some(id));
         let rejected: Vec<Record> = rejected
             .filter_map(|row| {
-                let cause = DiscardCause::from_name(row[1].text()?)?;
-                Some(Record::Discarded { cause, count: u64::try_from(row[2].integer()?).ok()? })
+                let count = u64::try_from(get::<i64>(row, 2)?).ok()?;
+                Some(Record::Discarded { cause: named(row, 1)?, count })
             })
             .collect();
         for record in rejected {
@@ -463,7 +456,7 @@ impl<'a> Rebuilt<'a> {
         let lost = self.report.samples_lost;
         self.write()?;
         self.trail()?;
-        if lost > 0 || self.row.is_none() {
+        if lost > 0 || self.row.is_empty() {
             let message =
                 format!("recovered from a damaged database: {} samples taken, {lost} lost", self.report.samples);
             let event = EventRecord { utc_ns: SystemClock.utc_ns(), kind: EventKind::Warning, message, detail: None };
@@ -475,9 +468,9 @@ impl<'a> Rebuilt<'a> {
             params![
                 id,
                 state,
-                self.integer(9),
-                self.integer(17) == Some(1),
-                self.row.as_ref().and_then(|row| row.get(10)).and_then(Value::real).filter(|rate| *rate > 0.0)
+                get::<i64>(&self.row, 9),
+                get(&self.row, 17) == Some(1),
+                get::<f64>(&self.row, 10).filter(|rate_hz| *rate_hz > 0.0)
             ],
         )?;
         Ok(self.report)
@@ -487,21 +480,21 @@ impl<'a> Rebuilt<'a> {
     fn trail(&mut self) -> Result<(), StoreError> {
         let id = self.report.id;
         let transaction = self.connection.transaction()?;
-        for row in self.salvage.events.values().filter(|row| row[1].integer() == Some(id)) {
-            let detail = row[5].text().filter(|json| is_json(json));
+        for row in self.salvage.events.values().filter(|row| get(row, 1) == Some(id)) {
+            let detail = get::<String>(row, 5).filter(|json| is_json(json));
             transaction.execute(
                 "INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)",
-                params![id, row[2].integer(), row[3].text(), row[4].text(), detail],
+                params![id, row[2], row[3], row[4], detail],
             )?;
             self.report.events += 1;
         }
-        for row in self.salvage.configurations.values().filter(|row| row[1].integer() == Some(id)) {
-            let before = row[3].integer().unwrap_or(0);
+        for row in self.salvage.configurations.values().filter(|row| get(row, 1) == Some(id)) {
+            let before = get(row, 3).unwrap_or(0);
             let shift = self.shifts.iter().rev().find(|(from, _)| *from <= before).map_or(0, |(_, shift)| *shift);
             let before = (before - shift).clamp(0, self.next_seq as i64);
             transaction.execute(
                 "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)",
-                params![id, row[2].integer(), before, row[4].text()],
+                params![id, row[2], before, row[4]],
             )?;
         }
         transaction.commit()?;
@@ -540,21 +533,20 @@ fn is_json(text: &str) -> bool {
     serde_json::from_str::<serde_json::Value>(text).is_ok()
 }
 
-fn names_of(json: Option<&str>) -> ChannelSet {
-    let names: Vec<String> = json.and_then(|json| serde_json::from_str(json).ok()).unwrap_or_default();
-    names.iter().filter_map(|name| Channel::from_name(name)).collect()
+fn names_of(row: &[Value], column: usize) -> ChannelSet {
+    let names = get::<String>(row, column).and_then(|json| serde_json::from_str::<Vec<String>>(&json).ok());
+    names.iter().flatten().filter_map(|name| Channel::from_name(name)).collect()
 }
 
 fn gap_of(row: &[Value]) -> Option<Gap> {
-    let integer = |column: usize| row.get(column)?.integer();
-    let unsigned = |column: usize| u64::try_from(integer(column)?).ok();
+    let unsigned = |column: usize| u64::try_from(get::<i64>(row, column)?).ok();
     Some(Gap {
         before_seq: unsigned(2)?,
-        from_utc_ns: integer(3)?,
-        to_utc_ns: integer(4)?,
-        device_ns: integer(5).zip(integer(6)).map(|(from, to)| (from as u64, to as u64)),
+        from_utc_ns: get(row, 3)?,
+        to_utc_ns: get(row, 4)?,
+        device_ns: get::<i64>(row, 5).zip(get::<i64>(row, 6)).map(|(from, to)| (from as u64, to as u64)),
         missing: unsigned(7)?,
-        missing_exact: integer(8)? == 1,
-        cause: GapCause::from_name(row.get(9)?.text()?)?,
+        missing_exact: get(row, 8) == Some(1),
+        cause: named(row, 9)?,
     })
 }

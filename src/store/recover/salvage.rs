@@ -5,9 +5,11 @@
 
 use super::super::CaptureState;
 use super::super::batch::{BatchRow, StoredRow};
-use super::cells::{Kind, Page, Value, parse};
+use super::cells::{Kind, Page, get, named, parse};
 use super::image::{Image, u32_at};
 use imu_core::sample::{Channel, DiscardCause, GapCause, Timebase};
+use rusqlite::types::Value;
+use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Pages whose rows are cached.
@@ -90,15 +92,12 @@ impl Salvage {
         for number in schema {
             owners.insert(number, "sqlite_schema".to_owned());
             for (_, row) in parse(&self.image, number).map(|page| page.rows).unwrap_or_default() {
-                let (Some(kind), Some(name), Some(root)) = (
-                    row.first().and_then(Value::text),
-                    row.get(1).and_then(Value::text),
-                    row.get(3).and_then(Value::integer),
-                ) else {
+                let (Some(kind), Some(name), Some(root)) =
+                    (get::<String>(&row, 0), get::<String>(&row, 1), get::<u32>(&row, 3))
+                else {
                     continue;
                 };
-                let name = if kind == "table" { name } else { "index" };
-                let Ok(root) = u32::try_from(root) else { continue };
+                let name = if kind == "table" { &name } else { "index" };
                 self.walk(root, &mut |number| {
                     let new = !owners.contains_key(&number);
                     if new {
@@ -158,7 +157,7 @@ impl Salvage {
                 } else if let Some(batch) = Some(&row).filter(|_| is("batch")).and_then(|row| batch_of(row)) {
                     self.batches.entry(batch.capture_id).or_default().entry(batch.first_seq).or_insert(batch);
                 } else if is("segment") && is_segment(&row) {
-                    if let (Some(capture), Some(segment)) = (row[0].integer(), row[1].integer()) {
+                    if let (Some(capture), Some(segment)) = (get(&row, 0), get(&row, 1)) {
                         self.segments.entry(capture).or_default().entry(segment).or_insert(row);
                     }
                 } else if is("rejected") && is_rejected(&row) {
@@ -171,7 +170,7 @@ impl Salvage {
             } else if is("capture") && is_capture(&row) {
                 self.captures.entry(row_id).or_insert(row);
             } else if is("gap") && is_gap(&row) {
-                if let Some(capture) = row[1].integer() {
+                if let Some(capture) = get(&row, 1) {
                     self.gaps.entry(capture).or_default().push(row);
                 }
             } else if is("event") && is_event(&row) {
@@ -232,80 +231,70 @@ impl Salvage {
 }
 
 fn sample_of(row: &[Value]) -> Option<(i64, StoredRow)> {
-    let time = |index: usize| -> Option<Option<i64>> {
-        let value = row.get(index)?;
-        if value.is_null() { Some(None) } else { value.integer().map(Some) }
-    };
     let mut sample = StoredRow {
-        seq: row.get(1)?.integer().filter(|seq| *seq >= 0)?,
-        segment_id: row.get(2)?.integer().filter(|segment| *segment > 0)?,
-        device_time_ns: time(3)?,
-        host_mono_ns: row.get(4)?.integer()?,
-        host_utc_ns: row.get(5)?.integer()?,
-        sync_count: time(6 + Channel::COUNT)?,
+        seq: get(row, 1).filter(|seq| *seq >= 0)?,
+        segment_id: get(row, 2).filter(|segment| *segment > 0)?,
+        device_time_ns: get(row, 3)?,
+        host_mono_ns: get(row, 4)?,
+        host_utc_ns: get(row, 5)?,
+        sync_count: get(row, 6 + Channel::COUNT)?,
         ..StoredRow::default()
     };
     for (index, value) in sample.values.iter_mut().enumerate() {
-        let stored = row.get(6 + index)?;
-        *value = if stored.is_null() { None } else { Some(stored.real()?) };
+        *value = get(row, 6 + index)?;
     }
-    Some((row.first()?.integer()?, sample))
+    Some((get(row, 0)?, sample))
 }
 
 fn batch_of(row: &[Value]) -> Option<BatchRow> {
-    let integers: Vec<i64> = row.iter().map(Value::integer).collect::<Option<_>>()?;
-    let [capture_id, first_seq, count, _, crc] = integers[..] else { return None };
-    let crc = u32::try_from(crc).ok()?;
+    let [capture_id, first_seq, count] = [get(row, 0)?, get(row, 1)?, get::<i64>(row, 2)?];
+    let crc = get(row, 4)?;
     // A batch is a commit's or an import's step and never this large.
-    ((1..1_000_000).contains(&count) && first_seq >= 0).then_some(BatchRow { capture_id, first_seq, count, crc })
+    let is_batch = row.len() == 5 && get::<i64>(row, 3).is_some() && (1..1_000_000).contains(&count) && first_seq >= 0;
+    is_batch.then_some(BatchRow { capture_id, first_seq, count, crc })
 }
 
 fn integers(row: &[Value], columns: &[usize]) -> bool {
-    columns.iter().all(|column| row.get(*column).is_some_and(|value| value.integer().is_some()))
+    columns.iter().all(|column| get::<i64>(row, *column).is_some())
 }
 
-fn text(row: &[Value], column: usize) -> Option<&str> {
-    row.get(column)?.text()
+fn is_json<T: DeserializeOwned>(row: &[Value], column: usize) -> bool {
+    get::<String>(row, column).is_some_and(|json| serde_json::from_str::<T>(&json).is_ok())
 }
 
 fn is_capture(row: &[Value]) -> bool {
+    let lifecycle = get::<String>(row, 4).unwrap_or_default();
     row.len() >= 22
-        && text(row, 1).is_some()
-        && text(row, 3).is_some_and(|state| state.parse::<CaptureState>().is_ok())
-        && text(row, 4).is_some_and(|lifecycle| ["live", "importing", "deleted"].contains(&lifecycle))
+        && get::<String>(row, 1).is_some()
+        && named::<CaptureState>(row, 3).is_some()
+        && ["live", "importing", "deleted"].contains(&lifecycle.as_str())
         && integers(row, &[5, 13, 14])
 }
 
 fn is_segment(row: &[Value]) -> bool {
     row.len() >= 12
         && integers(row, &[0, 1, 2, 3, 4])
-        && row[5].real().is_some_and(|rate_hz| rate_hz.is_finite() && rate_hz > 0.0)
-        && text(row, 6).is_some_and(|name| name.parse::<Timebase>().is_ok())
-        && text(row, 7).is_some_and(|names| serde_json::from_str::<Vec<String>>(names).is_ok())
+        && get(row, 5).is_some_and(|rate_hz: f64| rate_hz.is_finite() && rate_hz > 0.0)
+        && named::<Timebase>(row, 6).is_some()
+        && is_json::<Vec<String>>(row, 7)
 }
 
 fn is_gap(row: &[Value]) -> bool {
-    row.len() >= 10
-        && integers(row, &[1, 2, 3, 4, 7, 8])
-        && text(row, 9).is_some_and(|cause| GapCause::from_name(cause).is_some())
+    row.len() >= 10 && integers(row, &[1, 2, 3, 4, 7, 8]) && named::<GapCause>(row, 9).is_some()
 }
 
 fn is_rejected(row: &[Value]) -> bool {
-    row.len() == 3
-        && integers(row, &[0, 2])
-        && text(row, 1).is_some_and(|cause| DiscardCause::from_name(cause).is_some())
+    row.len() == 3 && integers(row, &[0, 2]) && named::<DiscardCause>(row, 1).is_some()
 }
 
 fn is_channel(row: &[Value]) -> bool {
-    row.len() == 6 && integers(row, &[0]) && text(row, 1).is_some_and(|name| Channel::from_name(name).is_some())
+    row.len() == 6 && integers(row, &[0]) && named::<Channel>(row, 1).is_some()
 }
 
 fn is_event(row: &[Value]) -> bool {
-    row.len() >= 6 && integers(row, &[1, 2]) && text(row, 3).is_some() && text(row, 4).is_some()
+    row.len() >= 6 && integers(row, &[1, 2]) && [3, 4].into_iter().all(|column| get::<String>(row, column).is_some())
 }
 
 fn is_configuration(row: &[Value]) -> bool {
-    row.len() >= 5
-        && integers(row, &[1, 2, 3])
-        && text(row, 4).is_some_and(|json| serde_json::from_str::<serde_json::Value>(json).is_ok())
+    row.len() >= 5 && integers(row, &[1, 2, 3]) && is_json::<serde_json::Value>(row, 4)
 }
