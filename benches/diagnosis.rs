@@ -95,7 +95,7 @@ fn measure(what: &str, real: &Recording, expected: &str, rounds: usize, diagnose
         took.push(begun.elapsed().as_secs_f64());
         worked.push(processor_s() - begun_s);
         peak = peak.max(f64::from(ALLOCATOR.peak_usage_as_mb() - before));
-        assert_eq!(outcome.diagnosis.causes.first().map(|cause| cause.effect), Some(expected));
+        assert_eq!(outcome.diagnosis.causes.first().map(|cause| cause.effect.name()), Some(expected));
     }
     let median = |of: &mut Vec<f64>| {
         of.sort_unstable_by(f64::total_cmp);

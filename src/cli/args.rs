@@ -7,6 +7,7 @@ use imu_core::units::parse_duration;
 use imu_diagnosis::model_fit::effects_named;
 use imu_files::export::Target;
 use imu_noise::allan::{Estimator, TauSpacing};
+use imu_model::EffectKind;
 use imu_noise::datasheet::{Datasheet, DatasheetError};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -642,7 +643,7 @@ pub enum ModelCommand {
 
 /// Effects by name.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct EffectNames(pub Vec<&'static str>);
+pub struct EffectNames(pub Vec<EffectKind>);
 
 /// Arguments of `backup`.
 #[derive(Debug, Args)]

@@ -90,7 +90,7 @@ fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Re
     }
     let together = analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?;
     same_rate(together.plan.rate_hz)?;
-    Ok(model::fitted(together, &imu_diagnosis::effect_names(), None)?.fitted.as_law()?)
+    Ok(model::fitted(together, &imu_diagnosis::effects(), None)?.fitted.as_law()?)
 }
 
 fn print(of: &Diagnosis) -> std::io::Result<()> {
@@ -131,7 +131,7 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         let mut rows = table(&["where the gap lies", "channel", "band in Hz", "time in s", "share", "sign"]);
         for Place { of: what, channel, band_hz, from_s, to_s, at, share, sign, .. } in &of.r#where {
             let what = match what {
-                Of::Cause(index) => of.causes.get(*index).map_or("", |cause| cause.effect),
+                Of::Cause(index) => of.causes.get(*index).map_or("", |cause| cause.effect.name()),
                 Of::Parameters => "a parameter",
                 Of::Remainder => "nothing known",
             };

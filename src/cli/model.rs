@@ -9,6 +9,7 @@ use crate::jobs::{self, Fitted, TwoThreads};
 use anyhow::Context as _;
 use imu_diagnosis::model_fit::{Difference, differences};
 use imu_files::export::ImuNoise;
+use imu_model::EffectKind;
 use imu_model::simulator::SensorModel;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -72,7 +73,7 @@ pub(super) struct Fit {
 }
 
 /// The model of captures, with the effects that are wanted, as far as they are found.
-pub(super) fn fitted(together: Together, wanted: &[&'static str], name: Option<String>) -> anyhow::Result<Fit> {
+pub(super) fn fitted(together: Together, wanted: &[EffectKind], name: Option<String>) -> anyhow::Result<Fit> {
     let rejected = together.rejected();
     let name = name.unwrap_or_else(|| together.name());
     let fitted = jobs::fitted(&together.source, together.plan, wanted, &name, u64::MAX, &TwoThreads)?;
@@ -252,7 +253,7 @@ mod tests {
         }
         std::fs::write(&path, text).unwrap();
         let context = Context { data_dir: None, config: None, json: false };
-        for wanted in [&[][..], &["bias_step"]] {
+        for wanted in [&[][..], &[EffectKind::BiasStep]] {
             let opened = analysis::open(&context, &[path.to_str().unwrap().to_owned()], None).unwrap();
             let fit = fitted(opened, wanted, None).unwrap().fitted;
             let gyro = &fit.model.channels[&Channel::GyroZ];

@@ -216,7 +216,7 @@ fn document_of(
             let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
             same_rate(plan.rate_hz)?;
             let (workers, room) = (OneByOne { step, from: 0.05, to: 0.5 }, room(&plan));
-            let fitted = fitted(reader, plan, &imu_diagnosis::effect_names(), &capture.name, room, &workers)?;
+            let fitted = fitted(reader, plan, &imu_diagnosis::effects(), &capture.name, room, &workers)?;
             (fitted.as_law()?, 0.5)
         }
     };

@@ -7,6 +7,7 @@ use imu_core::sample::Channel;
 use imu_diagnosis::model_fit::{model_of, with_effects};
 use imu_diagnosis::report::{Of, Place};
 use imu_diagnosis::{Diagnosis, Verdict, Workers};
+use imu_model::EffectKind;
 use imu_model::simulator::SensorModel;
 use imu_noise::NoiseReport;
 use imu_noise::statistics::Moments;
@@ -50,7 +51,7 @@ impl Fitted {
 pub fn fitted(
     source: &dyn SampleSource,
     plan: Plan,
-    wanted: &[&'static str],
+    wanted: &[EffectKind],
     name: &str,
     room: u64,
     workers: &dyn Workers,

@@ -6,7 +6,7 @@ use super::named::Named;
 use super::report::Sense;
 use super::shared::Shared;
 use imu_core::sample::Channel;
-use imu_model::effects::{CommonMode, Effect, SpectralNoise, Stage};
+use imu_model::effects::{CommonMode, Effect, EffectKind, SpectralNoise, Stage};
 use imu_model::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -51,13 +51,13 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
         }
         let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
         // The law's white noise includes the noise that the model shares with other channels.
-        let is_common = |effect: &Arc<dyn Effect>| effect.name() == "common_mode";
+        let is_common = |effect: &Arc<dyn Effect>| effect.kind() == EffectKind::CommonMode;
         let is_off = own().any(|one| one.declared.as_ref().is_some_and(|(_, of)| is_common(of)));
         let shared = channel.effects.iter().filter(|effect| is_common(effect) && !is_off);
         let sigmas: Vec<f64> = shared.filter_map(|effect| effect.number("sigma")).collect();
         sigmas.into_iter().for_each(|sigma| without_shared(channel, sigma, internal_hz));
         for one in own().filter(|one| one.sense != Sense::Superfluous) {
-            if one.effect.name() == "common_mode" {
+            if one.effect.kind() == EffectKind::CommonMode {
                 // The first shared noise of all channels has one source, the second another: earlier sources are not this
                 // channel's.
                 let with = |shared: &Shared| {
@@ -67,9 +67,8 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 (0..before).for_each(|_| channel.push_effect(Arc::new(CommonMode { sigma: 0.0 }), &[]));
             }
             channel.push_effect(one.effect.clone(), &one.ci95);
-            if let Some(common) = one.effect.parameters().iter().find(|(name, _)| *name == "sigma")
-                && one.effect.name() == "common_mode"
-                && let Some(sigma) = common.1.as_f64()
+            if one.effect.kind() == EffectKind::CommonMode
+                && let Some(sigma) = one.effect.number("sigma")
             {
                 without_shared(channel, sigma, internal_hz);
             }

@@ -4,7 +4,7 @@
 use super::report::{Cause, Sense};
 use super::round_trip::{model, recording};
 use super::{Diagnosis, Options, Outcome, Verdict, diagnose};
-use imu_model::effects::{BiasStep, Resonance};
+use imu_model::effects::{BiasStep, EffectKind, Resonance};
 use serde_json::{Value, json};
 
 const SAMPLES: usize = 32_000;
@@ -14,7 +14,7 @@ fn compared(sensor: Option<&Value>, declared: Option<&Value>, seed: u64) -> Outc
 }
 
 fn brief(causes: &[Cause]) -> Vec<(&'static str, Sense, String)> {
-    causes.iter().map(|of| (of.effect, of.sense, of.channels.join(","))).collect()
+    causes.iter().map(|of| (of.effect.name(), of.sense, of.channels.join(","))).collect()
 }
 
 /// The corrected model explains the record: it lacks no effect and has no surplus effect.
@@ -163,7 +163,7 @@ fn what_else_the_sensor_lacks_is_superfluous() {
         let name = effect["effect"].as_str().unwrap();
         let outcome = compared(None, Some(&effect), seed);
         let found = &outcome.diagnosis;
-        let own = found.causes.iter().all(|of| of.effect == name && of.sense == Sense::Superfluous);
+        let own = found.causes.iter().all(|of| of.effect.name() == name && of.sense == Sense::Superfluous);
         let right = own && found.causes.len() == 1 && found.verdict == Verdict::Effects;
         let mended = is_mended(&outcome, None, seed + 1000);
         if !right || !mended {
@@ -184,7 +184,9 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
         for (own, stated) in [(&effect, &declared), (&declared, &effect)] {
             let outcome = compared(Some(own), Some(stated), seed);
             let found = &outcome.diagnosis;
-            let one = found.causes.len() == 1 && found.causes[0].effect == name && found.causes[0].sense == Sense::Size;
+            let one = found.causes.len() == 1
+                && found.causes[0].effect.name() == name
+                && found.causes[0].sense == Sense::Size;
             if !one || found.verdict != Verdict::Effects || !is_mended(&outcome, Some(own), seed + 100) {
                 let numbers: Vec<_> = found.causes.iter().map(|of| &of.parameters).collect();
                 wrong.push(format!(
@@ -291,7 +293,7 @@ fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
         let moved = diagnose(&recording(&shifted, seed, 32_000), &sim, &Options::default()).unwrap().diagnosis;
         assert!(moved.offsets.is_empty(), "{further}: {:?}", moved.offsets);
         let plain = diagnose(&recording(&sim, seed, 32_000), &model(None), &Options::default()).unwrap().diagnosis;
-        let cause = plain.causes.iter().find(|cause| cause.effect == "temperature_bias");
+        let cause = plain.causes.iter().find(|cause| cause.effect == EffectKind::TemperatureBias);
         assert!(cause.is_some(), "{further}: {plain:#?}");
     }
 }
@@ -305,7 +307,8 @@ fn what_is_of_another_size_is_no_further_cause() {
     for (sensor, declared) in [(bursts(0.1), bursts(0.012)), (filter(0.13), filter(0.45))] {
         let found = compared(Some(&sensor), Some(&declared), 306).diagnosis;
         let name = sensor["effect"].as_str().unwrap();
-        let right = found.causes.len() == 1 && found.causes[0].effect == name && found.causes[0].sense == Sense::Size;
+        let right =
+            found.causes.len() == 1 && found.causes[0].effect.name() == name && found.causes[0].sense == Sense::Size;
         assert!(right, "{name}: {:#?}", brief(&found.causes));
     }
 }

@@ -17,7 +17,7 @@ pub(super) fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
 }
 
 pub(super) fn names(outcome: &Outcome) -> Vec<&'static str> {
-    outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
+    outcome.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect()
 }
 
 /// The effects of a cause on a channel, one after the other.
@@ -223,7 +223,7 @@ fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
             of.effects.push(std::sync::Arc::new(imu_model::effects::Tone { frequency_hz, amplitude }));
             let real = recording(&truth, seed, 65_536);
             let found = diagnosed(&real, &sim);
-            let tone = found.diagnosis.causes.iter().find(|cause| cause.effect == "tone");
+            let tone = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "tone");
             let own = tone.filter(|tone| list(tone, "accel_x").len() == 1);
             let ends = own.map(|tone| tone.uncertainty["accel_x"][0]["amplitude"].clone());
             let [low, high] = [0, 1].map(|end| ends.as_ref().and_then(|ends| ends[end].as_f64()).unwrap_or(f64::NAN));
@@ -252,7 +252,7 @@ fn a_tone_of_a_few_periods_is_a_tone() {
             let frequency_hz = periods / length_s;
             let tone = json!({"effect": "tone", "frequency_hz": frequency_hz, "amplitude": amplitude});
             let found = diagnosed(&recording(&model(Some(&tone)), seed, 65_536), &model(None));
-            let cause = found.diagnosis.causes.first().filter(|cause| cause.effect == "tone");
+            let cause = found.diagnosis.causes.first().filter(|cause| cause.effect.name() == "tone");
             let near = |channel: &str| {
                 let of = cause.map_or(Vec::new(), |cause| list(cause, channel));
                 let number = |name: &str| of.first().and_then(|of| of[name].as_f64()).unwrap_or(f64::NAN);
@@ -311,7 +311,7 @@ fn a_tone_that_a_filter_hardly_lets_pass_has_no_interval() {
         *value += 0.003 * (std::f64::consts::TAU * 0.25 * t as f64 + 0.3).sin();
     }
     let found = diagnosed(&real, &model(Some(&filter))).diagnosis;
-    let tone = found.causes.iter().find(|cause| cause.effect == "tone").unwrap();
+    let tone = found.causes.iter().find(|cause| cause.effect.name() == "tone").unwrap();
     let near = |of: &Value| (of["frequency_hz"].as_f64().unwrap() - 10.0).abs() < 1e-4;
     let own: Vec<usize> =
         list(tone, "accel_x").iter().enumerate().filter(|(_, of)| near(of)).map(|(at, _)| at).collect();

@@ -7,7 +7,7 @@ use super::discrepancy::discrepancy;
 use super::evidence::Kind;
 use super::hints;
 use super::law::{Law, Shape, Term};
-use super::named::{self, Named, is_fact, stamps};
+use super::named::{self, Named, stamps};
 use super::oddities::{self, Oddity};
 use super::omnibus::Statistic;
 use super::owned::{Known, Owned};
@@ -18,7 +18,8 @@ use super::recording::Recording;
 use super::remainder;
 use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Remainder, Sense};
 use imu_core::sample::Channel;
-use imu_model::effects::Effect;
+use imu_model::effects::spec::Nature;
+use imu_model::effects::{Effect, EffectKind};
 use imu_model::simulator::{SensorModel, plateau};
 use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
@@ -49,7 +50,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     };
     let foreign: Vec<String> = odd.iter().map(outside).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
-    let total: f64 = named.iter().filter(|of| !is_fact(of)).map(|of| of.gain).sum();
+    let total: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
     let mut causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
     let remnants =
@@ -135,25 +136,22 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
     for of in &found.channels {
         let step = of.prepared.facts.step.or(of.prepared.step);
         let own: Vec<&Named> = named.iter().filter(|one| one.channel == of.prepared.channel).collect();
-        let marginal = own.iter().any(|one| {
-            matches!(one.effect.name(), "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples")
-        }) || of
-            .prepared
-            .has
-            .iter()
-            .any(|name| matches!(*name, "spikes" | "heavy_tails" | "bursts" | "saturation" | "held_samples"))
+        let is_marginal = |kind: EffectKind| kind.spec().nature == Nature::Samples;
+        let marginal = own.iter().any(|one| is_marginal(one.effect.kind()))
+            || of.prepared.has.iter().any(|kind| is_marginal(*kind))
             || step.is_some_and(|step| step > 0.6 * of.white);
         // An effect of the model that comes and goes does so differently in every record; a band whose level changes
         // does not move.
         let changes = of.prepared.changes;
-        let swells = own.iter().any(|one| one.effect.name() == "modulated_band");
+        let swells = own.iter().any(|one| one.effect.kind() == EffectKind::ModulatedBand);
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice, the value in the middle is the most frequent.
             let lattice = step.is_some() && *statistic == Statistic::Atom;
             // Steps wider than the noise, and values that were cut on one side, are skewed without another effect.
             let coarse = step.is_some_and(|step| step > 1.2 * of.white);
-            let cut = of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&"saturation");
+            let cut =
+                of.prepared.limits.iter().any(Option::is_some) || of.prepared.has.contains(&EffectKind::Saturation);
             let skewed = (coarse || cut) && *statistic == Statistic::Skewness;
             let expected = statistic.is_of_changes() && (changes || (swells && *statistic != Statistic::Sweep));
             if lattice || skewed || expected || (marginal && statistic.is_marginal()) {
@@ -197,11 +195,12 @@ fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity
 /// Codes that are left out. If something moves a channel by steps or otherwise, its distribution of codes differs from that of
 /// noise.
 fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
-    const STILL: [&str; 3] = ["resolution", "timing", "common_mode"];
-    const MOVING: [&str; 4] = ["saturation", "tone", "comb", "held_samples"];
+    use EffectKind::{Comb, CommonMode, HeldSamples, Resolution, Saturation, Timing, Tone};
+    const STILL: [EffectKind; 3] = [Resolution, Timing, CommonMode];
+    const MOVING: [EffectKind; 4] = [Saturation, Tone, Comb, HeldSamples];
     let channel = of.prepared.channel;
-    let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.name()))
-        || of.prepared.has.iter().any(|name| MOVING.contains(name))
+    let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.kind()))
+        || of.prepared.has.iter().any(|kind| MOVING.contains(kind))
         || of.prepared.limits.iter().any(Option::is_some)
         || !of.explanation.sines.is_empty();
     let step = of.prepared.facts.step.filter(|_| !moves)?;
@@ -233,11 +232,12 @@ fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
         sim.channels.retain(|own, _| *own == channel);
         for of in sim.channels.values_mut() {
             of.n = 0.0;
-            of.effects.retain(|effect| effect.name() != "common_mode");
+            of.effects.retain(|effect| effect.kind() != EffectKind::CommonMode);
         }
         plateau(&sim, channel, samples.len() as u64).powi(2)
     };
-    let rounding = step.filter(|_| !has.contains(&"resolution")).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);
+    let rounding =
+        step.filter(|_| !has.contains(&EffectKind::Resolution)).map_or(0.0, |step| step * step / 12.0 / sim.rate_hz);
     let own = (law.levels[0] - white_shift).exp() / of.louder;
     ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
 }
@@ -269,7 +269,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
         let mut own = None;
         // Shared noise that is not the model's takes its part of N.
         let is_shared = named.iter().any(|one| {
-            one.channel == of.prepared.channel && one.declared.is_some() && one.effect.name() == "common_mode"
+            one.channel == of.prepared.channel && one.declared.is_some() && one.effect.kind() == EffectKind::CommonMode
         });
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
             // The model's own value is as good.
@@ -361,7 +361,7 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
     }
     let mut causes: Vec<(f64, Cause)> = groups
         .into_iter()
-        .map(|((effect, sense), group)| {
+        .map(|((_, sense), group)| {
             let gain: f64 = group.iter().map(|of| of.gain).sum();
             let sensors = group.iter().filter(|of| of.sense != Sense::Superfluous).map(|of| (of.channel, &of.effect));
             let models = group.iter().filter_map(|of| Some((of.channel, &of.declared.as_ref()?.1)));
@@ -380,12 +380,14 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
             let mut said = BTreeSet::new();
             evidence.retain(|sentence| said.insert(sentence.clone()));
             let cause = Cause {
-                effect,
+                effect: group[0].effect.kind(),
                 sense,
                 triad: None,
                 channels: channels.into_iter().map(str::to_owned).collect(),
                 confidence,
-                closes: closed.filter(|_| group.iter().all(|of| !is_fact(of))).map(|closed| closed * gain / total),
+                closes: closed
+                    .filter(|_| group.iter().all(|of| !of.effect.spec().is_fact()))
+                    .map(|closed| closed * gain / total),
                 parameters: parameters_of(sensors),
                 model: parameters_of(models),
                 uncertainty,
@@ -400,35 +402,33 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
 
 /// Includes the effects that were worth their price at some step and were not named.
 fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
-    let mut best: BTreeMap<&'static str, (f64, f64, Kind, Vec<String>)> = BTreeMap::new();
+    let mut best: BTreeMap<&'static str, (f64, Alternative)> = BTreeMap::new();
     for of in &found.channels {
         for step in &of.steps {
+            let winner = step.kind.effect();
             for (kind, score) in &step.others {
                 let effect = kind.effect();
-                let same = named.iter().any(|one| one.effect.name() == effect && one.channel == of.prepared.channel);
-                if same || effect == step.kind.effect() {
+                let same = named.iter().any(|one| one.effect.kind() == effect && one.channel == of.prepared.channel);
+                if same || effect == winner {
                     continue;
                 }
                 let lead = step.gain - step.price - score;
-                let entry = best.entry(effect).or_insert((0.0, lead, step.kind, Vec::new()));
-                entry.0 += score;
+                let (sum, alternative) = best.entry(effect.name()).or_insert_with(|| {
+                    let why_not = match lead >= 0.0 {
+                        true => format!("{winner} explains {lead:.0} nats more"),
+                        false => format!("{winner} is simpler and explains only {:.0} nats less", -lead),
+                    };
+                    (0.0, Alternative { effect, channels: Vec::new(), closes: None, why_not })
+                });
+                *sum += score;
                 let name = of.prepared.channel.name().to_owned();
-                if !entry.3.contains(&name) {
-                    entry.3.push(name);
+                if !alternative.channels.contains(&name) {
+                    alternative.channels.push(name);
                 }
             }
         }
     }
-    let mut list: Vec<(f64, Alternative)> = best
-        .into_iter()
-        .map(|(effect, (score, lead, winner, channels))| {
-            let why_not = match lead >= 0.0 {
-                true => format!("{} explains {lead:.0} nats more", winner.effect()),
-                false => format!("{} is simpler and explains only {:.0} nats less", winner.effect(), -lead),
-            };
-            (score, Alternative { effect, channels, closes: None, why_not })
-        })
-        .collect();
+    let mut list: Vec<(f64, Alternative)> = best.into_values().collect();
     list.sort_by(|a, b| b.0.total_cmp(&a.0));
     list.into_iter().map(|(_, of)| of).take(6).collect()
 }

@@ -6,6 +6,7 @@
 
 use super::report::{Cause, Of, Place};
 use imu_core::sample::Channel;
+use imu_model::effects::EffectKind;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
@@ -46,7 +47,7 @@ impl Surroundings<'_> {
             share if share >= SMALL => RIGHT_SMALLER,
             _ => RIGHT_SMALL,
         };
-        let narrow = if cause.effect == "resonance" && self.is_narrow(cause) { RIGHT_NARROW } else { 1.0 };
+        let narrow = if cause.effect == EffectKind::Resonance && self.is_narrow(cause) { RIGHT_NARROW } else { 1.0 };
         let remainder = if remains { RIGHT_BESIDE } else { 1.0 };
         by_share.min(narrow).min(remainder)
     }
@@ -68,7 +69,7 @@ mod tests {
 
     #[test]
     fn what_surrounds_a_cause_lowers_it() {
-        let cause = |effect: &'static str, bandwidth_hz: f64| Cause {
+        let cause = |effect: EffectKind, bandwidth_hz: f64| Cause {
             effect,
             sense: Sense::Missing,
             triad: None,
@@ -85,10 +86,10 @@ mod tests {
             let remains: BTreeSet<Channel> = remains.then_some(Channel::GyroX).into_iter().collect();
             Surroundings { places: &[place(share)], remains: &remains, length_s: 1000.0 }.right(0, cause)
         };
-        let wide = cause("resonance", 0.5);
+        let wide = cause(EffectKind::Resonance, 0.5);
         assert_eq!([0.5, 0.05, 0.001].map(|share| right(share, false, &wide)), [0.98, 0.93, 0.85]);
         assert_eq!(right(0.5, true, &wide), 0.5);
-        assert_eq!(right(0.5, false, &cause("resonance", 0.005)), 0.75);
-        assert_eq!(right(0.5, false, &cause("gauss_markov", 0.005)), 0.98);
+        assert_eq!(right(0.5, false, &cause(EffectKind::Resonance, 0.005)), 0.75);
+        assert_eq!(right(0.5, false, &cause(EffectKind::GaussMarkov, 0.005)), 0.98);
     }
 }

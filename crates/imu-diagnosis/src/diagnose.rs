@@ -26,6 +26,7 @@ use super::spread::Spread;
 use super::tiles::Tiles;
 use super::zero_rows;
 use imu_core::sample::Channel;
+use imu_model::effects::EffectKind;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
 use imu_model::simulator::SensorModel;
 use std::collections::BTreeSet;
@@ -62,8 +63,8 @@ pub struct Options<'a> {
     pub workers: &'a dyn Workers,
     /// Part of the gap above which the remainder makes the verdict `unknown_effect`.
     pub unknown_above: f64,
-    /// Names of the effects to look for; an empty list means all effects.
-    pub effects: Option<&'a [&'static str]>,
+    /// The effects to look for; without a list all.
+    pub effects: Option<&'a [EffectKind]>,
     /// Whether the model's B and K are believed to be about right. If not, they are fitted without prior knowledge.
     pub believed: bool,
     /// The distribution of chance in records of this length ([`super::calibration`]); without it, that of the shipped
@@ -73,13 +74,16 @@ pub struct Options<'a> {
 
 impl Options<'_> {
     /// Whether an effect is looked for.
-    pub fn wants(&self, effect: &str) -> bool {
+    pub fn wants(&self, effect: EffectKind) -> bool {
         // Lines at multiples of one another are found as tones, bands whose level changes as bands.
-        let alike = [["tone", "comb"], ["resonance", "modulated_band"]];
-        let same = |names: &[&str]| {
-            alike.iter().any(|both| both.contains(&effect) && both.iter().any(|one| names.contains(one)))
+        let alike = match effect {
+            EffectKind::Tone => EffectKind::Comb,
+            EffectKind::Comb => EffectKind::Tone,
+            EffectKind::Resonance => EffectKind::ModulatedBand,
+            EffectKind::ModulatedBand => EffectKind::Resonance,
+            other => other,
         };
-        self.effects.is_none_or(|names| names.contains(&effect) || same(names))
+        self.effects.is_none_or(|kinds| kinds.contains(&effect) || kinds.contains(&alike))
     }
 }
 
@@ -196,11 +200,11 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     for (of, value) in channels.iter_mut().zip(omnibus::crosstalk::greatest(residuals, &linked)) {
         of.statistics.push((Statistic::Crosstalk, value));
     }
-    let shared = if options.wants("common_mode") { shared } else { Vec::new() };
+    let shared = if options.wants(EffectKind::CommonMode) { shared } else { Vec::new() };
     let found = Found {
         channels,
         shared,
-        repeats: if options.wants("held_samples") { ready.repeats } else { Vec::new() },
+        repeats: if options.wants(EffectKind::HeldSamples) { ready.repeats } else { Vec::new() },
         further: ready.further,
         samples,
         tails,
@@ -234,11 +238,11 @@ fn explain(
     let setting = ready.setting(&prepared, &base);
     let known = courses::as_declared(&prepared);
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
-    for (name, evidence) in [
-        ("spikes", super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
-        ("heavy_tails", super::evidence::outlier::heavy_tails),
+    for (kind, evidence) in [
+        (EffectKind::Spikes, super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
+        (EffectKind::HeavyTails, super::evidence::outlier::heavy_tails),
     ] {
-        if prepared.has.contains(&name)
+        if prepared.has.contains(&kind)
             && let Some(candidate) = evidence(&series)
         {
             series.explanation = candidate.explanation;
@@ -271,7 +275,7 @@ fn explain(
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let nameless = nameless::density(&series);
-    let has_bands = prepared.has.iter().any(|name| matches!(*name, "resonance" | "modulated_band"));
+    let has_bands = prepared.has.iter().any(|kind| matches!(kind, EffectKind::Resonance | EffectKind::ModulatedBand));
     let levels = if has_bands { Vec::new() } else { modulated::levels(&mut series) };
     let after = Tiles::of(&series);
     let model = sim.channels.get(&prepared.channel);

@@ -4,7 +4,7 @@ use super::diagnose::{Findings, Found};
 use super::holdout::BLOCKS;
 use super::named::Named;
 use super::report::Discrepancy;
-use imu_model::effects::{Stream, StreamId};
+use imu_model::effects::{EffectKind, Stream, StreamId};
 
 /// The explained part, on the half from which no number was fitted.
 pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepancy {
@@ -14,7 +14,7 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
     let blocks = |which: fn(&Findings) -> &Vec<f64>| -> Vec<f64> {
         (0..BLOCKS).map(|block| found.channels.iter().map(|of| which(of)[block]).sum::<f64>()).collect()
     };
-    let common = named.iter().any(|of| of.effect.name() == "common_mode");
+    let common = named.iter().any(|of| of.effect.kind() == EffectKind::CommonMode);
     // The gain from correlation is the same in every block.
     let shared: f64 = found.shared.iter().filter(|_| common).map(|shared| shared.gain).sum();
     let more = 0.5 * shared / BLOCKS as f64;

@@ -49,7 +49,7 @@ fn intervals_hold_the_truth_about_as_often_as_they_state() {
         for seed in 0..SEEDS {
             let real = recording(&model(Some(&effect)), 1000 * index as u64 + seed, SAMPLES);
             let found = diagnose(&real, &model(None), &Options::default()).unwrap().diagnosis;
-            let Some(cause) = found.causes.iter().find(|of| effect["effect"] == of.effect) else { continue };
+            let Some(cause) = found.causes.iter().find(|of| effect["effect"] == of.effect.name()) else { continue };
             for channel in CHANNELS {
                 for (name, ends) in
                     cause.uncertainty.get(channel).into_iter().flat_map(|of| of[0].as_object().cloned()).flatten()

@@ -4,7 +4,7 @@
 //! which the white part is about 1.
 
 use super::grid::{Grid, Narrow};
-use imu_model::effects::{Effect, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
+use imu_model::effects::{Effect, EffectKind, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
 use nalgebra::{DMatrix, DVector};
 
 /// An effect that shapes a spectrum, as far as it is not a number that a fit may move.
@@ -60,24 +60,24 @@ impl Term {
             (2.0 * share.max(f64::MIN_POSITIVE).ln()).clamp(FLOOR.0, FLOOR.1)
         };
         let whole = |name: &str| number(name).map(|value| value as u64);
-        let (shape, numbers) = match effect.name() {
-            "quantization_noise" => (Shape::QuantizationNoise, vec![level(number("Q")?)]),
-            "gauss_markov" => (Shape::GaussMarkov, vec![level(number("sigma")?), number("tc_s")?.ln()]),
-            "resonance" => {
+        let (shape, numbers) = match effect.kind() {
+            EffectKind::QuantizationNoise => (Shape::QuantizationNoise, vec![level(number("Q")?)]),
+            EffectKind::GaussMarkov => (Shape::GaussMarkov, vec![level(number("sigma")?), number("tc_s")?.ln()]),
+            EffectKind::Resonance => {
                 let (frequency_hz, bandwidth_hz) = (number("frequency_hz")?, number("bandwidth_hz")?);
                 let most = Resonance::new(frequency_hz, bandwidth_hz, 1.0).most_asymmetric(rate_hz);
                 let asymmetry = number("asymmetry").filter(|asymmetry| *asymmetry != 0.0).map(|of| of / most);
                 let numbers = [level(number("sigma")?), frequency_hz, bandwidth_hz.ln()];
                 (Shape::Resonance, numbers.into_iter().chain(asymmetry).collect())
             }
-            "power_law" => {
+            EffectKind::PowerLaw => {
                 let alpha = number("alpha")?;
                 let which = Shape::SLOPES.iter().position(|(low, high)| (*low..=*high).contains(&alpha))?;
                 let density = effect.psd(Shape::MIDDLE * rate_hz, rate_hz)?;
                 (Shape::Slope(which), vec![level((density * rate_hz).sqrt()), alpha])
             }
-            "low_pass" => (Shape::LowPass(whole("order")?), vec![number("cutoff_hz")?.ln(), behind()]),
-            "moving_average" => (Shape::MovingAverage(whole("window")?), vec![behind()]),
+            EffectKind::LowPass => (Shape::LowPass(whole("order")?), vec![number("cutoff_hz")?.ln(), behind()]),
+            EffectKind::MovingAverage => (Shape::MovingAverage(whole("window")?), vec![behind()]),
             _ => return None,
         };
         Some(Self { shape, numbers })
@@ -190,10 +190,7 @@ impl Term {
 
 /// The number of samples for which an input of a filter lasts behind it.
 pub(crate) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
-    let parameters = filter.parameters();
-    let number =
-        |wanted: &str| parameters.iter().find(|(name, _)| *name == wanted).and_then(|(_, value)| value.as_f64());
-    let window = number("window").or(number("cutoff_hz").map(|cutoff_hz| rate_hz / cutoff_hz));
+    let window = filter.number("window").or(filter.number("cutoff_hz").map(|cutoff_hz| rate_hz / cutoff_hz));
     window.map_or(0, |samples| samples.ceil() as usize)
 }
 

@@ -105,6 +105,8 @@ pub mod translate;
 mod variances;
 mod zero_rows;
 
+use imu_model::effects::{CHANNEL, EffectKind};
+
 pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
@@ -115,6 +117,6 @@ pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
 
 /// The effects that can be found in a record at rest: those of docs/effects.md that act on channels.
-pub fn effect_names() -> Vec<&'static str> {
-    imu_model::effects::registry::names(&imu_model::effects::registry::CHANNEL)
+pub fn effects() -> Vec<EffectKind> {
+    CHANNEL.iter().map(|of| of.spec.kind).collect()
 }

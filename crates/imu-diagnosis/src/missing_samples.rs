@@ -13,7 +13,7 @@ fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
 }
 
 fn names(outcome: &Outcome) -> Vec<&'static str> {
-    outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect()
+    outcome.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect()
 }
 
 #[test]

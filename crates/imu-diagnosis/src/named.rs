@@ -13,7 +13,7 @@ use super::report::Sense;
 use super::translate::{self, Translated, Units};
 use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
-use imu_model::effects::{CommonMode, Effect, HeldSamples, Resolution, Saturation, Timing};
+use imu_model::effects::{CommonMode, Effect, EffectKind, HeldSamples, Resolution, Saturation, Timing};
 use imu_model::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
@@ -73,7 +73,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
     named.extend(of_shared(found, sim));
     named.extend(values::of_shared(found, sim));
     named.extend(of_stamps(real, sim));
-    named.retain(|of| options.wants(of.effect.name()));
+    named.retain(|of| options.wants(of.effect.kind()));
     for of in &mut named {
         of.evidence.extend(pairs::of_line(of.channel, &*of.effect, real.rate_hz));
     }
@@ -154,7 +154,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
     };
     if let Some(step) = facts.step
         && step > MATERIAL_STEP * of.white
-        && !of.prepared.has.contains(&"resolution")
+        && !of.prepared.has.contains(&EffectKind::Resolution)
     {
         let ratio = step / of.white;
         add(
@@ -165,7 +165,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
             ),
         );
     }
-    if (facts.low.is_some() || facts.high.is_some()) && !of.prepared.has.contains(&"saturation") {
+    if (facts.low.is_some() || facts.high.is_some()) && !of.prepared.has.contains(&EffectKind::Saturation) {
         // Missing and held samples are left out as well, and are not meant.
         let Prepared { outliers, samples, limits, .. } = &of.prepared;
         let cut = censored::at_limits(outliers, samples, samples, *limits).len() as f64;
@@ -184,7 +184,9 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for (channels, repeats) in &found.repeats {
         let has = |channel: &Channel| {
-            sim.channels.get(channel).is_some_and(|model| model.effects.iter().any(|e| e.name() == "held_samples"))
+            sim.channels
+                .get(channel)
+                .is_some_and(|model| model.effects.iter().any(|e| e.kind() == EffectKind::HeldSamples))
         };
         if channels.iter().any(has) {
             continue;
@@ -215,7 +217,7 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
         for ((index, part), sizes) in shared.parts.iter().zip(&shared.ci95) {
             let of = &found.channels[*index];
             let has = sim.channels.get(&of.prepared.channel);
-            if has.is_some_and(|model| model.effects.iter().any(|effect| effect.name() == "common_mode")) {
+            if has.is_some_and(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::CommonMode)) {
                 return Vec::new();
             }
             let gain = shared.gain / shared.parts.len() as f64;
@@ -272,7 +274,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
         }
     }
     let stamps = stamps(real);
-    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.name() == "timing"));
+    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::Timing));
     if has {
         return values::of_stamps(stamps, dropped, real.len(), sim);
     }
@@ -309,9 +311,4 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
             .collect(),
         ..Named::missing(*first, Arc::new(Timing { jitter_s, drop_probability }), gain)
     }]
-}
-
-/// Whether an effect is read off the values and stamps: its consequences are left out of all densities alike.
-pub(super) fn is_fact(of: &Named) -> bool {
-    matches!(of.effect.name(), "resolution" | "saturation" | "held_samples" | "timing")
 }

@@ -70,7 +70,7 @@ mod tests {
     fn what_has_no_name_is_in_the_corrected_model() {
         let band = json!({"effect": "resonance", "frequency_hz": 8.0, "bandwidth_hz": 1.0, "sigma": 0.01});
         // Bands are not searched, so that the density has no name.
-        let options = Options { effects: Some(&["tone"]), ..Options::default() };
+        let options = Options { effects: Some(&[imu_model::EffectKind::Tone]), ..Options::default() };
         let outcome = diagnose(&recording(&model(Some(&band)), 5, 32_000), &model(None), &options).unwrap();
         assert_eq!(outcome.diagnosis.verdict, Verdict::UnknownEffect, "{}", outcome.diagnosis.summary);
         let remainder = outcome.diagnosis.remainder.unwrap();
@@ -80,7 +80,7 @@ mod tests {
         assert_eq!((again.verdict, again.remainder), (Verdict::NoGap, None));
         for channel in [Channel::AccelX, Channel::AccelZ] {
             let effects = &outcome.augmented.channels[&channel].effects;
-            let own = effects.iter().find(|effect| effect.name() == "spectrum").unwrap();
+            let own = effects.iter().find(|effect| effect.kind() == imu_model::EffectKind::SpectralNoise).unwrap();
             let power = own.moments(Record { rate_hz: 40.0, samples: 32_000 }).unwrap().variance;
             // The law's own levels have taken a part of it.
             assert!((2e-5..1.3e-4).contains(&power), "{power}");

@@ -5,7 +5,7 @@ use super::diagnose::Found;
 use super::named::Named;
 use super::recording::Recording;
 use imu_core::sample::{Channel, Triad};
-use imu_model::effects::Effect;
+use imu_model::effects::{Effect, EffectKind};
 use std::collections::BTreeSet;
 
 /// From this correlation on two courses are one to a fit.
@@ -19,7 +19,7 @@ const UPRIGHT: f64 = 9.0;
 
 /// The possible sources of a line: frequencies that sampling folds to it, and mains frequencies among them.
 pub(super) fn of_line(channel: Channel, effect: &dyn Effect, rate_hz: f64) -> Option<String> {
-    let frequency_hz = number(effect, "frequency_hz").or(number(effect, "fundamental_hz"))?;
+    let frequency_hz = frequency_of(effect)?;
     let folded = [rate_hz - frequency_hz, rate_hz + frequency_hz, 2.0 * rate_hz - frequency_hz];
     let folded = folded.map(|hz| format!("{hz:.3}")).join(", ");
     let mains = mains(frequency_hz, rate_hz).map_or_else(String::new, |mains| format!("; {mains} would appear there"));
@@ -39,9 +39,10 @@ fn mains(frequency_hz: f64, rate_hz: f64) -> Option<String> {
 /// A sentence for each pair that the record leaves open.
 pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<String> {
     let mut notes = Vec::new();
-    let with =
-        |names: &[&str]| -> Vec<&Named> { named.iter().filter(|one| names.contains(&one.effect.name())).collect() };
-    let lines = with(&["tone", "comb", "resonance"]);
+    let with = |kinds: &[EffectKind]| -> Vec<&Named> {
+        named.iter().filter(|one| kinds.contains(&one.effect.kind())).collect()
+    };
+    let lines = with(&[EffectKind::Tone, EffectKind::Comb, EffectKind::Resonance]);
     if !lines.is_empty() {
         notes.push(format!(
             "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one named here looks the same; \
@@ -49,15 +50,15 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
             (real.rate_hz * 1e4).round() / 1e4
         ));
         for one in &lines {
-            let frequency_hz = number(&*one.effect, "frequency_hz").or(number(&*one.effect, "fundamental_hz"));
+            let frequency_hz = frequency_of(&*one.effect);
             let Some(frequency_hz) = frequency_hz else { continue };
             if let Some(mains) = mains(frequency_hz, real.rate_hz) {
                 notes.push(format!("{mains} would appear where {} has its line of {frequency_hz:.3} Hz", one.channel));
             }
         }
     }
-    let drifts = with(&["temperature_bias", "rate_ramp", "warm_up"]);
-    let time = [drifts.clone(), with(&["variance_change"])].concat();
+    let drifts = with(&[EffectKind::TemperatureBias, EffectKind::RateRamp, EffectKind::WarmUp]);
+    let time = [drifts.clone(), with(&[EffectKind::VarianceChange])].concat();
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len());
     match read {
         None if !drifts.is_empty() => notes.push(format!(
@@ -80,7 +81,8 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
         found.channels.iter().find(|of| of.prepared.channel == channel).map_or(0.0, |of| of.prepared.level)
     };
     let tilts = |one: &&Named| one.channel.triad() == Some(Triad::Accel) && level(one.channel).abs() < UPRIGHT;
-    let tilted: Vec<&Named> = with(&["rate_ramp", "warm_up", "bias_step"]).into_iter().filter(tilts).collect();
+    let tilted: Vec<&Named> =
+        with(&[EffectKind::RateRamp, EffectKind::WarmUp, EffectKind::BiasStep]).into_iter().filter(tilts).collect();
     if !tilted.is_empty() {
         notes.push(format!(
             "{} or tilt on {}: a support that tilts by a ten-millionth of a turn moves these by 6e-6 m/s²; a record in \
@@ -89,17 +91,17 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
             channels(&tilted)
         ));
     }
-    let shared = with(&["common_mode"]);
+    let shared = with(&[EffectKind::CommonMode]);
     if !shared.is_empty() {
         notes.push(format!(
             "common_mode or motion on {}: a support that shakes is seen by several axes alike; a record on another one tells",
             channels(&shared)
         ));
     }
-    for one in with(&["spikes"]) {
+    for one in with(&[EffectKind::Spikes]) {
         let white = found.channels.iter().find(|of| of.prepared.channel == one.channel).map_or(0.0, |of| of.white);
-        let often = number(&*one.effect, "rate_hz").is_some_and(|rate_hz| rate_hz > 0.002 * real.rate_hz);
-        if often && number(&*one.effect, "amplitude").is_some_and(|size| size < 6.0 * white) {
+        let often = one.effect.number("rate_hz").is_some_and(|rate_hz| rate_hz > 0.002 * real.rate_hz);
+        if often && one.effect.number("amplitude").is_some_and(|size| size < 6.0 * white) {
             notes.push(format!(
                 "spikes or heavy_tails on {}: frequent ones that small are both; a longer record tells",
                 one.channel
@@ -109,8 +111,8 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
     notes
 }
 
-fn number(effect: &dyn Effect, wanted: &str) -> Option<f64> {
-    effect.parameters().into_iter().find(|(name, _)| *name == wanted).and_then(|(_, value)| value.as_f64())
+fn frequency_of(effect: &dyn Effect) -> Option<f64> {
+    effect.number("frequency_hz").or(effect.number("fundamental_hz"))
 }
 
 fn effects(of: &[&Named]) -> String {

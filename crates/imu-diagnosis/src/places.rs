@@ -7,8 +7,7 @@ use super::named::Named;
 use super::recording::Recording;
 use super::report::{Cause, Of, Parameter, Place, Sense};
 use imu_core::sample::Channel;
-use imu_model::effects::Effect;
-use serde_json::Value;
+use imu_model::effects::{Effect, EffectKind, Extent};
 
 /// Half of a line's width in parts of 1 over the record's length.
 const LINE: f64 = 2.0;
@@ -43,7 +42,7 @@ pub(super) fn places(
 ) -> Vec<Place> {
     let mut places = Vec::new();
     for of in named {
-        let same = |cause: &Cause| cause.effect == of.effect.name() && cause.sense == of.sense;
+        let same = |cause: &Cause| cause.effect == of.effect.kind() && cause.sense == of.sense;
         if let Some(index) = causes.iter().position(same) {
             of_cause(&mut places, of, Of::Cause(index), found, real);
         }
@@ -132,7 +131,14 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
 
 /// Whether an effect shapes the spectrum, so that its band was measured against the model's.
 fn is_shape(effect: &dyn Effect) -> bool {
-    matches!(effect.name(), "gauss_markov" | "quantization_noise" | "power_law" | "low_pass" | "moving_average")
+    matches!(
+        effect.kind(),
+        EffectKind::GaussMarkov
+            | EffectKind::QuantizationNoise
+            | EffectKind::PowerLaw
+            | EffectKind::LowPass
+            | EffectKind::MovingAverage
+    )
 }
 
 /// Whether an effect makes less of a difference than another of its name.
@@ -151,7 +157,7 @@ fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
         "jitter_s",
         "degrees_of_freedom",
     ];
-    if one.name() == "comb" {
+    if one.kind() == EffectKind::Comb {
         let power = |of: &dyn Effect| of.lines().iter().map(|line| line.power).sum::<f64>();
         return power(one) < power(other);
     }
@@ -159,82 +165,40 @@ fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
     sizes.is_some_and(|(name, one, other)| (one.abs() < other.abs()) != (name == "degrees_of_freedom"))
 }
 
-/// The place of an effect: a line has a place about its frequency, a step at its time, an interval in its own range. Another
-/// shape of the spectrum has its place in the band in which likelihood is gained. All other effects act everywhere.
+/// The places of an effect: the parts of the record in which it acts, a step with the samples about it; in all frequencies, or in
+/// the band in which likelihood is gained.
 fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
     let (length_s, half_hz) = (real.length_s(), 0.5 * real.rate_hz);
-    let whole = Spot { band_hz: [0.0, half_hz], time_s: [0.0, length_s], weight: 1.0, is_louder: true };
-    let number = |name: &str| effect.number(name);
-    let line = |frequency_hz: f64, width_hz: f64| {
-        let half = width_hz.max(LINE / length_s);
-        [(frequency_hz - half).max(0.0), (frequency_hz + half).min(half_hz)]
+    let kinds = Kind::ALL.into_iter().filter(|kind| kind.effect() == effect.kind());
+    let gains = kinds.filter_map(|kind| own.bands.kinds.get(&kind)).next();
+    let factor = effect.number("factor").unwrap_or(f64::INFINITY);
+    let is_louder = match effect.kind() {
+        EffectKind::Saturation | EffectKind::HeldSamples => false,
+        _ => gains.map_or(factor > 1.0, |band| band.is_louder),
     };
-    let band = |kind: Kind| own.bands.kinds.get(&kind);
-    let of_band =
-        |kind: Kind| band(kind).map_or(whole, |band| Spot { band_hz: band.hz, is_louder: band.is_louder, ..whole });
-    let pairs = |name: &str| -> Vec<[f64; 2]> {
-        let value = effect.parameters().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value);
-        let list = value.as_ref().and_then(Value::as_array).cloned().unwrap_or_default();
-        list.iter().filter_map(|pair| Some([pair.get(0)?.as_f64()?, pair.get(1)?.as_f64()?])).collect()
-    };
-    match effect.name() {
-        "tone" => vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), 0.0), ..whole }],
-        "resonance" | "modulated_band" => {
-            let width_hz = number("bandwidth_hz").unwrap_or_default();
-            vec![Spot { band_hz: line(number("frequency_hz").unwrap_or_default(), width_hz), ..whole }]
+    let whole =
+        Spot { band_hz: gains.map_or([0.0, half_hz], |band| band.hz), time_s: [0.0, length_s], weight: 1.0, is_louder };
+    let spot = |extent: Extent| {
+        let mut spot = Spot { weight: extent.weight, ..whole };
+        if let Some([frequency_hz, width_hz]) = extent.band_hz {
+            let half = width_hz.max(LINE / length_s);
+            spot.band_hz = [(frequency_hz - half).max(0.0), (frequency_hz + half).min(half_hz)];
+            spot.is_louder = true;
         }
-        "comb" => {
-            let fundamental_hz = number("fundamental_hz").unwrap_or_default();
-            let value = effect.parameters().into_iter().find(|(own, _)| *own == "amplitudes").map(|(_, value)| value);
-            let amplitudes = value.as_ref().and_then(Value::as_array).cloned().unwrap_or_default();
-            let harmonics = amplitudes.iter().zip(1..).filter_map(|(peak, order)| {
-                let peak = peak.as_f64().filter(|peak| *peak > 0.0)?;
-                let frequency_hz = f64::from(order) * fundamental_hz;
-                Some(Spot { band_hz: line(frequency_hz, 0.0), weight: peak * peak, ..whole })
-            });
-            harmonics.collect()
-        }
-        "rate_ramp" => vec![of_band(Kind::RateRamp)],
-        "temperature_bias" if band(Kind::TemperatureBias).is_some() => vec![of_band(Kind::TemperatureBias)],
-        "temperature_bias" => vec![of_band(Kind::TemperatureCurve)],
-        "power_law" => vec![of_band(Kind::Slope)],
-        "warm_up" => {
-            let to_s = (3.0 * number("tau_s").unwrap_or(length_s)).min(length_s);
-            vec![Spot { time_s: [0.0, to_s], ..of_band(Kind::WarmUp) }]
-        }
-        "bias_step" => {
-            let at_s = number("at_s").unwrap_or_default();
-            // A step is seen against as many samples as its noise needs, five at least.
-            let size = number("size").unwrap_or_default().abs().max(f64::MIN_POSITIVE);
-            let half_s = (11.0 * (own.white / size).powi(2)).max(5.0) / real.rate_hz;
-            let time_s = [(at_s - half_s).max(0.0), (at_s + half_s).min(length_s)];
-            vec![Spot { time_s, weight: size * size, ..of_band(Kind::BiasStep) }]
-        }
-        "gauss_markov" => vec![of_band(Kind::GaussMarkov)],
-        "quantization_noise" => vec![of_band(Kind::QuantizationNoise)],
-        "low_pass" => vec![of_band(Kind::LowPass)],
-        "moving_average" => vec![of_band(Kind::MovingAverage)],
-        "bursts" => {
-            let intervals = pairs("intervals").into_iter();
-            intervals.map(|time_s| Spot { time_s, weight: time_s[1] - time_s[0], ..whole }).collect()
-        }
-        "variance_change" => match (number("from_s"), number("to_s"), number("factor")) {
-            (Some(from_s), Some(to_s), Some(factor)) => {
-                vec![Spot { time_s: [from_s, to_s], is_louder: factor > 1.0, ..whole }]
+        match extent.time_s {
+            Some([at_s, to_s]) if at_s == to_s => {
+                // A step is seen against as many samples as its noise needs, five at least.
+                let size = extent.weight.sqrt().max(f64::MIN_POSITIVE);
+                let half_s = (11.0 * (own.white / size).powi(2)).max(5.0) / real.rate_hz;
+                spot.time_s = [(at_s - half_s).max(0.0), (at_s + half_s).min(length_s)];
             }
-            _ => vec![Spot { is_louder: true, time_s: loudest(&pairs("profile")).unwrap_or(whole.time_s), ..whole }],
-        },
-        "saturation" | "held_samples" => vec![Spot { is_louder: false, ..whole }],
-        _ => vec![whole],
-    }
-}
-
-/// The instants between which a profile's factor is further from 1 than half of what it is at most.
-fn loudest(profile: &[[f64; 2]]) -> Option<[f64; 2]> {
-    let most = profile.iter().map(|[_, factor]| factor.ln().abs()).fold(0.0, f64::max);
-    let far = |point: &&[f64; 2]| point[1].ln().abs() >= 0.5 * most;
-    let (first, last) = (profile.iter().find(far)?, profile.iter().rev().find(far)?);
-    Some([first[0], last[0]]).filter(|[from, to]| from < to)
+            Some([from_s, to_s]) => spot.time_s = [from_s, to_s],
+            None => {}
+        }
+        spot
+    };
+    let extents = effect.extents();
+    if extents.is_empty() { vec![whole] } else { extents.into_iter().map(spot).collect() }
 }
 
 /// The place on a channel where something remains: the rectangle of time and frequency that holds most of it, if chance rarely

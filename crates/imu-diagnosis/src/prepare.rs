@@ -14,7 +14,9 @@ use super::series::{BaseOf, Setting};
 use super::transform::Cosines;
 use imu_core::sample::{Channel, Triad};
 use imu_model::effects::temperature_bias::RATE_LAG_S;
-use imu_model::effects::{At, Effect, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White, profile};
+use imu_model::effects::{
+    At, Effect, EffectKind, Flicker, Line, RandomWalk, Record, Stage, USUAL_TEMPERATURE_C, White, profile,
+};
 use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -76,7 +78,7 @@ pub struct Prepared {
     /// Samples that its filters reach.
     pub reach: usize,
     /// Names of the effects that it has.
-    pub has: Vec<&'static str>,
+    pub has: Vec<EffectKind>,
     /// Whether an effect of it comes, goes or wanders, so that no two records are alike.
     pub changes: bool,
     /// ln of the white variance at the record's mean temperature over that at the temperature to which N refers.
@@ -376,8 +378,8 @@ fn channel_of(
     let white_shift = white_shift(model, mean_c);
     let levels = [square(density) + white_shift, square(model.b), square(model.k)];
     let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
-    let named = |name: &str| model.effects.iter().find(|effect| effect.name() == name);
-    let of_model = named("resolution").and_then(|effect| effect.parameters().first().and_then(|(_, v)| v.as_f64()));
+    let rounding = model.effects.iter().find(|effect| effect.kind() == EffectKind::Resolution);
+    let of_model = rounding.and_then(|effect| effect.number("step"));
     let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
     let (loud, scedasticity) = variance_of(model, values.len(), sim.rate_hz, scale, internal_hz);
     let shifts = shifts.into_iter().map(|(place, course, factor)| (place, course, factor / scale)).collect();
@@ -401,7 +403,7 @@ fn channel_of(
         scedasticity,
         reach: model.effects.iter().map(|effect| reach(&**effect, sim.rate_hz)).max().unwrap_or(0),
         changes: model.effects.iter().any(|effect| changes(&**effect, values.len(), sim.rate_hz)),
-        has: model.effects.iter().map(|effect| effect.name()).collect(),
+        has: model.effects.iter().map(|effect| effect.kind()).collect(),
         white_shift,
         share: coarse.map_or(1.0, |(_, white)| white.share),
         dither: 0.0,
@@ -438,7 +440,7 @@ fn subtract_others(
 
 /// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone cannot separate them.
 pub(super) fn white_density(model: &ChannelModel, internal_hz: f64) -> f64 {
-    let shared = model.effects.iter().filter(|effect| effect.name() == "common_mode");
+    let shared = model.effects.iter().filter(|effect| effect.kind() == EffectKind::CommonMode);
     let power: f64 = shared.filter_map(|effect| effect.psd(0.0, internal_hz)).sum();
     (model.n * model.n + power).sqrt()
 }
@@ -506,10 +508,9 @@ pub(super) fn scale_of(values: &[f64]) -> f64 {
 /// By how much a model's white part is louder at a temperature than at the temperature to which N refers, in ln of its
 /// variance.
 fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
-    let changes = model.effects.iter().filter(|effect| effect.name() == "variance_change");
+    let changes = model.effects.iter().filter(|effect| effect.kind() == EffectKind::VarianceChange);
     let of = |effect: &Arc<dyn Effect>| {
-        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
-        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
+        let number = |name: &str| effect.number(name);
         number("per_c").zip(number("reference_c")).map_or(0.0, |(per_c, reference)| 2.0 * per_c * (mean_c - reference))
     };
     changes.map(of).sum()
@@ -532,21 +533,18 @@ fn variance_of(
     let white = (white_density(model, internal_hz) / scale).powi(2) * internal_hz;
     let index = |time_s: f64| ((time_s * rate_hz).ceil().max(0.0) as usize).min(samples);
     for (place, effect) in model.effects.iter().enumerate() {
-        let parameters: BTreeMap<&str, serde_json::Value> = effect.parameters().into_iter().collect();
-        let number = |name: &str| parameters.get(name).and_then(serde_json::Value::as_f64);
-        match effect.name() {
-            "bursts" => {
+        let number = |name: &str| effect.number(name);
+        match effect.kind() {
+            EffectKind::Bursts => {
                 let ratio = 1.0 + (number("sigma").unwrap_or_default() / scale).powi(2) / white;
-                let pairs = parameters.get("intervals").and_then(serde_json::Value::as_array);
-                for pair in pairs.into_iter().flatten() {
-                    let end = |at: usize| pair.get(at).and_then(serde_json::Value::as_f64).unwrap_or_default();
-                    let (from, to) = (index(end(0)), index(end(1)));
+                for (from_s, to_s) in effect.pairs("intervals") {
+                    let (from, to) = (index(from_s), index(to_s));
                     if from < to {
                         loud.push((place, Loud { from, to, ratio }));
                     }
                 }
             }
-            "variance_change" => match (number("per_c"), number("factor")) {
+            EffectKind::VarianceChange => match (number("per_c"), number("factor")) {
                 (Some(per_c), _) => scedasticity = Some((place, Scedasticity::PerDegree(2.0 * per_c))),
                 (_, Some(factor)) => {
                     let (from, to) =
@@ -556,13 +554,7 @@ fn variance_of(
                     }
                 }
                 _ => {
-                    let pairs: Vec<(f64, f64)> = parameters
-                        .get("profile")
-                        .and_then(serde_json::Value::as_array)
-                        .into_iter()
-                        .flatten()
-                        .filter_map(|pair| Some((pair.get(0)?.as_f64()?, pair.get(1)?.as_f64()?)))
-                        .collect();
+                    let pairs = effect.pairs("profile");
                     let at = |instant: usize| {
                         let time_s = instant as f64 / (INSTANTS - 1) as f64 * samples as f64 / rate_hz;
                         2.0 * profile::factor(&pairs, time_s).max(1e-6).ln()
@@ -578,13 +570,13 @@ fn variance_of(
 
 /// The intervals of a model's bursts among its stretches of another variance.
 fn loud_of_bursts(model: &ChannelModel, loud: &[OfModel<Loud>]) -> Vec<Range<usize>> {
-    let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.name() == "bursts");
+    let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.kind() == EffectKind::Bursts);
     loud.iter().filter(|(place, _)| is_burst(*place)).map(|(_, loud)| loud.from..loud.to).collect()
 }
 
 /// Whether an effect is another one at any time.
 fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
-    let by_name = matches!(effect.name(), "intermittent" | "wandering_line");
+    let by_name = matches!(effect.kind(), EffectKind::Intermittent | EffectKind::WanderingLine);
     by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
 }
 
@@ -635,7 +627,7 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
         let with = filters.iter().cloned().chain([effect.clone()]).collect();
         let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
         // What is cut out of the samples is not in their spectrum; what channels share is in the level of white noise.
-        if !matches!(effect.name(), "bursts" | "spikes" | "common_mode") {
+        if !matches!(effect.kind(), EffectKind::Bursts | EffectKind::Spikes | EffectKind::CommonMode) {
             known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
         }
     }

@@ -60,28 +60,6 @@ pub struct Tails {
 /// Lengths of the shipped table, samples.
 const LENGTHS: [f64; 3] = [8193.0, 65_536.0, 720_000.0];
 
-/// Kind, offsets at the lengths, scale.
-const KINDS: [(Kind, [f64; 3], f64); 18] = [
-    (Kind::RateRamp, [0.0, 0.0, 0.0], 1.0),
-    (Kind::TemperatureBias, [0.0, 0.0, 0.0], 1.0),
-    (Kind::WarmUp, [0.5, 0.5, 0.5], 1.0),
-    (Kind::BiasStep, [4.4, 5.6, 7.1], 1.0),
-    (Kind::Tone, [9.9, 12.0, 14.4], 1.05),
-    (Kind::Resonance, [6.2, 7.2, 8.0], 1.05),
-    (Kind::GaussMarkov, [0.3, 0.5, 0.6], 1.0),
-    (Kind::QuantizationNoise, [-0.3, -0.3, -0.3], 1.0),
-    (Kind::LowPass, [0.0, 0.0, 0.0], 1.15),
-    (Kind::MovingAverage, [0.0, 0.0, 0.0], 1.0),
-    (Kind::Spikes, [0.0, 0.0, 0.0], 1.0),
-    (Kind::HeavyTails, [0.0, 0.0, 0.0], 1.0),
-    (Kind::Bursts, [8.0, 10.3, 12.4], 1.2),
-    (Kind::VarianceInterval, [8.0, 10.3, 12.4], 1.2),
-    (Kind::VariancePerDegree, [0.0, 0.0, 0.0], 1.0),
-    (Kind::VarianceProfile, [6.9, 6.9, 6.9], 1.35),
-    (Kind::TemperatureCurve, [0.3, 0.5, 0.6], 1.0),
-    (Kind::Slope, [0.0, 0.2, 0.4], 1.0),
-];
-
 const STATISTICS: [(Statistic, [f64; 3], f64); 18] = [
     (Statistic::Kurtosis, [-0.5, -0.5, -0.5], 1.0),
     (Statistic::Skewness, [-0.4, -0.4, -0.4], 1.1),
@@ -116,7 +94,7 @@ impl Tails {
     pub fn shipped(samples: usize) -> Self {
         let tail = |offsets, scale| Tail { offset: between(offsets, samples), scale };
         Self {
-            kinds: KINDS.into_iter().map(|(kind, offsets, scale)| (kind, tail(offsets, scale))).collect(),
+            kinds: Kind::ALL.into_iter().map(|kind| (kind, tail(kind.tail().0, kind.tail().1))).collect(),
             statistics: STATISTICS.into_iter().map(|(of, offsets, scale)| (of, tail(offsets, scale))).collect(),
         }
     }

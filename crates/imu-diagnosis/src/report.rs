@@ -1,5 +1,6 @@
 //! The report: the result of a diagnosis, in the form of docs/formats.md.
 
+use imu_model::effects::EffectKind;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -208,8 +209,8 @@ pub enum Sense {
 /// An effect in which sensor and model differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cause {
-    /// The documented name of it.
-    pub effect: &'static str,
+    /// Which.
+    pub effect: EffectKind,
     /// Who has it.
     pub sense: Sense,
     /// The triad that it belongs to as a whole.
@@ -236,8 +237,8 @@ pub struct Cause {
 /// An effect that was weighed and not named.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Alternative {
-    /// The documented name of it.
-    pub effect: &'static str,
+    /// Which.
+    pub effect: EffectKind,
     /// The channels.
     pub channels: Vec<String>,
     /// The part of the gap that it would close alone.
@@ -316,68 +317,8 @@ impl Diagnosis {
         for cause in &mut self.causes {
             let own =
                 cause.parameters.values_mut().chain(cause.model.values_mut()).chain(cause.uncertainty.values_mut());
-            own.for_each(|of| later(of, from_s));
+            own.for_each(|of| cause.effect.spec().move_times(of, from_s));
         }
         self.summary = super::sentence::summary(self);
-    }
-}
-
-/// Moves the times among an effect's parameters, or among a list of effects.
-fn later(parameters: &mut Value, by_s: f64) {
-    match parameters {
-        Value::Array(list) => list.iter_mut().for_each(|of| later(of, by_s)),
-        Value::Object(of) => {
-            for (name, value) in of {
-                match name.as_str() {
-                    // An instant, or the two ends of its interval.
-                    "at_s" | "from_s" | "to_s" => every(value, by_s),
-                    "intervals" => pairs(value, |pair| pair.iter_mut().for_each(|end| every(end, by_s))),
-                    "profile" => pairs(value, |pair| pair.iter_mut().take(1).for_each(|at| every(at, by_s))),
-                    _ => {}
-                }
-            }
-        }
-        _ => {}
-    }
-}
-
-fn pairs(list: &mut Value, mut change: impl FnMut(&mut Vec<Value>)) {
-    list.as_array_mut().into_iter().flatten().filter_map(Value::as_array_mut).for_each(&mut change);
-}
-
-fn every(value: &mut Value, by_s: f64) {
-    match value {
-        Value::Array(list) => list.iter_mut().for_each(|one| every(one, by_s)),
-        one => {
-            if let Some(number) = one.as_f64() {
-                *one = (number + by_s).into();
-            }
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn every_time_is_moved_and_nothing_else() {
-        let mut list = json!([
-            {"at_s": 3.5, "size": 2.0},
-            {"from_s": 1, "to_s": 2.5, "factor": 3.0},
-            {"intervals": [[1.0, 2.0], [4.0, 5.0]], "sigma": 0.1},
-            {"profile": [[0.0, 1.0], [60.0, 2.0]]},
-            {"at_s": [3.0, 4.0], "size": [1.0, 3.0], "tau_s": [7.0, 9.0]}
-        ]);
-        later(&mut list, 10.0);
-        let moved = json!([
-            {"at_s": 13.5, "size": 2.0},
-            {"from_s": 11.0, "to_s": 12.5, "factor": 3.0},
-            {"intervals": [[11.0, 12.0], [14.0, 15.0]], "sigma": 0.1},
-            {"profile": [[10.0, 1.0], [70.0, 2.0]]},
-            {"at_s": [13.0, 14.0], "size": [1.0, 3.0], "tau_s": [7.0, 9.0]}
-        ]);
-        assert_eq!(list, moved);
     }
 }

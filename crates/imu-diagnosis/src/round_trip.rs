@@ -76,8 +76,8 @@ fn tally(effect: &Value, seeds: std::ops::Range<u64>, samples: usize) -> Tally {
         let real = recording(&model(Some(effect)), seed, samples);
         let outcome = diagnose(&real, &model(None), &Options::default()).unwrap();
         let causes = &outcome.diagnosis.causes;
-        let Some(cause) = causes.first().filter(|cause| cause.effect == name) else {
-            let names: Vec<&str> = causes.iter().map(|cause| cause.effect).collect();
+        let Some(cause) = causes.first().filter(|cause| cause.effect.name() == name) else {
+            let names: Vec<&str> = causes.iter().map(|cause| cause.effect.name()).collect();
             tally.unnamed.push(format!("seed {seed}: {names:?}"));
             continue;
         };
@@ -153,7 +153,7 @@ fn exact_parameters_are_found() {
     ] {
         let real = recording(&model(Some(&effect)), 5, 20_000);
         let found = diagnose(&real, &model(None), &Options::default()).unwrap().diagnosis;
-        let names: Vec<&str> = found.causes.iter().map(|cause| cause.effect).collect();
+        let names: Vec<&str> = found.causes.iter().map(|cause| cause.effect.name()).collect();
         assert_eq!(names, [effect["effect"].as_str().unwrap()], "{found:#?}");
         for (channel, of) in &found.causes[0].parameters {
             for (parameter, value) in of.as_object().unwrap() {
@@ -191,7 +191,7 @@ fn coverage() {
 
 fn named(real: &Recording) -> (Vec<&'static str>, super::Verdict) {
     let diagnosis = diagnose(real, &model(None), &Options::default()).unwrap().diagnosis;
-    (diagnosis.causes.iter().map(|cause| cause.effect).collect(), diagnosis.verdict)
+    (diagnosis.causes.iter().map(|cause| cause.effect.name()).collect(), diagnosis.verdict)
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
                 far * 0.0126 * if spike % 3 == 0 { 1.0 } else { -0.8 };
         }
         let outcome = diagnose(&real, &model(None), &Options::default()).unwrap();
-        let names: Vec<&str> = outcome.diagnosis.causes.iter().map(|cause| cause.effect).collect();
+        let names: Vec<&str> = outcome.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect();
         // Of sizes that spread over two values alone, tails are named besides.
         assert_eq!(names.first(), Some(&"spikes"), "{count} of {far}: {:#?}", outcome.diagnosis.parameters);
         let n = outcome.augmented.channels[&Channel::AccelX].n;

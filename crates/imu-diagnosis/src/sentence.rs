@@ -1,6 +1,7 @@
 //! Sentences: a diagnosis in one, for a person who has ten seconds.
 
 use super::report::{Cause, Diagnosis, Of, Parameter, Sense, Verdict};
+use imu_model::effects::EffectKind;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -126,37 +127,11 @@ fn phrase(cause: &Cause) -> String {
 }
 
 /// An effect in a few words, with its main numbers.
-fn words(effect: &str, first: Option<&Value>) -> String {
+fn words(effect: EffectKind, first: Option<&Value>) -> String {
     let (of, count) = match first {
         Some(Value::Array(list)) => (list.first(), list.len()),
         other => (other, 1),
     };
-    let number = |name: &str| of.and_then(|of| of.get(name)).and_then(Value::as_f64);
     let more = if count > 1 { format!(" and {} more", count - 1) } else { String::new() };
-    let with = |name: &str, unit: &str| number(name).map_or_else(String::new, |value| format!("{value:.3e}{unit}"));
-    match effect {
-        "tone" => format!(
-            "a {:.3} Hz tone of {:.2e}{more}",
-            number("frequency_hz").unwrap_or_default(),
-            number("amplitude").unwrap_or_default()
-        ),
-        "comb" => format!("a comb of {:.3} Hz{more}", number("fundamental_hz").unwrap_or_default()),
-        "resonance" | "modulated_band" => format!(
-            "a band of vibration at {:.2} Hz, {:.2} Hz wide{}{more}",
-            number("frequency_hz").unwrap_or_default(),
-            number("bandwidth_hz").unwrap_or_default(),
-            if effect == "modulated_band" { ", whose level changes" } else { "" }
-        ),
-        "resolution" => format!("values in steps of {}", with("step", "")),
-        "rate_ramp" => format!("a drift of {}", with("R", " a second")),
-        "warm_up" => format!("a warm-up of {} in {}", with("amplitude", ""), with("tau_s", " s")),
-        "bias_step" => format!("a step of {} at {:.1} s{more}", with("size", ""), number("at_s").unwrap_or_default()),
-        "temperature_bias" if number("per_c").is_some_and(|slope| slope != 0.0) => {
-            format!("a level that moves by {} per °C", with("per_c", ""))
-        }
-        "temperature_bias" => "a level that follows the temperature, but not along a line".to_owned(),
-        "low_pass" => format!("a low-pass filter at {:.2} Hz", number("cutoff_hz").unwrap_or_default()),
-        "held_samples" => format!("samples sent twice, {} of all,", with("probability", "")),
-        other => other.replace('_', " "),
-    }
+    effect.spec().phrase(of, &more)
 }

@@ -8,8 +8,9 @@ use super::modulated::Levels;
 use super::prepare::Prepared;
 use super::spread::Spread;
 use imu_model::effects::{
-    BiasStep, Bursts, Comb, Effect, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage, PowerLaw,
-    QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange, WarmUp,
+    BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage,
+    PowerLaw, QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange,
+    WarmUp,
 };
 use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::{BTreeMap, BTreeSet};
@@ -64,9 +65,9 @@ impl Units<'_> {
 /// and cutoff ω 1/(ω·sin(π/2n)).
 fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
     let number = |name: &str| effect.number(name);
-    match effect.name() {
-        "moving_average" => number("window").map_or(0.0, |window| 0.5 * (window - 1.0) / rate_hz),
-        "low_pass" => {
+    match effect.kind() {
+        EffectKind::MovingAverage => number("window").map_or(0.0, |window| 0.5 * (window - 1.0) / rate_hz),
+        EffectKind::LowPass => {
             let (cutoff_hz, order) = (number("cutoff_hz").unwrap_or(f64::INFINITY), number("order").unwrap_or(1.0));
             1.0 / (std::f64::consts::TAU * cutoff_hz * (std::f64::consts::PI / (2.0 * order)).sin())
         }
@@ -253,7 +254,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         add(kind, effect, ci95);
     }
     if let Some(degrees) = explanation.tails
-        && !prepared.has.contains(&"heavy_tails")
+        && !prepared.has.contains(&EffectKind::HeavyTails)
     {
         let ci95 = times(degrees, spread.tails);
         let effect = HeavyTails { degrees_of_freedom: degrees };
@@ -304,7 +305,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         }
     }
     if let Some(spikes) = explanation.spikes
-        && !prepared.has.contains(&"spikes")
+        && !prepared.has.contains(&EffectKind::Spikes)
     {
         let (per_s, size) = (spikes.rate * rate_hz, spikes.size * scale);
         let error = (1.0 / (spikes.rate * samples as f64).max(1.0)).sqrt();

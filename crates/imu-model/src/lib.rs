@@ -23,3 +23,5 @@
 pub mod effects;
 pub mod motion;
 pub mod simulator;
+
+pub use effects::EffectKind;

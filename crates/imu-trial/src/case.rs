@@ -161,7 +161,7 @@ impl Case {
         let name = |channel: &Channel| channel.name().to_owned();
         let effect = |has: &Has| TrueEffect {
             kind: has.effect.kind,
-            effect: has.effect.kind.effect().map(str::to_owned),
+            effect: has.effect.kind.effect().map(|effect| effect.name().to_owned()),
             sense: has.sense,
             size: has.effect.size,
             over_limit: has.over_limit,

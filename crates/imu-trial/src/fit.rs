@@ -18,6 +18,7 @@
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::report::{Cause, entries};
+use imu_model::EffectKind;
 use serde_json::Value;
 
 /// How well a cause fits an effect.
@@ -42,22 +43,23 @@ pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
         return Fit::No;
     }
     if truth.kind == Kind::Timing {
-        return if cause.effect == "timing" { Fit::Exact } else { Fit::No };
+        return if cause.kind() == Some(EffectKind::Timing) { Fit::Exact } else { Fit::No };
     }
     if !cause.channels.iter().any(|channel| truth.channels.contains(channel)) {
         return Fit::No;
     }
     let when = |holds: bool| if holds { Fit::Equivalent } else { Fit::No };
-    match (truth.kind, cause.effect.as_str()) {
-        (Kind::VarianceInterval | Kind::VarianceProfile | Kind::VariancePerC, "variance_change") => {
+    let Some(named) = cause.kind() else { return Fit::No };
+    match (truth.kind, named) {
+        (Kind::VarianceInterval | Kind::VarianceProfile | Kind::VariancePerC, EffectKind::VarianceChange) => {
             variance(truth.kind, cause)
         }
-        (Kind::Comb, "tone") => when(every_harmonic(truth, cause, key)),
-        (Kind::Bursts, "variance_change") => {
+        (Kind::Comb, EffectKind::Tone) => when(every_harmonic(truth, cause, key)),
+        (Kind::Bursts, EffectKind::VarianceChange) => {
             let louder = cause.all_entries().all(|entry| entry["factor"].as_f64().is_some_and(|factor| factor > 1.0));
             when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
         }
-        (Kind::VarianceInterval, "bursts") => {
+        (Kind::VarianceInterval, EffectKind::Bursts) => {
             let louder =
                 truth.meant(cause.sense).values().any(|entry| entry["factor"].as_f64().is_some_and(|one| one > 1.0));
             when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
@@ -173,7 +175,7 @@ mod tests {
     fn truth(kind: Kind, parameters: Value) -> TrueEffect {
         TrueEffect {
             kind,
-            effect: kind.effect().map(str::to_owned),
+            effect: kind.effect().map(|effect| effect.name().to_owned()),
             sense: Sense::Missing,
             size: 1.0,
             over_limit: 2.0,

@@ -9,6 +9,7 @@ use super::kind::Kind;
 use super::limit::ABOVE;
 use super::place::{false_places, is_placed};
 use super::report::{Cause, Of, Place, Report};
+use imu_model::EffectKind;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -199,7 +200,7 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
 
 /// Whether a cause is set aside: stamps of arrival cannot show whether the sensor's clock or the delivery scatters.
 pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
-    cause.effect == "timing"
+    cause.kind() == Some(EffectKind::Timing)
         && key.stamps.is_some_and(|stamps| stamps.deliver_late())
         && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
 }
@@ -240,7 +241,7 @@ fn found(truth: &TrueEffect, causes: &[Cause], places: &[Place], key: &Key) -> F
     };
     for (_, cause) in fits {
         locate(truth, cause, key, &mut found.location);
-        if best == Fit::Exact && Some(cause.effect.as_str()) == truth.kind.effect() {
+        if best == Fit::Exact && cause.kind() == truth.kind.effect() {
             compare(truth, cause, key, &mut found.parameters);
             let [held, of] = intervals_held(truth, cause, key);
             found.intervals = [found.intervals[0] + held, found.intervals[1] + of];

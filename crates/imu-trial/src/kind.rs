@@ -1,152 +1,187 @@
 //! Kinds: the effects that sealed cases have, those of the library and those outside it.
 
-use serde::{Deserialize, Serialize};
+use imu_model::EffectKind;
 
-/// The kinds with their names in keys, scores and on the command line.
+/// Defines kinds with their names in keys, scores and on the command line, in lists; `row` has what else is known of each.
 macro_rules! kinds {
-    ($($list:ident: $($kind:ident = $name:literal),+;)+) => {
-        /// An effect that a sealed case has and its model lacks, or the other way round.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-        #[expect(
-            missing_docs,
-            reason = "the names of docs/effects.md; the others are described where they are imposed"
+    (
+        $(#[$meta:meta])*
+        row: $row:ty;
+        $($(#[$about:meta])* $list:ident: $($kind:ident = $name:literal => $value:expr),+;)+
+    ) => {
+        $(#[$meta])*
+        #[derive(
+            Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
         )]
         pub enum Kind {
-            $($(#[serde(rename = $name)] $kind,)+)+
+            $($(#[doc = $name] #[serde(rename = $name)] $kind,)+)+
         }
 
-        $(const $list: &[Kind] = &[$(Kind::$kind),+];)+
-
         impl Kind {
+            $($(#[$about])* pub const $list: &[Self] = &[$(Self::$kind),+];)+
+
+            /// Every kind.
+            pub fn all() -> impl Iterator<Item = Self> {
+                [$(Self::$list),+].into_iter().flatten().copied()
+            }
+
             /// The name in keys, scores and on the command line.
             pub fn name(self) -> &'static str {
                 match self {
                     $($(Self::$kind => $name,)+)+
                 }
             }
+
+            /// The kind of that name.
+            pub fn from_name(name: &str) -> Option<Self> {
+                Self::all().find(|kind| kind.name() == name)
+            }
+
+            fn row(self) -> $row {
+                match self {
+                    $($(Self::$kind => $value,)+)+
+                }
+            }
+        }
+
+        impl std::fmt::Display for Kind {
+            fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                formatter.write_str(self.name())
+            }
         }
     };
 }
+pub(crate) use kinds;
+
+/// The effects that cannot be distinguished from one another on one channel.
+mod alike {
+    use imu_model::EffectKind::{self, *};
+    pub const LINES: &[EffectKind] = &[Tone, Comb, WanderingLine];
+    pub const TAILS: &[EffectKind] = &[Spikes, HeavyTails];
+    pub const LOUD: &[EffectKind] = &[Bursts, VarianceChange, Intermittent, ModulatedBand];
+    pub const FILTERS: &[EffectKind] = &[LowPass, MovingAverage];
+    pub const DRIFTS: &[EffectKind] = &[RateRamp, WarmUp, TemperatureBias];
+    pub const SLOW: &[EffectKind] = &[GaussMarkov, PowerLaw];
+    pub const ROUNDED: &[EffectKind] = &[Resolution];
+    pub const ANGLE: &[EffectKind] = &[QuantizationNoise];
+    pub const BANDS: &[EffectKind] = &[Resonance];
+    pub const STEPS: &[EffectKind] = &[BiasStep];
+    pub const LIMITS: &[EffectKind] = &[Saturation];
+    pub const REPEATS: &[EffectKind] = &[HeldSamples];
+    pub const SHARED: &[EffectKind] = &[CommonMode];
+    pub const STAMPS: &[EffectKind] = &[Timing];
+    pub const NOTHING: &[EffectKind] = &[];
+}
 
 kinds! {
+    /// An effect that a sealed case has and its model lacks, or the other way round. Those outside the library are described where
+    /// they are imposed. A row has the place in the sensor's chain, and the effects that look alike.
+    row: (u8, &'static [EffectKind]);
+    /// The kinds of the library: the stationary effects of docs/effects.md.
     LIBRARY:
-        Resolution = "resolution",
-        QuantizationNoise = "quantization_noise",
-        RateRamp = "rate_ramp",
-        GaussMarkov = "gauss_markov",
-        Tone = "tone",
-        Comb = "comb",
-        Resonance = "resonance",
-        TemperatureBias = "temperature_bias",
-        WarmUp = "warm_up",
-        Spikes = "spikes",
-        HeavyTails = "heavy_tails",
-        BiasStep = "bias_step",
-        Bursts = "bursts",
-        VarianceInterval = "variance_interval",
-        VarianceProfile = "variance_profile",
-        VariancePerC = "variance_per_c",
-        LowPass = "low_pass",
-        MovingAverage = "moving_average",
-        Saturation = "saturation",
-        HeldSamples = "held_samples",
-        CommonMode = "common_mode",
-        Timing = "timing";
+        Resolution = "resolution" => (4, alike::ROUNDED),
+        QuantizationNoise = "quantization_noise" => (1, alike::ANGLE),
+        RateRamp = "rate_ramp" => (1, alike::DRIFTS),
+        GaussMarkov = "gauss_markov" => (1, alike::SLOW),
+        Tone = "tone" => (1, alike::LINES),
+        Comb = "comb" => (1, alike::LINES),
+        Resonance = "resonance" => (1, alike::BANDS),
+        TemperatureBias = "temperature_bias" => (1, alike::DRIFTS),
+        WarmUp = "warm_up" => (1, alike::DRIFTS),
+        Spikes = "spikes" => (1, alike::TAILS),
+        HeavyTails = "heavy_tails" => (0, alike::TAILS),
+        BiasStep = "bias_step" => (1, alike::STEPS),
+        Bursts = "bursts" => (1, alike::LOUD),
+        VarianceInterval = "variance_interval" => (0, alike::LOUD),
+        VarianceProfile = "variance_profile" => (0, alike::LOUD),
+        VariancePerC = "variance_per_c" => (0, alike::LOUD),
+        LowPass = "low_pass" => (2, alike::FILTERS),
+        MovingAverage = "moving_average" => (2, alike::FILTERS),
+        Saturation = "saturation" => (3, alike::LIMITS),
+        HeldSamples = "held_samples" => (5, alike::REPEATS),
+        CommonMode = "common_mode" => (1, alike::SHARED),
+        Timing = "timing" => (6, alike::STAMPS);
+    /// The kinds that no effect of section 5 describes, on which the diagnosis may be tuned.
     TUNED:
-        RandomTelegraph = "random_telegraph",
-        Chirp = "chirp",
-        VibrationBursts = "vibration_bursts",
-        Echo = "echo",
-        PeriodicGain = "periodic_gain",
-        Hysteresis = "hysteresis",
-        FmLine = "fm_line",
-        OddSlope = "odd_slope",
-        SkewedNoise = "skewed_noise",
-        ShotNoise = "shot_noise",
-        DelayedCrosstalk = "delayed_crosstalk",
-        DeadBand = "dead_band",
-        BimodalNoise = "bimodal_noise",
-        UniformNoise = "uniform_noise",
-        FrequencyHops = "frequency_hops",
-        PhaseWalk = "phase_walk",
-        MovingResonance = "moving_resonance",
-        VolatileNoise = "volatile_noise",
-        ThreeLevels = "three_levels",
-        RelaxingJumps = "relaxing_jumps",
-        NeighbourMeans = "neighbour_means",
-        RepeatedPattern = "repeated_pattern",
-        MissingCodes = "missing_codes",
-        MovingLimit = "moving_limit",
-        RingDowns = "ring_downs",
-        ThermalRate = "thermal_rate",
-        StuckBit = "stuck_bit",
-        ToneOnOff = "tone_on_off",
-        ToneByTemperature = "tone_by_temperature",
-        ClusteredSpikes = "clustered_spikes",
-        WanderingClock = "wandering_clock";
+        RandomTelegraph = "random_telegraph" => (1, alike::SLOW),
+        Chirp = "chirp" => (1, alike::LINES),
+        VibrationBursts = "vibration_bursts" => (1, alike::LOUD),
+        Echo = "echo" => (2, alike::NOTHING),
+        PeriodicGain = "periodic_gain" => (0, alike::LOUD),
+        Hysteresis = "hysteresis" => (1, alike::DRIFTS),
+        FmLine = "fm_line" => (1, alike::LINES),
+        OddSlope = "odd_slope" => (1, alike::SLOW),
+        SkewedNoise = "skewed_noise" => (0, alike::TAILS),
+        ShotNoise = "shot_noise" => (1, alike::SLOW),
+        DelayedCrosstalk = "delayed_crosstalk" => (2, alike::SHARED),
+        DeadBand = "dead_band" => (3, alike::ROUNDED),
+        BimodalNoise = "bimodal_noise" => (0, alike::TAILS),
+        UniformNoise = "uniform_noise" => (0, alike::TAILS),
+        FrequencyHops = "frequency_hops" => (1, alike::LINES),
+        PhaseWalk = "phase_walk" => (1, alike::LINES),
+        MovingResonance = "moving_resonance" => (1, alike::BANDS),
+        VolatileNoise = "volatile_noise" => (0, alike::LOUD),
+        ThreeLevels = "three_levels" => (1, alike::SLOW),
+        RelaxingJumps = "relaxing_jumps" => (1, alike::STEPS),
+        NeighbourMeans = "neighbour_means" => (5, alike::REPEATS),
+        RepeatedPattern = "repeated_pattern" => (5, alike::REPEATS),
+        MissingCodes = "missing_codes" => (4, alike::ROUNDED),
+        MovingLimit = "moving_limit" => (3, alike::LIMITS),
+        RingDowns = "ring_downs" => (1, alike::LOUD),
+        ThermalRate = "thermal_rate" => (1, alike::DRIFTS),
+        StuckBit = "stuck_bit" => (4, alike::ROUNDED),
+        ToneOnOff = "tone_on_off" => (1, alike::LINES),
+        ToneByTemperature = "tone_by_temperature" => (1, alike::LINES),
+        ClusteredSpikes = "clustered_spikes" => (1, alike::TAILS),
+        WanderingClock = "wandering_clock" => (6, alike::STAMPS);
+    /// Others like them that must not be used for tuning: they give the published figure.
     KEPT:
-        SlewLimit = "slew_limit",
-        AsymmetricGain = "asymmetric_gain",
-        Compression = "compression",
-        Notch = "notch",
-        HighPass = "high_pass",
-        AutoZero = "auto_zero",
-        ThermalFringe = "thermal_fringe",
-        TemperatureParabola = "temperature_parabola",
-        CauchyPushes = "cauchy_pushes",
-        JitteredPulses = "jittered_pulses",
-        ProductCrosstalk = "product_crosstalk",
-        FlippedRuns = "flipped_runs",
-        HalfRateStretches = "half_rate_stretches",
-        FilterSwitched = "filter_switched",
-        RangeSwitch = "range_switch",
-        DyingLine = "dying_line";
+        SlewLimit = "slew_limit" => (3, alike::FILTERS),
+        AsymmetricGain = "asymmetric_gain" => (0, alike::TAILS),
+        Compression = "compression" => (3, alike::LIMITS),
+        Notch = "notch" => (2, alike::BANDS),
+        HighPass = "high_pass" => (2, alike::SLOW),
+        AutoZero = "auto_zero" => (1, alike::SLOW),
+        ThermalFringe = "thermal_fringe" => (1, alike::DRIFTS),
+        TemperatureParabola = "temperature_parabola" => (1, alike::DRIFTS),
+        CauchyPushes = "cauchy_pushes" => (1, alike::SLOW),
+        JitteredPulses = "jittered_pulses" => (1, alike::LINES),
+        ProductCrosstalk = "product_crosstalk" => (2, alike::LOUD),
+        FlippedRuns = "flipped_runs" => (1, alike::TAILS),
+        HalfRateStretches = "half_rate_stretches" => (5, alike::REPEATS),
+        FilterSwitched = "filter_switched" => (2, alike::FILTERS),
+        RangeSwitch = "range_switch" => (4, alike::ROUNDED),
+        DyingLine = "dying_line" => (1, alike::LINES);
 }
 
 impl Kind {
-    /// The kinds of the library: the stationary effects of docs/effects.md.
-    pub const LIBRARY: &[Self] = LIBRARY;
-    /// The kinds that no effect of section 5 describes, on which the diagnosis may be tuned.
-    pub const TUNED: &[Self] = TUNED;
-    /// Others like them that must not be used for tuning: they give the published figure.
-    pub const KEPT: &[Self] = KEPT;
-
-    /// Every kind.
-    pub fn all() -> impl Iterator<Item = Self> {
-        Self::LIBRARY.iter().chain(Self::TUNED).chain(Self::KEPT).copied()
-    }
-
     /// Whether it must not be used for tuning.
     pub fn is_kept(self) -> bool {
         Self::KEPT.contains(&self)
     }
 
-    /// The kind of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::all().find(|kind| kind.name() == name)
-    }
-
-    /// The documented name of the effect; none outside the library.
-    pub fn effect(self) -> Option<&'static str> {
+    /// The documented effect; none outside the library.
+    pub fn effect(self) -> Option<EffectKind> {
         match self {
-            Self::VarianceInterval | Self::VarianceProfile | Self::VariancePerC => Some("variance_change"),
-            own => Self::LIBRARY.contains(&own).then(|| own.name()),
+            Self::VarianceInterval | Self::VarianceProfile | Self::VariancePerC => Some(EffectKind::VarianceChange),
+            own => Self::LIBRARY.contains(&own).then(|| EffectKind::from_name(own.name())).flatten(),
         }
     }
 
     /// Effects of docs/effects.md that describe a kind outside the library. A diagnosis that knows one of them and names it gives
     /// a valid answer.
-    pub fn described(self) -> &'static [&'static str] {
+    pub fn described(self) -> &'static [EffectKind] {
+        use EffectKind::*;
         match self {
-            Self::FmLine | Self::PhaseWalk | Self::ToneByTemperature => &["wandering_line"],
-            Self::ToneOnOff => &["intermittent", "wandering_line"],
-            Self::VibrationBursts => &["intermittent", "modulated_band"],
-            Self::RingDowns => &["modulated_band", "intermittent"],
-            Self::OddSlope => &["power_law", "spectrum"],
-            Self::MovingResonance | Self::HighPass | Self::Notch => &["spectrum"],
+            Self::FmLine | Self::PhaseWalk | Self::ToneByTemperature => &[WanderingLine],
+            Self::ToneOnOff => &[Intermittent, WanderingLine],
+            Self::VibrationBursts => &[Intermittent, ModulatedBand],
+            Self::RingDowns => &[ModulatedBand, Intermittent],
+            Self::OddSlope => &[PowerLaw, SpectralNoise],
+            Self::MovingResonance | Self::HighPass | Self::Notch => &[SpectralNoise],
             // Their laws are those of the parameters that section 8 adds.
-            Self::Hysteresis | Self::ThermalRate | Self::TemperatureParabola => &["temperature_bias"],
-            Self::ClusteredSpikes => &["spikes"],
+            Self::Hysteresis | Self::ThermalRate | Self::TemperatureParabola => &[TemperatureBias],
+            Self::ClusteredSpikes => &[Spikes],
             _ => &[],
         }
     }
@@ -164,95 +199,12 @@ impl Kind {
 
     /// Its place in the sensor's chain; of two effects the one with the lower place acts first.
     pub fn place(self) -> u8 {
-        match self {
-            Self::HeavyTails
-            | Self::VarianceInterval
-            | Self::VarianceProfile
-            | Self::VariancePerC
-            | Self::PeriodicGain
-            | Self::SkewedNoise
-            | Self::BimodalNoise
-            | Self::UniformNoise
-            | Self::VolatileNoise
-            | Self::AsymmetricGain => 0,
-            Self::LowPass
-            | Self::MovingAverage
-            | Self::Echo
-            | Self::DelayedCrosstalk
-            | Self::ProductCrosstalk
-            | Self::Notch
-            | Self::HighPass
-            | Self::FilterSwitched => 2,
-            Self::Saturation | Self::DeadBand | Self::MovingLimit | Self::SlewLimit | Self::Compression => 3,
-            Self::Resolution | Self::MissingCodes | Self::StuckBit | Self::RangeSwitch => 4,
-            Self::HeldSamples | Self::NeighbourMeans | Self::RepeatedPattern | Self::HalfRateStretches => 5,
-            Self::Timing | Self::WanderingClock => 6,
-            _ => 1,
-        }
+        self.row().0
     }
 
     /// The effects that cannot be distinguished from it on one channel.
-    pub fn like(self) -> &'static [&'static str] {
-        match self {
-            Self::Tone
-            | Self::Comb
-            | Self::Chirp
-            | Self::FmLine
-            | Self::FrequencyHops
-            | Self::PhaseWalk
-            | Self::ToneOnOff
-            | Self::ToneByTemperature
-            | Self::DyingLine
-            | Self::JitteredPulses => &["tone", "comb", "wandering_line"],
-            Self::Spikes
-            | Self::HeavyTails
-            | Self::SkewedNoise
-            | Self::BimodalNoise
-            | Self::UniformNoise
-            | Self::AsymmetricGain
-            | Self::ClusteredSpikes
-            | Self::FlippedRuns => &["spikes", "heavy_tails"],
-            Self::Bursts
-            | Self::VarianceInterval
-            | Self::VarianceProfile
-            | Self::VariancePerC
-            | Self::VibrationBursts
-            | Self::RingDowns
-            | Self::VolatileNoise
-            | Self::ProductCrosstalk
-            | Self::PeriodicGain => &["bursts", "variance_change", "intermittent", "modulated_band"],
-            Self::LowPass | Self::MovingAverage | Self::SlewLimit | Self::FilterSwitched => {
-                &["low_pass", "moving_average"]
-            }
-            Self::RateRamp
-            | Self::WarmUp
-            | Self::TemperatureBias
-            | Self::Hysteresis
-            | Self::ThermalRate
-            | Self::ThermalFringe
-            | Self::TemperatureParabola => &["rate_ramp", "warm_up", "temperature_bias"],
-            Self::GaussMarkov
-            | Self::RandomTelegraph
-            | Self::ShotNoise
-            | Self::OddSlope
-            | Self::ThreeLevels
-            | Self::AutoZero
-            | Self::CauchyPushes
-            | Self::HighPass => &["gauss_markov", "power_law"],
-            Self::Resolution | Self::DeadBand | Self::MissingCodes | Self::StuckBit | Self::RangeSwitch => {
-                &["resolution"]
-            }
-            Self::QuantizationNoise => &["quantization_noise"],
-            Self::Resonance | Self::MovingResonance | Self::Notch => &["resonance"],
-            Self::BiasStep | Self::RelaxingJumps => &["bias_step"],
-            Self::Saturation | Self::MovingLimit | Self::Compression => &["saturation"],
-            Self::HeldSamples | Self::NeighbourMeans | Self::RepeatedPattern | Self::HalfRateStretches => {
-                &["held_samples"]
-            }
-            Self::CommonMode | Self::DelayedCrosstalk => &["common_mode"],
-            Self::Timing | Self::WanderingClock => &["timing"],
-            Self::Echo => &[],
-        }
+    pub fn like(self) -> &'static [EffectKind] {
+        self.row().1
     }
 
     /// The least number of channels that it acts on.
@@ -326,12 +278,6 @@ impl Kind {
     }
 }
 
-impl std::fmt::Display for Kind {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str(self.name())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -344,7 +290,7 @@ mod tests {
         }
         assert!(Kind::LIBRARY.iter().all(|kind| kind.effect().is_some()));
         assert!(Kind::TUNED.iter().chain(Kind::KEPT).all(|kind| kind.effect().is_none()));
-        for effect in imu_model::effects::registry::names(&imu_model::effects::registry::CHANNEL) {
+        for effect in imu_model::effects::CHANNEL.iter().map(|of| of.spec.kind) {
             let has = |kind: Kind| kind.effect() == Some(effect) || kind.described().contains(&effect);
             assert!(Kind::all().any(has), "no case has {effect}");
         }

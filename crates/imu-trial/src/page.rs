@@ -6,6 +6,7 @@ use super::limit::STUDY;
 use super::of_kind::{Bin, Spread};
 use super::score::{Miss, Score};
 use super::suite::Suite;
+use imu_model::EffectKind;
 use std::fmt::Write as _;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:75rem;margin:2rem auto;padding:0 1rem;color:#222}\
@@ -163,7 +164,7 @@ fn confusion(out: &mut String, score: &Score) {
         let _ = write!(out, "<tr><td>{}</td>", escaped(truth));
         for name in &named {
             let right = match effect {
-                Some(effect) => effect == name.as_str(),
+                Some(effect) => EffectKind::from_name(name) == Some(effect),
                 None if truth == "none" || truth.ends_with("(known)") => {
                     ["no_gap", "parameters"].contains(&name.as_str())
                 }

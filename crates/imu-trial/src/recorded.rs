@@ -19,11 +19,12 @@ use super::setting::{Part, SIX, Setting, declared, is_of_another};
 use super::stamps::Stamps;
 use imu_core::sample::Channel;
 use imu_diagnosis::Recording;
+use imu_model::EffectKind;
 use imu_model::simulator::{ChannelModel, SensorModel};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Effects by channel.
+/// Names of effects by channel.
 pub type Own = BTreeMap<Channel, BTreeSet<String>>;
 
 /// A temperature that varies less, °C, carries no information about effects that depend on it.
@@ -155,7 +156,7 @@ impl Stretch {
     /// Channels without an effect that is like a kind.
     fn free(&self, kind: Kind) -> Vec<Channel> {
         let like = |channel: &Channel| {
-            self.own.get(channel).is_some_and(|own| kind.like().iter().any(|effect| own.contains(*effect)))
+            self.own.get(channel).is_some_and(|own| kind.like().iter().any(|effect| own.contains(effect.name())))
         };
         self.model.channels.keys().copied().filter(|channel| !like(channel)).collect()
     }
@@ -281,8 +282,8 @@ impl Stretch {
     /// The resolution of a channel itself, U.
     fn step(&self, channel: Channel) -> Option<f64> {
         let effects = &self.model.channels.get(&channel)?.effects;
-        let own = effects.iter().find(|effect| effect.name() == "resolution")?;
-        own.parameters().into_iter().find(|(name, _)| *name == "step").and_then(|(_, value)| value.as_f64())
+        let own = effects.iter().find(|effect| effect.kind() == EffectKind::Resolution)?;
+        own.number("step")
     }
 }
 

@@ -1,6 +1,7 @@
 //! Reports: the parts of a diagnosis that a trial reads, in the form of docs/formats.md, from any program.
 
 use super::class::Sense;
+use imu_model::EffectKind;
 use serde_json::Value;
 
 /// The reason why a value is not a diagnosis.
@@ -115,6 +116,11 @@ impl Report {
 }
 
 impl Cause {
+    /// Which effect it is; none of an unknown name.
+    pub fn kind(&self) -> Option<EffectKind> {
+        EffectKind::from_name(&self.effect)
+    }
+
     /// The entries of a channel: one, or several of a list.
     pub fn entries(&self, channel: &str) -> &[Value] {
         entries(&self.parameters[channel])

@@ -230,7 +230,9 @@ mod tests {
             kind: *kind,
             sense: Sense::Missing,
             over_limit: 2.0,
-            named: causes.iter().any(|(name, right)| *right && kind.effect() == Some(*name)),
+            named: causes
+                .iter()
+                .any(|(name, right)| *right && kind.effect().is_some_and(|effect| effect.name() == *name)),
             equivalent: false,
             channels_exact: Some(true),
             placed: Some(false),

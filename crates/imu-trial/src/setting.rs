@@ -130,7 +130,7 @@ impl Setting {
 
     /// Whether a channel has no effect of the recording that is like a kind.
     pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
-        self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(*effect)))
+        self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(effect.name())))
     }
 
     /// The record's length, s.

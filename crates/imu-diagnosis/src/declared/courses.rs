@@ -9,8 +9,8 @@ use crate::prices::Prices;
 use crate::series::{Series, Setting};
 use crate::spread::Spread;
 use crate::transform::Cosines;
-use imu_model::effects::Effect;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
+use imu_model::effects::{Effect, EffectKind};
 use imu_model::simulator::ChannelModel;
 use std::collections::BTreeMap;
 
@@ -168,14 +168,14 @@ pub(crate) fn shifts_of(
     const MOST: usize = 64;
     let of = |(place, effect): (usize, &std::sync::Arc<dyn Effect>)| {
         let number = |name: &str| effect.number(name).unwrap_or_default();
-        let courses = match effect.name() {
-            "rate_ramp" => vec![(Course::Ramp, number("R") * samples as f64 / rate_hz)],
-            "temperature_bias" => {
+        let courses = match effect.kind() {
+            EffectKind::RateRamp => vec![(Course::Ramp, number("R") * samples as f64 / rate_hz)],
+            EffectKind::TemperatureBias => {
                 let of = |mean_c: f64| of_temperature(&number, mean_c - number("reference_c"), rate_hz);
                 temperature_c.map(of).unwrap_or_default()
             }
-            "warm_up" => vec![(Course::WarmUp(number("tau_s") * rate_hz), number("amplitude"))],
-            "bias_step" => {
+            EffectKind::WarmUp => vec![(Course::WarmUp(number("tau_s") * rate_hz), number("amplitude"))],
+            EffectKind::BiasStep => {
                 let at = (number("at_s") * rate_hz).ceil().max(0.0) as usize;
                 // A change that is over before the record, or comes after it, is part of its level.
                 let inside = (1..samples).contains(&at);

@@ -8,7 +8,7 @@ use crate::prepare;
 use crate::report::Sense;
 use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
-use imu_model::effects::{Effect, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
+use imu_model::effects::{Effect, EffectKind, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
 use imu_model::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
@@ -49,10 +49,10 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
         let off = |found: Option<Arc<dyn Effect>>, nats: f64, evidence: String| {
             (nats > OFF).then(|| named(channel, (place, effect), found, nats, evidence))
         };
-        match effect.name() {
-            "resolution" => resolution(of, number("step")?, &off),
-            "saturation" => saturation(of, [number("low")?, number("high")?], &off),
-            "spikes" => {
+        match effect.kind() {
+            EffectKind::Resolution => resolution(of, number("step")?, &off),
+            EffectKind::Saturation => saturation(of, [number("low")?, number("high")?], &off),
+            EffectKind::Spikes => {
                 let (rate, size) = (number("rate_hz")? / rate_hz, number("amplitude")? / of.white);
                 // Events that hide in the noise are not evidence.
                 let shown = if size > 6.0 { 1.0 } else { 0.0 };
@@ -72,7 +72,7 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
                 let effect = Spikes::new(law.rate * rate_hz, law.size * of.prepared.scale);
                 off(Some(Arc::new(effect)), nats, format!("{channel}: spikes of another rate or size than the model's"))
             }
-            "heavy_tails" => {
+            EffectKind::HeavyTails => {
                 let declared = number("degrees_of_freedom")?;
                 let error = of.spread.tails.max((2.0 / samples).sqrt());
                 let kurtosis = |degrees: f64| if degrees > 4.0 { 6.0 / (degrees - 4.0) } else { 6.0 };
@@ -138,7 +138,7 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     for of in &found.channels {
         let channel = of.prepared.channel;
         let Some(model) = sim.channels.get(&channel) else { continue };
-        let own = model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "held_samples");
+        let own = model.effects.iter().enumerate().find(|(_, effect)| effect.kind() == EffectKind::HeldSamples);
         let Some((place, effect)) = own else { continue };
         let declared = effect.number("probability").unwrap_or_default();
         let repeats = found.repeats.iter().find(|(channels, _)| channels.contains(&channel));
@@ -173,7 +173,7 @@ pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
             let model = sim.channels.get(&of.prepared.channel)?;
             // An entry of size 0 stands for a source of other channels.
             let is_shared = |effect: &Arc<dyn Effect>| {
-                effect.name() == "common_mode" && effect.number("sigma").is_some_and(|sigma| sigma != 0.0)
+                effect.kind() == EffectKind::CommonMode && effect.number("sigma").is_some_and(|sigma| sigma != 0.0)
             };
             let (place, effect) = model.effects.iter().enumerate().find(|(_, effect)| is_shared(effect))?;
             let sigma = effect.number("sigma")?;
@@ -215,7 +215,8 @@ pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, 
     /// Part of a period that no stamp shows.
     const LEAST: f64 = 0.01;
     let own = sim.channels.iter().filter_map(|(channel, model)| {
-        let (place, effect) = model.effects.iter().enumerate().find(|(_, effect)| effect.name() == "timing")?;
+        let (place, effect) =
+            model.effects.iter().enumerate().find(|(_, effect)| effect.kind() == EffectKind::Timing)?;
         Some((*channel, place, effect))
     });
     let own: Vec<(Channel, usize, &Arc<dyn Effect>)> = own.collect();

@@ -12,93 +12,78 @@ pub mod spectral;
 use super::explanation::Explanation;
 use super::report::Sense;
 use super::series::Series;
+use imu_model::effects::EffectKind;
 use serde::{Deserialize, Serialize};
 
-/// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// A constant drift.
-    RateRamp,
-    /// The level follows the temperature.
-    TemperatureBias,
-    /// An exponential settling.
-    WarmUp,
-    /// Jumps of the level.
-    BiasStep,
-    /// A sine.
-    Tone,
-    /// A narrow band of noise.
-    Resonance,
-    /// Exponentially correlated noise.
-    GaussMarkov,
-    /// White angle noise.
-    QuantizationNoise,
-    /// A Butterworth filter.
-    LowPass,
-    /// A boxcar filter.
-    MovingAverage,
-    /// Rare outliers.
-    Spikes,
-    /// Student's t.
-    HeavyTails,
-    /// Stretches of extra noise.
-    Bursts,
-    /// One stretch of another variance.
-    VarianceInterval,
-    /// Variance by temperature.
-    VariancePerDegree,
-    /// Variance over time.
-    VarianceProfile,
-    /// The level follows the temperature with play, its square, or its rate.
-    TemperatureCurve,
-    /// A density as another power of the frequency.
-    Slope,
+/// Defines the kinds: each with its effect, and the tail of its gain in records of noise alone: offsets at the lengths of
+/// [`crate::prices`] and a scale.
+macro_rules! kinds {
+    ($($(#[$meta:meta])* $kind:ident: $effect:ident, $offsets:expr, $scale:literal;)+) => {
+        /// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Kind {
+            $($(#[$meta])* $kind,)+
+        }
+
+        impl Kind {
+            /// All.
+            pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
+
+            /// The documented effect.
+            pub fn effect(self) -> EffectKind {
+                match self {
+                    $(Self::$kind => EffectKind::$effect,)+
+                }
+            }
+
+            /// Offsets and scale of the tail of its gain in noise alone.
+            pub(super) fn tail(self) -> ([f64; 3], f64) {
+                match self {
+                    $(Self::$kind => ($offsets, $scale),)+
+                }
+            }
+        }
+    };
 }
 
-impl Kind {
-    /// All.
-    pub const ALL: [Self; 18] = [
-        Self::RateRamp,
-        Self::TemperatureBias,
-        Self::WarmUp,
-        Self::BiasStep,
-        Self::Tone,
-        Self::Resonance,
-        Self::GaussMarkov,
-        Self::QuantizationNoise,
-        Self::LowPass,
-        Self::MovingAverage,
-        Self::Spikes,
-        Self::HeavyTails,
-        Self::Bursts,
-        Self::VarianceInterval,
-        Self::VariancePerDegree,
-        Self::VarianceProfile,
-        Self::TemperatureCurve,
-        Self::Slope,
-    ];
-
-    /// The documented effect.
-    pub fn effect(self) -> &'static str {
-        match self {
-            Self::RateRamp => "rate_ramp",
-            Self::TemperatureBias | Self::TemperatureCurve => "temperature_bias",
-            Self::WarmUp => "warm_up",
-            Self::BiasStep => "bias_step",
-            Self::Tone => "tone",
-            Self::Resonance => "resonance",
-            Self::GaussMarkov => "gauss_markov",
-            Self::QuantizationNoise => "quantization_noise",
-            Self::LowPass => "low_pass",
-            Self::MovingAverage => "moving_average",
-            Self::Spikes => "spikes",
-            Self::HeavyTails => "heavy_tails",
-            Self::Bursts => "bursts",
-            Self::VarianceInterval | Self::VariancePerDegree | Self::VarianceProfile => "variance_change",
-            Self::Slope => "power_law",
-        }
-    }
+kinds! {
+    /// A constant drift.
+    RateRamp: RateRamp, [0.0, 0.0, 0.0], 1.0;
+    /// The level follows the temperature.
+    TemperatureBias: TemperatureBias, [0.0, 0.0, 0.0], 1.0;
+    /// An exponential settling.
+    WarmUp: WarmUp, [0.5, 0.5, 0.5], 1.0;
+    /// Jumps of the level.
+    BiasStep: BiasStep, [4.4, 5.6, 7.1], 1.0;
+    /// A sine.
+    Tone: Tone, [9.9, 12.0, 14.4], 1.05;
+    /// A narrow band of noise.
+    Resonance: Resonance, [6.2, 7.2, 8.0], 1.05;
+    /// Exponentially correlated noise.
+    GaussMarkov: GaussMarkov, [0.3, 0.5, 0.6], 1.0;
+    /// White angle noise.
+    QuantizationNoise: QuantizationNoise, [-0.3, -0.3, -0.3], 1.0;
+    /// A Butterworth filter.
+    LowPass: LowPass, [0.0, 0.0, 0.0], 1.15;
+    /// A boxcar filter.
+    MovingAverage: MovingAverage, [0.0, 0.0, 0.0], 1.0;
+    /// Rare outliers.
+    Spikes: Spikes, [0.0, 0.0, 0.0], 1.0;
+    /// Student's t.
+    HeavyTails: HeavyTails, [0.0, 0.0, 0.0], 1.0;
+    /// Stretches of extra noise.
+    Bursts: Bursts, [8.0, 10.3, 12.4], 1.2;
+    /// One stretch of another variance.
+    VarianceInterval: VarianceChange, [8.0, 10.3, 12.4], 1.2;
+    /// Variance by temperature.
+    VariancePerDegree: VarianceChange, [0.0, 0.0, 0.0], 1.0;
+    /// Variance over time.
+    VarianceProfile: VarianceChange, [6.9, 6.9, 6.9], 1.35;
+    /// The level follows the temperature with play, its square, or its rate.
+    TemperatureCurve: TemperatureBias, [0.3, 0.5, 0.6], 1.0;
+    /// A density as another power of the frequency.
+    Slope: PowerLaw, [0.0, 0.2, 0.4], 1.0;
 }
 
 impl Kind {

@@ -3,7 +3,7 @@
 //! A model's N lies in front of its filters; `imu-noise` has the plateau, which includes noise that enters behind them. The
 //! simulation of the model has the recorded spectrum (`tests` below; `cargo test --test it a_filter_of_a_record`).
 
-use imu_model::effects::{Effect, LowPass, MovingAverage};
+use imu_model::effects::{Effect, EffectKind, LowPass, MovingAverage};
 use imu_model::simulator::Sampling;
 use imu_noise::NoiseReport;
 use imu_noise::fit::Bandwidth;
@@ -31,8 +31,8 @@ impl Front {
         let of = |front: f64, filter: Arc<dyn Effect>| {
             Some(Self { share: if n > 0.0 { front / n } else { 1.0 }, filter: Some(filter) })
         };
-        match (bandwidth.kind.as_str(), bandwidth.value?) {
-            ("moving_average", window) => {
+        match (EffectKind::from_name(&bandwidth.kind)?, bandwidth.value?) {
+            (EffectKind::MovingAverage, window) => {
                 // Every R-th mean of W samples is the mean of W/R of the sent samples, if R divides W.
                 let every = bandwidth.internal_rate_hz.map_or(1.0, |internal_hz| (internal_hz / rate_hz).round());
                 let window = window / every;
@@ -40,7 +40,7 @@ impl Front {
                 whole.then_some(())?;
                 of(front, Arc::new(MovingAverage { window: window as u64, white_behind: behind }))
             }
-            ("low_pass", cutoff_hz) if bandwidth.exponential => {
+            (EffectKind::LowPass, cutoff_hz) if bandwidth.exponential => {
                 // y += a (x − y) passes what the bilinear low pass of first order passes with a part T² behind it: T is the
                 // tangent of its half angle, (1 − b)/(1 + b), b = 1 − a.
                 let back = 1.0 - whittle::exponential_weight(cutoff_hz / rate_hz);
@@ -49,7 +49,7 @@ impl Front {
                 let cutoff_hz = t.atan() / PI * rate_hz;
                 of(front * (1.0 - t * t).sqrt(), Arc::new(LowPass { cutoff_hz, order: 1, white_behind }))
             }
-            ("low_pass", cutoff_hz) => {
+            (EffectKind::LowPass, cutoff_hz) => {
                 let order = u64::from(bandwidth.order.unwrap_or(1));
                 of(front, Arc::new(LowPass { cutoff_hz, order, white_behind: behind }))
             }
@@ -63,7 +63,8 @@ impl Front {
 /// other.
 pub(super) fn sampling(report: &NoiseReport) -> Option<Sampling> {
     let of = |bandwidth: Option<&Bandwidth>| {
-        let bandwidth = bandwidth.filter(|bandwidth| bandwidth.kind == "moving_average")?;
+        let bandwidth =
+            bandwidth.filter(|bandwidth| EffectKind::from_name(&bandwidth.kind) == Some(EffectKind::MovingAverage))?;
         Some((bandwidth.internal_rate_hz?, bandwidth.value?))
     };
     let mut all = report.channels.values().map(|found| of(found.bandwidth.as_ref()));

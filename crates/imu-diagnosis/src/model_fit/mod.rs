@@ -16,7 +16,7 @@ pub use diff::{Difference, differences};
 
 use bandwidth::Front;
 use imu_core::sample::Channel;
-use imu_model::effects;
+use imu_model::effects::{self, EffectKind};
 use imu_model::simulator::{ChannelModel, SensorModel};
 use imu_noise::NoiseReport;
 use imu_noise::fit::{Estimate, NoiseParameters};
@@ -28,13 +28,14 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// The unknown name, and the known names.
-pub fn effects_named(names: &str) -> Result<Vec<&'static str>, String> {
-    let known = crate::effect_names();
+pub fn effects_named(names: &str) -> Result<Vec<EffectKind>, String> {
+    let known = crate::effects();
     if names == "all" {
         return Ok(known);
     }
     let named = |name: &str| {
-        known.iter().copied().find(|own| *own == name).ok_or_else(|| {
+        known.iter().copied().find(|own| own.name() == name).ok_or_else(|| {
+            let known: Vec<&str> = known.iter().map(|own| own.name()).collect();
             format!("`{name}` is no effect that a capture at rest shows; allowed are all, {}", known.join(", "))
         })
     };
@@ -92,12 +93,12 @@ fn is_exponential(found: &NoiseParameters) -> bool {
 }
 
 /// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels to which
-/// it added none keep the values of the noise report. `looked_for`: the effects' names. The record began `from_s` after the
-/// capture, lasted `record_s` and had a mean temperature of `temperature_c`.
+/// it added none keep the values of the noise report. `looked_for`: the effects that it looked for. The record began
+/// `from_s` after the capture, lasted `record_s` and had a mean temperature of `temperature_c`.
 pub fn with_effects(
     plain: &SensorModel,
     augmented: &SensorModel,
-    looked_for: &[&str],
+    looked_for: &[EffectKind],
     record_s: f64,
     temperature_c: Option<f64>,
 ) -> SensorModel {

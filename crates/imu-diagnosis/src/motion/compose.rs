@@ -14,9 +14,9 @@ use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnose::{Options, Outcome};
 use crate::recording::Recording;
 use crate::report::{Alternative, Place, Remainder, Verdict};
-use crate::response::{Candidate, Estimate, Fitted, Openness};
+use crate::response::{Candidate, Estimate, Fitted, NORMAL_95, Openness};
 use imu_core::sample::Triad;
-use imu_model::effects::TriadEffect;
+use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
 use serde_json::{Value, json};
 use statrs::distribution::{ContinuousCDF as _, StudentsT};
@@ -31,7 +31,6 @@ const CONCERNED: f64 = 0.02;
 /// Part of a cause's gain that another effect has to reach to be reported.
 const NEARLY: f64 = 0.3;
 const ALTERNATIVES: usize = 6;
-const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 pub(super) fn outcome(
     found: &Found,
@@ -57,8 +56,10 @@ pub(super) fn outcome(
         let late = found.lateness.latencies.iter().find(|(delay, _)| delay.triad == of.triad);
         let before = driven.len();
         driven.extend(of_groups(of, samples));
-        driven.extend(late.filter(|_| options.wants("latency")).map(|(delay, nats)| latency(of, *delay, *nats, found)));
-        driven.extend(saturation(of).filter(|_| options.wants("saturation")));
+        driven.extend(
+            late.filter(|_| options.wants(EffectKind::Latency)).map(|(delay, nats)| latency(of, *delay, *nats, found)),
+        );
+        driven.extend(saturation(of).filter(|_| options.wants(EffectKind::Saturation)));
         alternatives.extend(weighed(of));
         let bias = |channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0);
         let level = of.triad.channels().map(bias);
@@ -158,20 +159,12 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
 
 /// Whether a fitted effect is of this candidate.
 fn is(candidate: Candidate, fitted: &Fitted) -> bool {
-    let form = |effect: &dyn TriadEffect| {
-        effect.parameters().into_iter().find(|(name, _)| *name == "form").map(|(_, value)| value)
-    };
     let own = candidate.make(&[]);
-    own.name() == fitted.effect.name() && form(own.as_ref()) == form(fitted.effect.as_ref())
+    own.kind() == fitted.effect.kind() && own.parameter("form") == fitted.effect.parameter("form")
 }
 
 fn called(candidate: Candidate) -> String {
-    match candidate {
-        Candidate::ScaleFactorNonlinearity { signed, .. } => {
-            format!("{} {}", if signed { "signed" } else { "unsigned" }, candidate.name())
-        }
-        _ => candidate.name().to_owned(),
-    }
+    format!("{}{}", candidate.form(), candidate.kind())
 }
 
 /// "x 2.0e-3 ± 3e-5, 67 standard errors".
@@ -340,7 +333,7 @@ fn weighed(of: &Settled) -> Vec<Alternative> {
             let lead = (whole - of.groups[place].price) - (gain - group.price);
             let why_not = format!("{} explains {lead:.0} nats more for what it costs", called(winner));
             let closes = Some((gain - least) / whole.max(f64::MIN_POSITIVE));
-            let alternative = Alternative { effect: candidate.name(), channels: all_of(of.triad), closes, why_not };
+            let alternative = Alternative { effect: candidate.kind(), channels: all_of(of.triad), closes, why_not };
             all.push((gain - least, alternative));
         }
     }
@@ -398,7 +391,7 @@ fn left_open(found: &Found) -> Vec<String> {
     let of = |settled: &Settled| {
         let all = settled.screen.fit.confounded.iter().filter(|one| one.openness != Openness::Faint);
         // A clock is reported separately.
-        let own = all.filter(|one| !one.sentence.contains("clock "));
+        let own = all.filter(|one| !one.of_clock);
         own.map(|one| format!("{}: {}", settled.triad.name(), one.sentence)).collect::<Vec<String>>()
     };
     found.triads.iter().flat_map(of).collect()

@@ -2,15 +2,10 @@
 
 use crate::response::{Filters, NORMAL_95, NoiseLaw, ResponseError};
 use imu_core::sample::Triad;
-use imu_model::effects::{At, Effect, Record, Stage, USUAL_TEMPERATURE_C};
+use imu_model::effects::{At, Effect, EffectKind, Record, Stage, USUAL_TEMPERATURE_C};
 use imu_model::simulator::SensorModel;
 use std::sync::Arc;
 
-/// Effects that have a density throughout a record; drifts are taken off before.
-const LASTING: [&str; 7] =
-    ["quantization_noise", "gauss_markov", "resonance", "low_pass", "moving_average", "resolution", "common_mode"];
-/// Effects that add noise at times.
-const LOUD: [&str; 2] = ["bursts", "spikes"];
 /// Prior uncertainty of N, B and K if a model states no interval: standard deviations of ln of their squares.
 const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
 /// Standard error of a cutoff's logarithm where a model states no interval.
@@ -28,21 +23,23 @@ pub(super) fn law(
     samples: usize,
     scale: [f64; 3],
 ) -> Result<NoiseLaw, ResponseError> {
+    let is_loud = |kind: EffectKind| matches!(kind, EffectKind::Bursts | EffectKind::Spikes);
     let mut plain = model.clone();
     for (axis, channel) in triad.channels().into_iter().enumerate() {
         let Some(of) = plain.channels.get_mut(&channel) else { continue };
         // Noise that comes and goes is modelled as white noise of its mean square. That is too much in its quiet parts, which
         // costs power and blames no effect.
         let record = Record { rate_hz, samples: samples as u64 };
-        for effect in of.effects.iter().filter(|effect| !LASTING.contains(&effect.name())) {
+        for effect in of.effects.iter().filter(|effect| !effect.spec().is_lasting()) {
             let factor = effect.white_moments(record).map_or(1.0, |of| of.variance);
-            let added = effect.moments(record).filter(|_| LOUD.contains(&effect.name())).map_or(0.0, |of| of.variance);
+            let added = effect.moments(record).filter(|_| is_loud(effect.kind())).map_or(0.0, |of| of.variance);
             let square = factor.max(1.0) * of.n * of.n + added / rate_hz;
             if square.is_finite() {
                 of.n = square.sqrt();
             }
         }
-        of.effects.retain(|effect| LASTING.contains(&effect.name()));
+        // Drifts are taken off before.
+        of.effects.retain(|effect| effect.spec().is_lasting());
         of.uncertainty = None;
         let least = 1e-3 * scale[axis] / rate_hz.sqrt();
         if of.n < least {
@@ -61,8 +58,7 @@ pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
     for (axis, channel) in triad.channels().into_iter().enumerate() {
         let Some(of) = model.channels.get(&channel) else { continue };
         for (index, effect) in of.effects.iter().enumerate().filter(|(_, effect)| effect.stage() == Stage::Bandwidth) {
-            let cutoff = effect.parameters().into_iter().find(|(name, _)| *name == "cutoff_hz");
-            let cutoff_hz = cutoff.and_then(|(_, value)| value.as_f64());
+            let cutoff_hz = effect.number("cutoff_hz");
             if decimated && cutoff_hz.is_none_or(|cutoff_hz| cutoff_hz > BELOW * model.rate_hz) {
                 continue;
             }

@@ -17,6 +17,7 @@ use super::groups::Pricing;
 use super::rests::Rest;
 use super::select::Choice;
 use crate::diagnose::Options;
+use crate::response::Candidate;
 use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::SensorModel;
@@ -43,26 +44,8 @@ const WHOLE: f64 = 0.04;
 /// The largest turn about other axes, or back, in parts of the turn: noise's path and a hand's tremble.
 const BESIDE: f64 = 0.2;
 
-/// One of the three effects.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
-    Bias,
-    ScaleFactor,
-    CrossAxis,
-}
-
-impl Part {
-    /// The documented name of the effect.
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Bias => "bias",
-            Self::ScaleFactor => "scale_factor",
-            Self::CrossAxis => "cross_axis_sensitivity",
-        }
-    }
-}
-
-pub(super) const PARTS: [Part; 3] = [Part::Bias, Part::ScaleFactor, Part::CrossAxis];
+/// The effects that poses determine.
+pub(super) const PARTS: [Candidate; 3] = [Candidate::Bias, Candidate::ScaleFactor, Candidate::CrossAxisSensitivity];
 
 /// The result of a tumble for the accelerometer.
 #[derive(Debug, Clone, PartialEq)]
@@ -211,8 +194,8 @@ pub(super) fn tumbled(
     // A bias is as sure as flicker's level is known, as against a reference.
     let of_mean = Pricing { level, triads: 1, mean_freedom }.price_of_mean(3, PARTS.len());
     let prices = PARTS.map(|part| match part {
-        part if !options.wants(part.name()) => f64::INFINITY,
-        Part::Bias => of_mean,
+        part if !options.wants(part.kind()) => f64::INFINITY,
+        Candidate::Bias => of_mean,
         _ => price(3.0, level),
     });
     let mut best: Option<(f64, Vec<usize>)> = None;

@@ -9,11 +9,12 @@
 //! Assoc. 84), so that windows with a jerk in them count little. If the scale is above [`STEADY`], no result is reported: a hand
 //! that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
-use super::poses::{PARTS, Part, Tumbled, belief, columns_of, price};
+use super::poses::{PARTS, Tumbled, belief, columns_of, price};
 use super::rests::{self, Rest};
 use super::select::Choice;
 use crate::diagnose::Options;
 use crate::recording::Recording;
+use crate::response::Candidate;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
 use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
@@ -131,7 +132,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
     let all: Vec<Fit> = (0..8usize)
         .map(|subset| fit(&(0..3).filter(|part| subset >> part & 1 == 1).collect::<Vec<_>>(), &everywhere))
         .collect::<Option<_>>()?;
-    let priced = |part: Part| if options.wants(part.name()) { price(3.0, options.level) } else { f64::INFINITY };
+    let priced = |part: Candidate| if options.wants(part.kind()) { price(3.0, options.level) } else { f64::INFINITY };
     let prices = PARTS.map(priced);
     // Neighbours that are alike count for fewer than they are.
     let alike = all.last().map_or(0.0, |of| correlation(&of.left)).max(0.0);

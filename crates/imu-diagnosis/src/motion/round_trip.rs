@@ -50,7 +50,9 @@ fn recorded(model: &SensorModel, kind: Kind, samples: usize, seed: u64) -> Recor
 
 fn named(outcome: &Outcome) -> Vec<(String, &'static str)> {
     let causes = outcome.diagnosis.causes.iter();
-    causes.map(|cause| (cause.triad.map_or_else(|| cause.channels.join(" "), str::to_owned), cause.effect)).collect()
+    causes
+        .map(|cause| (cause.triad.map_or_else(|| cause.channels.join(" "), str::to_owned), cause.effect.name()))
+        .collect()
 }
 
 const SAMPLES: usize = 16_384;

@@ -8,6 +8,7 @@ use crate::error::DiagnosisError;
 use crate::prepare;
 use crate::recording::Recording;
 use imu_core::sample::Triad;
+use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
@@ -100,12 +101,12 @@ pub(super) fn refined(
 
 /// The start of a next round: the effects that were chosen, and the names of those that change the mean or the law's
 /// form.
-type Signature = (Vec<Vec<usize>>, BTreeSet<(usize, &'static str)>);
+type Signature = (Vec<Vec<usize>>, BTreeSet<(usize, EffectKind)>);
 
 fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
     let names = settled.iter().flat_map(|of| of.triad.channels()).filter_map(|channel| {
         let effects = &told.channels.get(&channel)?.effects;
-        Some(effects.iter().map(move |effect| (channel as usize, effect.name())))
+        Some(effects.iter().map(move |effect| (channel as usize, effect.kind())))
     });
     (settled.iter().map(|of| of.choice.groups.clone()).collect(), names.flatten().collect())
 }

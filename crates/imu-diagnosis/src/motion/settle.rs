@@ -11,7 +11,7 @@ use crate::recording::Recording;
 use crate::response::{self, Candidate, Clipping, Clock, Filters, Fit, Record, Request, Screen};
 use crate::{facts, prepare};
 use imu_core::sample::Triad;
-use imu_model::effects::TriadEffect;
+use imu_model::effects::{EffectKind, TriadEffect};
 use imu_model::simulator::SensorModel;
 use std::sync::Arc;
 
@@ -156,7 +156,7 @@ impl About<'_> {
         let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
         let base: Vec<usize> = (inside..screen.own).collect();
         let wanted = |group: &Group| match group.member {
-            Member::Library(candidate) => options.wants(candidate.name()),
+            Member::Library(candidate) => options.wants(candidate.kind()),
             Member::Foreign(_) => true,
         };
         groups.retain(wanted);
@@ -210,7 +210,7 @@ impl About<'_> {
         let delay = Delay::of(triad, &fit.estimates);
         let mut settled =
             Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, cut_off: None, rest };
-        settled.cut_off = settled.range().filter(|_| options.wants("saturation")).map(|clipping| {
+        settled.cut_off = settled.range().filter(|_| options.wants(EffectKind::Saturation)).map(|clipping| {
             // A model without the range expects the response; what was sent is the range exactly.
             let deviations = law.sample_deviations();
             std::array::from_fn(|axis| {
@@ -340,7 +340,7 @@ pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -
 
 /// The full scale to which a nonlinearity refers: the model's own, or the sensor's range.
 fn full_scale(triad: Triad, known: &[Arc<dyn TriadEffect>]) -> f64 {
-    let told = known.iter().filter(|effect| effect.name() == "scale_factor_nonlinearity").find_map(|effect| {
+    let told = known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity).find_map(|effect| {
         effect.parameters().into_iter().find(|(name, _)| *name == "full_scale").and_then(|(_, value)| value.as_f64())
     });
     told.unwrap_or(FULL_SCALE[usize::from(triad != Triad::Gyro)])

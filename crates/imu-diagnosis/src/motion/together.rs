@@ -4,6 +4,7 @@
 //! compared at one rest alone is taken to be as large a sample throughout.
 
 use crate::report::{Cause, Diagnosis, Of, Place, Sense, Verdict};
+use crate::response::NORMAL_95;
 use imu_core::sample::Triad;
 use imu_model::effects::{Stream, StreamId, TriadEffect};
 use imu_model::simulator::{SensorModel, TriadModel};
@@ -13,7 +14,6 @@ use std::sync::Arc;
 
 /// Draws of blocks for an interval of what is closed.
 const DRAWS: usize = 1000;
-const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// A cause on a triad before it is reported.
 pub(super) struct Driven {
@@ -42,7 +42,7 @@ impl Driven {
             intervals.insert(triad.name().to_owned(), uncertainty);
         }
         let cause = Cause {
-            effect: effect.name(),
+            effect: effect.kind(),
             sense: Sense::Missing,
             triad: Some(triad.name()),
             channels,
@@ -184,14 +184,11 @@ fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: 
 
 /// The model's effects on triads with those that were found in place of their like.
 pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad, TriadModel> {
-    let form = |effect: &dyn TriadEffect| {
-        effect.parameters().into_iter().find(|(name, _)| *name == "form").map(|(_, value)| value)
-    };
     let mut triads = sim.triads.clone();
     for one in driven {
         let effects = &mut triads.entry(one.triad).or_default().effects;
         let like = |effect: &Arc<dyn TriadEffect>| {
-            effect.name() == one.effect.name() && form(effect.as_ref()) == form(one.effect.as_ref())
+            effect.kind() == one.effect.kind() && effect.parameter("form") == one.effect.parameter("form")
         };
         effects.retain(|effect| !like(effect));
         effects.push(Arc::clone(&one.effect));
@@ -239,7 +236,7 @@ mod tests {
     #[test]
     fn causes_of_both_are_ranked_together_and_close_parts_of_one_gap() {
         let rest = at_rest();
-        let names = |of: &Diagnosis| of.causes.iter().map(|cause| cause.effect).collect::<Vec<_>>();
+        let names = |of: &Diagnosis| of.causes.iter().map(|cause| cause.effect.name()).collect::<Vec<_>>();
         assert!(names(&rest).contains(&"resolution") && names(&rest).contains(&"tone"), "{:?}", names(&rest));
         // Far larger than the rest, with almost nothing beside it.
         let more = joined(1e6, &[6e5, 4e5], &[6e5, 4e5]);

@@ -6,7 +6,7 @@
 
 use super::felt::felt;
 use super::noise::mean_freedom;
-use super::poses::{self, BELIEF, PARTS, POSES_MIN, Part, Tumbled, Turned};
+use super::poses::{self, BELIEF, PARTS, POSES_MIN, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
 use super::together::{self, Driven, Sums};
@@ -15,10 +15,11 @@ use crate::error::DiagnosisError;
 use crate::prepare;
 use crate::recording::Recording;
 use crate::report::{Driver, Of, Place, Verdict};
+use crate::response::{Candidate, NORMAL_95};
 use imu_core::sample::Triad;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
-use imu_model::effects::TriadEffect;
-use imu_model::effects::triad::{Axes, Bias, CrossAxisSensitivity, ScaleFactor};
+use imu_model::effects::EffectKind;
+use imu_model::effects::triad::{Axes, ScaleFactor};
 use imu_model::simulator::SensorModel;
 use serde_json::{Map, Value, json};
 use std::sync::Arc;
@@ -28,7 +29,6 @@ const RIGHT: f64 = 0.95;
 /// A rest that is this unlikely under the noise shows an unknown effect.
 const REMAINS: f64 = 0.005;
 const AXES: [&str; 3] = ["x", "y", "z"];
-const NORMAL_95: f64 = 1.959_963_984_540_054;
 
 /// Compares a record that rests in several poses with a model. None if it does not rest in several poses, or if it is at rest
 /// throughout.
@@ -129,7 +129,7 @@ fn tell(
     turns: &[Turned],
 ) {
     let mut named: Vec<Driven> = poses.map(|poses| of_poses(poses, sim)).unwrap_or_default();
-    named.extend(of_turns(turns, sim).filter(|_| options.wants("scale_factor")));
+    named.extend(of_turns(turns, sim).filter(|_| options.wants(EffectKind::ScaleFactor)));
     let diagnosis = &mut outcome.diagnosis;
     let all = real.len() as f64 * diagnosis.per_channel.len().max(1) as f64;
     let mut notes = vec![format!(
@@ -219,19 +219,12 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
         .iter()
         .map(|group| {
             let part = PARTS[*group];
-            let names = if part == Part::CrossAxis { ["xy", "xz", "yz"] } else { AXES };
+            let names = if part == Candidate::CrossAxisSensitivity { ["xy", "xz", "yz"] } else { AXES };
             let found: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
             // To first order what is found beside what is known adds to it.
-            let known = known(sim, Triad::Accel, part.name(), names);
+            let known = known(sim, Triad::Accel, part.kind(), names);
             let axes: Axes = std::array::from_fn(|axis| known[axis] + found[axis]);
-            let effect: Arc<dyn TriadEffect> = match part {
-                Part::Bias => Arc::new(Bias { axes }),
-                Part::ScaleFactor => Arc::new(ScaleFactor { axes }),
-                Part::CrossAxis => {
-                    let [xy, xz, yz] = axes;
-                    Arc::new(CrossAxisSensitivity { xy, xz, yz })
-                }
-            };
+            let effect = part.make(&axes);
             let ends = |axis: usize| {
                 let half = NORMAL_95 * of.errors[3 * group + axis];
                 json!([axes[axis] - half, axes[axis] + half])
@@ -251,9 +244,9 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
             // Of a pair both axes are concerned.
             let concerned = |axis: &usize| {
                 let at: &[usize] = match (part, axis) {
-                    (Part::CrossAxis, 0) => &[0, 1],
-                    (Part::CrossAxis, 1) => &[0, 2],
-                    (Part::CrossAxis, _) => &[1, 2],
+                    (Candidate::CrossAxisSensitivity, 0) => &[0, 1],
+                    (Candidate::CrossAxisSensitivity, 1) => &[0, 2],
+                    (Candidate::CrossAxisSensitivity, _) => &[1, 2],
                     (_, axis) => std::slice::from_ref(axis),
                 };
                 at.iter().any(|place| found[*place].abs() > NORMAL_95 * of.errors[3 * group + place])
@@ -267,18 +260,15 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
 }
 
 /// The coefficients of an effect that a model's triad has already.
-fn known(sim: &SensorModel, triad: Triad, effect: &str, names: [&str; 3]) -> Axes {
-    let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.name() == effect));
-    let parameters = own.map(|own| own.parameters()).unwrap_or_default();
-    names.map(|name| {
-        parameters.iter().find(|(own, _)| *own == name).and_then(|(_, value)| value.as_f64()).unwrap_or(0.0)
-    })
+fn known(sim: &SensorModel, triad: Triad, effect: EffectKind, names: [&str; 3]) -> Axes {
+    let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.kind() == effect));
+    names.map(|name| own.and_then(|own| own.number(name)).unwrap_or(0.0))
 }
 
 /// The causes that the circles determine.
 fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Driven> {
     let channels = Triad::Gyro.channels();
-    let mut axes = known(sim, Triad::Gyro, "scale_factor", AXES);
+    let mut axes = known(sim, Triad::Gyro, EffectKind::ScaleFactor, AXES);
     let (mut ends, mut evidence, mut gain) = (Map::new(), Vec::new(), 0.0);
     for one in turns {
         axes[one.axis] += one.scale;
@@ -379,12 +369,12 @@ mod tests {
         let real = recorded(&truth, [tumble(300), tumble(300)].concat(), 3);
         let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
         println!("{}", serde_json::to_string_pretty(&found.diagnosis).unwrap());
-        let mut named: Vec<&str> = found.diagnosis.causes.iter().map(|cause| cause.effect).collect();
+        let mut named: Vec<&str> = found.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect();
         named.sort_unstable();
         assert_eq!(named, ["bias", "scale_factor"]);
         assert_eq!(found.diagnosis.verdict, Verdict::Effects);
         for (effect, truth) in [("bias", [0.05, -0.03, 0.02]), ("scale_factor", [0.006, -0.005, 0.002])] {
-            let cause = found.diagnosis.causes.iter().find(|cause| cause.effect == effect).unwrap();
+            let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == effect).unwrap();
             for (name, truth) in ["x", "y", "z"].into_iter().zip(truth) {
                 let ends = &cause.uncertainty["accel"][name];
                 let (low, high) = (ends[0].as_f64().unwrap(), ends[1].as_f64().unwrap());
@@ -421,7 +411,7 @@ mod tests {
         let real = recorded(&truth, motions.collect(), 5);
         let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
         let cause = &found.diagnosis.causes[0];
-        assert_eq!((cause.effect, cause.channels.as_slice()), ("scale_factor", &["gyro_z".to_owned()][..]));
+        assert_eq!((cause.effect.name(), cause.channels.as_slice()), ("scale_factor", &["gyro_z".to_owned()][..]));
         assert!((cause.parameters["gyro"]["z"].as_f64().unwrap() - 0.012).abs() < 2e-3);
     }
 }

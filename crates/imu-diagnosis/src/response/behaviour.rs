@@ -3,6 +3,7 @@
 
 use super::round_trip::{Case, FULL_SCALE, RATE_HZ, motion, nonlinearity, rate_table, simulated, tumble};
 use super::*;
+use imu_model::effects::EffectKind;
 use imu_model::motion::{Course, Kind, Site};
 use imu_model::simulator::{ChannelModel, SensorModel};
 
@@ -165,9 +166,9 @@ fn a_still_record_tells_no_scale_factor_from_a_bias() {
 fn a_record_without_any_motion_leaves_numbers() {
     let case = Case::new(Triad::Gyro, vec![Motion::default(); 65], &[]);
     let found = case.fit(2, &Candidate::all(Triad::Gyro, FULL_SCALE));
-    let seen: Vec<&str> =
+    let seen: Vec<Option<EffectKind>> =
         found.estimates.iter().filter(|one| one.standard_error.is_some()).map(|one| one.effect).collect();
-    assert_eq!(seen, ["bias"; 3]);
+    assert_eq!(seen, [Some(EffectKind::Bias); 3]);
     assert_finite(&found);
     let nothing = case.fit(2, &[]);
     assert_eq!((nothing.gain_nats, nothing.estimates.len()), (0.0, 0));
@@ -208,7 +209,7 @@ fn nothing_depends_on_the_size_of_the_unit() {
         let found = other.fit_to(&scaled, &candidates, Clock::SHARED);
         assert!((found.gain_nats / usual.gain_nats - 1.0).abs() < 1e-6);
         for (one, other) in found.estimates.iter().zip(&usual.estimates) {
-            let scale = if one.effect == "bias" { unit } else { 1.0 };
+            let scale = if one.effect == Some(EffectKind::Bias) { unit } else { 1.0 };
             let apart = (one.value / scale - other.value).abs() / other.standard_error.unwrap();
             assert!(apart < 1e-3, "{unit}: {one:?} {other:?}");
         }
@@ -240,7 +241,7 @@ fn a_clocks_offset_and_rate_are_no_latency_and_what_one_triad_has_more_is() {
         println!("{}: {delay:?} {rate:?}", triad.name());
         assert!((delay.value - offset_s - seconds).abs() < 4.0 * delay.standard_error.unwrap() + 1e-4, "{delay:?}");
         assert!((rate.value - rate_error).abs() < 4.0 * rate.standard_error.unwrap() + 1e-6, "{rate:?}");
-        assert!(found.fitted.iter().all(|one| one.effect.name() != "latency"));
+        assert!(found.fitted.iter().all(|one| one.effect.kind() != EffectKind::Latency));
         assert!(found.confounded.iter().any(|one| one.sentence.contains("clock offset_s")));
         delays.push((triad, delay));
     }

@@ -5,7 +5,7 @@ use imu_model::effects::triad::{
     Axes, Bias, CrossAxisSensitivity, GSensitivity, Latency, Misalignment, Saturation, ScaleFactor,
     ScaleFactorNonlinearity,
 };
-use imu_model::effects::{Refusal, TriadEffect};
+use imu_model::effects::{EffectKind, Refusal, TriadEffect};
 use std::sync::Arc;
 
 /// A standard error of a fraction or an angle above which a motion carries no information about it. Sensors are made to 1–2 %,
@@ -55,20 +55,13 @@ impl Candidate {
         all.into_iter().filter(|candidate| candidate.make(&[]).triads().contains(&triad)).collect()
     }
 
-    /// The candidates of a name (docs/formats.md): two for `scale_factor_nonlinearity`, unsigned and signed; none if it is
-    /// unknown.
-    pub fn named(name: &str, full_scale: f64) -> Vec<Self> {
-        let all = Self::all(Triad::Gyro, full_scale);
-        all.into_iter().filter(|candidate| candidate.name() == name).collect()
-    }
-
-    /// The effect's name.
-    pub fn name(self) -> &'static str {
-        self.make(&[]).name()
+    /// The effect.
+    pub fn kind(self) -> EffectKind {
+        self.make(&[]).kind()
     }
 
     /// The suffix that distinguishes it from others of its name, with a space.
-    pub(super) fn form(self) -> &'static str {
+    pub(crate) fn form(self) -> &'static str {
         match self {
             Self::ScaleFactorNonlinearity { signed: true, .. } => "signed ",
             Self::ScaleFactorNonlinearity { signed: false, .. } => "unsigned ",
@@ -124,16 +117,13 @@ impl Candidate {
 
     /// The coefficients that a known effect gives this candidate; `None` if it is another effect.
     pub(super) fn coefficients_of(self, known: &dyn TriadEffect) -> Option<Vec<f64>> {
-        let fixed = |effect: &dyn TriadEffect, name| {
-            effect.parameters().into_iter().find(|(of, _)| *of == name).map(|(_, value)| value)
-        };
-        if known.name() != self.name() || fixed(known, "form") != fixed(self.make(&[]).as_ref(), "form") {
+        if known.kind() != self.kind() || known.parameter("form") != self.make(&[]).parameter("form") {
             return None;
         }
         let mut coefficients = known.coefficients();
         if let Self::ScaleFactorNonlinearity { full_scale, .. } = self {
             // x·ω²/F is the same deviation for x·F'/F at F'.
-            let of = fixed(known, "full_scale").and_then(|value| value.as_f64()).unwrap_or(full_scale);
+            let of = known.number("full_scale").unwrap_or(full_scale);
             coefficients.iter_mut().for_each(|coefficient| *coefficient *= full_scale / of);
         }
         Some(coefficients)
@@ -156,21 +146,17 @@ impl Candidate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use imu_model::effects::registry;
+    use imu_model::effects::TRIAD;
 
     #[test]
     fn every_effect_on_a_triad_is_a_candidate() {
-        let found: Vec<&str> = Candidate::all(Triad::Gyro, 35.0).iter().map(|candidate| candidate.name()).collect();
-        for name in registry::names(&registry::TRIAD) {
-            assert!(found.contains(&name), "{name}");
-            assert_eq!(
-                Candidate::named(name, 35.0).len(),
-                if name == "scale_factor_nonlinearity" { 2 } else { 1 },
-                "{name}"
-            );
+        let found: Vec<EffectKind> =
+            Candidate::all(Triad::Gyro, 35.0).iter().map(|candidate| candidate.kind()).collect();
+        for kind in TRIAD.iter().map(|of| of.spec.kind) {
+            let forms = if kind == EffectKind::ScaleFactorNonlinearity { 2 } else { 1 };
+            assert_eq!(found.iter().filter(|own| **own == kind).count(), forms, "{kind}");
         }
         assert!(!Candidate::all(Triad::Accel, 157.0).contains(&Candidate::GSensitivity));
-        assert!(Candidate::named("wobble", 35.0).is_empty());
     }
 
     #[test]

@@ -72,6 +72,7 @@ pub(super) fn latency_or_offset(place: usize) -> Confounding {
     Confounding {
         openness: Openness::Confounded,
         places: vec![place],
+        of_clock: true,
         sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
                    reference; the other triad's delay would tell"
             .to_owned(),
@@ -182,7 +183,7 @@ mod tests {
     #[test]
     fn what_two_triads_share_is_the_clocks_offset_and_the_rest_a_latency() {
         let delay = |value, error| Estimate {
-            effect: "clock",
+            effect: None,
             parameter: "offset_s".into(),
             value,
             known: 0.0,

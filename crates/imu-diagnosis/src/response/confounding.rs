@@ -4,6 +4,7 @@ use super::candidate::Candidate;
 use super::design::Slot;
 use super::{Estimate, Record};
 use imu_core::sample::Triad;
+use imu_model::effects::EffectKind;
 use imu_model::effects::triad::Drive;
 use imu_model::simulator::Motion;
 
@@ -31,6 +32,8 @@ pub struct Confounding {
     pub openness: Openness,
     /// Their places among the fit's estimates.
     pub places: Vec<usize>,
+    /// Whether the reference's clock is among them.
+    pub of_clock: bool,
     /// One sentence: which parameters, which motion is missing, and which motion would separate them.
     pub sentence: String,
 }
@@ -88,7 +91,8 @@ impl Motions {
             lacks.join("; ")
         };
         let would = if wants.is_empty() { String::new() } else { format!("; {} would tell", wants.join(" and ")) };
-        Confounding { openness, places: group.to_vec(), sentence: format!("{what}: {why}{would}") }
+        let of_clock = group.iter().any(|place| estimates[*place].effect.is_none());
+        Confounding { openness, places: group.to_vec(), of_clock, sentence: format!("{what}: {why}{would}") }
     }
 
     /// The motion that these columns depend on and that the record lacks, and the motion that would provide it.
@@ -144,7 +148,7 @@ fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &
             Slot::Coefficient(candidate, _) => candidates[candidate].form(),
             _ => "",
         };
-        let effect = format!("{form}{}", estimates[*place].effect);
+        let effect = format!("{form}{}", estimates[*place].effect.map_or("clock", EffectKind::name));
         let parameter = estimates[*place].parameter.as_str();
         match effects.iter_mut().find(|(of, _)| *of == effect) {
             Some((_, parameters)) => parameters.push(parameter),

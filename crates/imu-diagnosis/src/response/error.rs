@@ -1,7 +1,7 @@
 //! Why a response cannot be fitted.
 
 use imu_core::sample::{Channel, Triad};
-use imu_model::effects::Refusal;
+use imu_model::effects::{EffectKind, Refusal};
 
 /// Why a record cannot be held against its reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -65,8 +65,8 @@ pub enum ResponseError {
     /// An effect is asked for twice.
     #[error("`{effect}` is asked for twice; expected each effect once")]
     Twice {
-        /// Its name.
-        effect: &'static str,
+        /// Which.
+        effect: EffectKind,
     },
     /// A parameter or an effect that this triad cannot have.
     #[error(transparent)]

@@ -5,7 +5,7 @@
 //! the noise's estimate enters as one more observation.
 
 use crate::law::reach;
-use imu_model::effects::{Effect, LowPass, Stream, StreamId};
+use imu_model::effects::{Effect, EffectKind, LowPass, Stream, StreamId};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
@@ -98,7 +98,7 @@ impl Filters {
 
 fn low_pass(effect: &dyn Effect) -> Option<LowPass> {
     let of = |wanted: &str| effect.parameters().into_iter().find(|(name, _)| *name == wanted).map(|(_, value)| value);
-    (effect.name() == "low_pass").then_some(())?;
+    (effect.kind() == EffectKind::LowPass).then_some(())?;
     Some(LowPass::new(of("cutoff_hz")?.as_f64()?, of("order")?.as_u64()?))
 }
 

@@ -51,8 +51,8 @@ pub use screen::{Extra, Screen, screen};
 
 use design::{Design, State};
 use imu_core::sample::Triad;
-use imu_model::effects::TriadEffect;
 use imu_model::effects::triad::Axes;
+use imu_model::effects::{EffectKind, TriadEffect};
 use imu_model::simulator::Motion;
 use solution::{Search, Solution};
 use std::sync::Arc;
@@ -107,9 +107,9 @@ pub struct Request<'a> {
 /// A fitted parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// The effect's name; `clock` for the reference's, `temperature_bias` for what goes with the temperature, `low_pass` for a
-    /// cutoff.
-    pub effect: &'static str,
+    /// The effect: a temperature bias for what goes with the temperature, a low pass for a cutoff; none for the clock of the
+    /// reference.
+    pub effect: Option<EffectKind>,
     /// `x`, `xy`, `m[0][2]`, `seconds`; `offset_s`, `rate_error`; `x per_c`; `x ln_cutoff`, what is added to
     /// the logarithm of a cutoff.
     pub parameter: String,
@@ -279,7 +279,7 @@ fn check(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result<(
         candidate.check(record.triad)?;
         let same = |other: &Candidate| candidate.coefficients_of(other.make(&[]).as_ref()).is_some();
         if request.candidates[..place].iter().any(same) {
-            return Err(ResponseError::Twice { effect: candidate.name() });
+            return Err(ResponseError::Twice { effect: candidate.kind() });
         }
     }
     Ok(())

@@ -5,6 +5,7 @@ use super::confounding::Motions;
 use super::design::{Design, Slot, State};
 use super::solution::{Search, Solution};
 use super::{Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock};
+use imu_model::effects::EffectKind;
 use nalgebra::{DMatrix, DVector};
 
 /// The complete report of a solution.
@@ -82,17 +83,17 @@ pub(super) fn report(
     }
 }
 
-fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (&'static str, String) {
+fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (Option<EffectKind>, String) {
     match slot {
         Slot::Coefficient(candidate, place) => {
             let candidate = design.candidates[candidate];
-            (candidate.name(), candidate.parameters()[place].clone())
+            (Some(candidate.kind()), candidate.parameters()[place].clone())
         }
-        Slot::Delay if request.clock.offset_unknown => ("clock", "offset_s".to_owned()),
-        Slot::Delay => (Candidate::Latency.name(), "seconds".to_owned()),
-        Slot::RateError => ("clock", "rate_error".to_owned()),
-        Slot::Temperature(axis) => ("temperature_bias", format!("{} per_c", ["x", "y", "z"][axis])),
-        Slot::Cutoff(axis) => ("low_pass", format!("{} ln_cutoff", ["x", "y", "z"][axis])),
+        Slot::Delay if request.clock.offset_unknown => (None, "offset_s".to_owned()),
+        Slot::Delay => (Some(EffectKind::Latency), "seconds".to_owned()),
+        Slot::RateError => (None, "rate_error".to_owned()),
+        Slot::Temperature(axis) => (Some(EffectKind::TemperatureBias), format!("{} per_c", ["x", "y", "z"][axis])),
+        Slot::Cutoff(axis) => (Some(EffectKind::LowPass), format!("{} ln_cutoff", ["x", "y", "z"][axis])),
     }
 }
 

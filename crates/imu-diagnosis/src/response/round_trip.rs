@@ -109,7 +109,7 @@ fn coverage(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)
         assert!(found.converged, "{candidates:?}: {} steps", found.steps);
         misfit += found.misfit.iter().sum::<f64>() / (3.0 * SEEDS as f64);
         held.resize(found.estimates.len(), 0);
-        names = found.estimates.iter().map(|one| format!("{} {}", one.effect, one.parameter)).collect();
+        names = found.estimates.iter().map(|one| format!("{:?} {}", one.effect, one.parameter)).collect();
         for fitted in &found.fitted {
             let same = truth.iter().find(|(of, _)| of.coefficients_of(fitted.effect.as_ref()).is_some());
             for (place, index) in fitted.places.clone().enumerate() {
@@ -120,7 +120,7 @@ fn coverage(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)
         }
     }
     let share = held.iter().sum::<u64>() as f64 / (SEEDS * held.len() as u64) as f64;
-    println!("{} {}: {:.1} % {held:?}", triad.name(), candidates[0].name(), 100.0 * share);
+    println!("{} {}: {:.1} % {held:?}", triad.name(), candidates[0].kind(), 100.0 * share);
     // Binomial: one parameter in 60 trials falls below 50 with 2e-4; the parameters of a fit are not independent.
     for (held, name) in held.iter().zip(&names) {
         assert!(*held >= 50, "{name}: {held} of {SEEDS}");

@@ -1,35 +1,16 @@
 //! Bias step: the level jumps once and stays.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature, sampled};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{ANY, Form, effect};
+use super::{At, Effect, Extent, Record, Sampler, Stage, Stream, each, sampled};
 
-/// A bias of `size` from the first sample at or after `at_s` on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BiasStep {
-    /// When, s after the start.
-    pub at_s: f64,
-    /// By how much, U; signed.
-    pub size: f64,
+effect! {
+    /// A bias of `size` from the first sample at or after `at_s` on.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct BiasStep: dyn Effect, 0, Stage::Bias;
+    "the level jumps once and stays" => "a step of {size:.3e} at {at_s:.1} s{more}";
+    at_s: f64 = Form::Time, "s", "when, s after the start";
+    size: f64 = ANY, "U", "by how much, U; signed";
 }
-
-static SPEC: Spec = Spec {
-    name: "bias_step",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[
-        number("at_s", Range::FromZero, "when, s after the start"),
-        number("size", Range::Any, "by how much, U; signed"),
-    ],
-    forms: &[],
-    meaning: "the level jumps once and stays",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(BiasStep { at_s: values.number("at_s"), size: values.number("size") }),
-};
 
 /// 1² + … + n², 0 for n below 1.
 fn squares_up_to(n: i128) -> i128 {
@@ -38,11 +19,8 @@ fn squares_up_to(n: i128) -> i128 {
 }
 
 impl Effect for BiasStep {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("at_s", self.at_s.into()), ("size", self.size.into())]
+    fn extents(&self) -> Vec<Extent> {
+        vec![Extent::time(self.at_s, self.at_s, self.size * self.size)]
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
@@ -71,24 +49,11 @@ impl Effect for BiasStep {
         row[0] = if at.time_s >= self.at_s { 1.0 } else { 0.0 };
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(StepSampler { before: sampled::index_at(self.at_s, rate_hz), size: self.size })
-    }
-}
-
-/// How many samples are left before the step.
-#[derive(Debug)]
-struct StepSampler {
-    before: u64,
-    size: f64,
-}
-
-impl Sampler for StepSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        let first = usize::try_from(self.before).unwrap_or(usize::MAX).min(values.len());
-        self.before -= first as u64;
-        for value in &mut values[first..] {
-            *value += self.size;
-        }
+        let (size, mut before) = (self.size, sampled::index_at(self.at_s, rate_hz));
+        each(move |value| match before {
+            0 => *value += size,
+            _ => before -= 1,
+        })
     }
 }
 

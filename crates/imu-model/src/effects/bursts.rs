@@ -1,43 +1,19 @@
 //! Bursts: stretches of extra noise, such as knocks and handling.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, sampled};
-use serde_json::{Value, json};
-use std::sync::Arc;
+use super::spec::{FROM_ZERO, Form, effect};
+use super::{Effect, Extent, Moments, Record, Sampler, Stage, Stream, each, sampled};
 
-/// White noise of root mean square `sigma` per sample inside the intervals; overlapping intervals count once.
-///
-/// An interval holds the samples from its first instant to before its last. Spectrum: flat, but only inside; averaged over
-/// a record it is σ²/rate times the share of the samples inside, which is not the parameters' alone (`None`).
-#[derive(Debug, Clone, PartialEq)]
-pub struct Bursts {
-    /// From, to in s after the start.
-    pub intervals: Vec<(f64, f64)>,
-    /// Root mean square per sample, U.
-    pub sigma: f64,
+effect! {
+    /// White noise of root mean square `sigma` per sample inside the intervals; overlapping intervals count once.
+    ///
+    /// An interval holds the samples from its first instant to before its last. Spectrum: flat, but only inside; averaged over
+    /// a record it is σ²/rate times the share of the samples inside, which is not the parameters' alone (`None`).
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Bursts: dyn Effect, 11, Stage::Noise, Samples;
+    "white noise inside intervals: knocks, handling";
+    intervals: Vec<(f64, f64)> = Form::Intervals, "s", "[from_s, to_s] after the start";
+    sigma: f64 = FROM_ZERO, "U", "root mean square per sample, U";
 }
-
-static SPEC: Spec = Spec {
-    name: "bursts",
-    stream: streams::BURSTS,
-    stage: Stage::Noise,
-    parameters: &[
-        Parameter {
-            name: "intervals",
-            form: Form::Intervals,
-            need: Need::Always,
-            meaning: "[from_s, to_s] after the start",
-        },
-        number("sigma", Range::FromZero, "root mean square per sample, U"),
-    ],
-    forms: &[],
-    meaning: "white noise inside intervals: knocks, handling",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(Bursts { intervals: values.pairs("intervals"), sigma: values.number("sigma") }),
-};
 
 impl Bursts {
     /// The samples inside as ranges that neither overlap nor touch, in order.
@@ -63,12 +39,8 @@ impl Bursts {
 }
 
 impl Effect for Bursts {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let intervals: Vec<Value> = self.intervals.iter().map(|(from, to)| json!([from, to])).collect();
-        vec![("intervals", intervals.into()), ("sigma", self.sigma.into())]
+    fn extents(&self) -> Vec<Extent> {
+        self.intervals.iter().map(|(from_s, to_s)| Extent::time(*from_s, *to_s, to_s - from_s)).collect()
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
@@ -86,33 +58,19 @@ impl Effect for Bursts {
         let share = self.inside(record) as f64 / record.samples.max(1) as f64;
         Some(Moments { variance: self.sigma * self.sigma * share, kurtosis: (share > 0.0).then(|| 3.0 / share) })
     }
-    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let mut ranges = self.ranges(rate_hz);
         ranges.reverse();
-        Box::new(BurstSampler { ranges, sigma: self.sigma, index: 0, stream })
-    }
-}
-
-/// The ranges still to come, the next one last, and the next sample's index.
-#[derive(Debug)]
-struct BurstSampler {
-    ranges: Vec<(u64, u64)>,
-    sigma: f64,
-    index: u64,
-    stream: Stream,
-}
-
-impl Sampler for BurstSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            while self.ranges.last().is_some_and(|range| range.1 <= self.index) {
-                self.ranges.pop();
+        let (sigma, mut index) = (self.sigma, 0_u64);
+        each(move |value| {
+            while ranges.last().is_some_and(|range| range.1 <= index) {
+                ranges.pop();
             }
-            if self.ranges.last().is_some_and(|range| range.0 <= self.index) {
-                *value += self.sigma * self.stream.normal();
+            if ranges.last().is_some_and(|range| range.0 <= index) {
+                *value += sigma * stream.normal();
             }
-            self.index += 1;
-        }
+            index += 1;
+        })
     }
 }
 

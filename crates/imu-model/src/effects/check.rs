@@ -1,7 +1,7 @@
 //! Checks that the effects' tests share: simulated spectra, Allan variances and moments against the closed forms, and
 //! values that do not depend on how a stream is cut.
 
-use super::{At, Effect, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
+use super::{At, Effect, EffectKind, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
 
 /// Samples per realisation.
 pub(super) const SAMPLES: usize = 1 << 14;
@@ -161,7 +161,7 @@ fn cuts_do_not_matter(effect: &dyn Effect, rate_hz: f64) {
     let silent = effect.stage() == Stage::Bandwidth && effect.psd(1.0, rate_hz) == Some(0.0);
     if effect.spec().stream == 0 || silent {
         assert_eq!(again, whole);
-    } else if effect.name() != "bursts" && effect.name() != "spikes" {
+    } else if !matches!(effect.kind(), EffectKind::Bursts | EffectKind::Spikes) {
         assert_ne!(again, whole, "{} does not depend on the seed", effect.name());
     }
 }
@@ -205,7 +205,8 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
             allan_agrees(name, &cases, 1e-3, |m| Some(integral(m)));
         }
         _ => {
-            let systematic = if matches!(name, "flicker" | "power_law") { APPROXIMATE } else { EXACT };
+            let systematic =
+                if matches!(effect.kind(), EffectKind::Flicker | EffectKind::PowerLaw) { APPROXIMATE } else { EXACT };
             allan_agrees(name, &cases, systematic, |m| effect.allan_variance(m, record));
             let lines = effect.lines();
             if let (false, Some(_), true) = (deterministic, effect.psd(1.0, rate_hz), lines.is_empty()) {

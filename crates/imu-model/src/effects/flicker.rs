@@ -14,42 +14,25 @@
 //! Validation: `the_spectrum_is_one_over_f_within_two_percent_from_one_over_the_record_up_to_nyquist`: ≤ 1 % for 5 h at
 //! 40 Hz, 5 h and 24 h at 800 Hz.
 
-use super::spec::{Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, effect};
+use super::{Effect, Record, Sampler, Stage, Stream, Temperature};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, LN_2, PI};
 
-/// Flicker noise with two-sided PSD B²/(2πf) up to Nyquist; its Allan deviation is flat at 0.664 B.
-///
-/// Source: IEEE Std 952-1997, annex C (bias instability), without its cut-off frequency.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Flicker {
-    /// B in U.
-    pub b: f64,
+effect! {
+    /// Flicker noise with two-sided PSD B²/(2πf) up to Nyquist; its Allan deviation is flat at 0.664 B.
+    ///
+    /// Source: IEEE Std 952-1997, annex C (bias instability), without its cut-off frequency.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Flicker: dyn Effect, 2, Stage::Noise;
+    "bias instability, two-sided density B²/(2πf)";
+    b as "B": f64 = FROM_ZERO, "U", "B in U";
 }
 
 /// Averaging factors up to this one take the Allan variance by integration, those beyond by its expansion (which is off
 /// by less than 1e-6 there).
 const INTEGRATED_UP_TO: u64 = 32;
 
-const PARAMETERS: [Parameter; 1] = [number("B", Range::FromZero, "B in U")];
-static SPEC: Spec = Spec {
-    name: "flicker",
-    stream: streams::FLICKER,
-    stage: Stage::Noise,
-    parameters: &PARAMETERS,
-    forms: &[],
-    meaning: "bias instability, two-sided density B²/(2πf)",
-};
-
 impl Effect for Flicker {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("B", self.b.into())]
-    }
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(self.b * self.b / (2.0 * PI * frequency_hz))
     }

@@ -1,39 +1,20 @@
 //! Gauss-Markov noise: exponentially correlated, the hump of an Allan curve.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, sampled};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, above, effect};
+use super::{Effect, Moments, Record, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::PI;
-use std::sync::Arc;
 
-/// A first-order Gauss-Markov process with autocovariance σ²·exp(−|t|/Tc), sampled; it starts in its stationary state.
-///
-/// With φ = exp(−dt/Tc): two-sided PSD σ²(1 − φ²)dt/(1 + φ² − 2φ cos 2πf·dt), which is 2σ²Tc/(1 + (2πfTc)²) far below
-/// half the rate. Source: IEEE Std 952-1997, annex C (exponentially correlated noise, with qc² Tc/2 = σ²).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GaussMarkov {
-    /// Root mean square, U.
-    pub sigma: f64,
-    /// Correlation time, s.
-    pub tc_s: f64,
+effect! {
+    /// A first-order Gauss-Markov process with autocovariance σ²·exp(−|t|/Tc), sampled; it starts in its stationary state.
+    ///
+    /// With φ = exp(−dt/Tc): two-sided PSD σ²(1 − φ²)dt/(1 + φ² − 2φ cos 2πf·dt), which is 2σ²Tc/(1 + (2πfTc)²) far below
+    /// half the rate. Source: IEEE Std 952-1997, annex C (exponentially correlated noise, with qc² Tc/2 = σ²).
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct GaussMarkov: dyn Effect, 4, Stage::Noise, Coloured;
+    "exponentially correlated noise";
+    sigma: f64 = FROM_ZERO, "U", "root mean square, U";
+    tc_s: f64 = above(0.0), "s", "correlation time, s";
 }
-
-static SPEC: Spec = Spec {
-    name: "gauss_markov",
-    stream: streams::GAUSS_MARKOV,
-    stage: Stage::Noise,
-    parameters: &[
-        number("sigma", Range::FromZero, "root mean square, U"),
-        number("tc_s", Range::Above(0.0), "correlation time, s"),
-    ],
-    forms: &[],
-    meaning: "exponentially correlated noise",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(GaussMarkov { sigma: values.number("sigma"), tc_s: values.number("tc_s") }),
-};
 
 /// Two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay` per sample, at
 /// `cycles` per sample; `decay` may be arbitrarily small.
@@ -70,12 +51,6 @@ impl Lorentzian {
 }
 
 impl Effect for GaussMarkov {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("sigma", self.sigma.into()), ("tc_s", self.tc_s.into())]
-    }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         Some(self.sigma * self.sigma * lorentzian(frequency_hz / rate_hz, 1.0 / (rate_hz * self.tc_s), rate_hz))
     }
@@ -88,30 +63,12 @@ impl Effect for GaussMarkov {
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let decay = 1.0 / (rate_hz * self.tc_s);
-        Box::new(GaussMarkovSampler {
-            pole: (-decay).exp(),
-            drive: self.sigma * (-(-2.0 * decay).exp_m1()).sqrt(),
-            state: self.sigma * stream.normal(),
-            stream,
+        let (pole, drive) = ((-decay).exp(), self.sigma * (-(-2.0 * decay).exp_m1()).sqrt());
+        let mut state = self.sigma * stream.normal();
+        each(move |value| {
+            *value += state;
+            state = pole * state + drive * stream.normal();
         })
-    }
-}
-
-/// The next value and the numbers that continue the process.
-#[derive(Debug)]
-struct GaussMarkovSampler {
-    pole: f64,
-    drive: f64,
-    state: f64,
-    stream: Stream,
-}
-
-impl Sampler for GaussMarkovSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value += self.state;
-            self.state = self.pole * self.state + self.drive * self.stream.normal();
-        }
     }
 }
 

@@ -1,42 +1,21 @@
 //! Heavy tails: the white part follows Student's t distribution.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, WhiteMoments};
+use super::spec::{above, effect};
+use super::{Effect, Moments, Record, Sampler, Stage, Stream, WhiteMoments, each};
 use rand_distr::ChiSquared;
-use serde_json::Value;
-use std::sync::Arc;
 
-/// Makes the white part Student t distributed and keeps its variance, and with it spectrum and Allan variance.
-///
-/// Each white value z becomes z·√((ν − 2)/χ²), χ² drawn with ν degrees of freedom: t with ν degrees of freedom, scaled to
-/// the variance of z. Kurtosis 3 + 6/(ν − 4) for ν above 4, infinite below.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HeavyTails {
-    /// ν, above 2.
-    pub degrees_of_freedom: f64,
+effect! {
+    /// Makes the white part Student t distributed and keeps its variance, and with it spectrum and Allan variance.
+    ///
+    /// Each white value z becomes z·√((ν − 2)/χ²), χ² drawn with ν degrees of freedom: t with ν degrees of freedom, scaled to
+    /// the variance of z. Kurtosis 3 + 6/(ν − 4) for ν above 4, infinite below.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct HeavyTails: dyn Effect, 10, Stage::WhitePart, Samples;
+    "the white part is Student t distributed, its variance kept";
+    degrees_of_freedom: f64 = above(2.0), "", "of Student's t distribution";
 }
 
-static SPEC: Spec = Spec {
-    name: "heavy_tails",
-    stream: streams::HEAVY_TAILS,
-    stage: Stage::WhitePart,
-    parameters: &[number("degrees_of_freedom", Range::Above(2.0), "of Student's t distribution")],
-    forms: &[],
-    meaning: "the white part is Student t distributed, its variance kept",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(HeavyTails { degrees_of_freedom: values.number("degrees_of_freedom") }),
-};
-
 impl Effect for HeavyTails {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("degrees_of_freedom", self.degrees_of_freedom.into())]
-    }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
     }
@@ -47,26 +26,15 @@ impl Effect for HeavyTails {
         let above = self.degrees_of_freedom - 4.0;
         Some(Moments { variance: 1.0, kurtosis: (above > 0.0).then(|| 3.0 + 6.0 / above) })
     }
-    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         // Refused by `check` if it is not above 2; such a sampler leaves the values as they are.
         let law = ChiSquared::new(self.degrees_of_freedom).ok().filter(|_| self.degrees_of_freedom > 2.0);
-        Box::new(TailSampler { law, excess: self.degrees_of_freedom - 2.0, stream })
-    }
-}
-
-#[derive(Debug)]
-struct TailSampler {
-    law: Option<ChiSquared<f64>>,
-    excess: f64,
-    stream: Stream,
-}
-
-impl Sampler for TailSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        let Some(law) = &self.law else { return };
-        for value in values {
-            *value *= (self.excess / self.stream.draw(law)).sqrt();
-        }
+        let excess = self.degrees_of_freedom - 2.0;
+        each(move |value| {
+            if let Some(law) = &law {
+                *value *= (excess / stream.draw(law)).sqrt();
+            }
+        })
     }
 }
 

@@ -1,32 +1,20 @@
 //! Held samples: the sensor sends its last sample again.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Record, Sampler, Scope, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{PROBABILITY, effect};
+use super::{Effect, Record, Sampler, Scope, Stage, Stream, each};
 use std::f64::consts::TAU;
-use std::sync::Arc;
 
-/// With this probability a sample is the one before it again; all channels of the triad repeat together.
-///
-/// One channel that names it is enough. White noise keeps its variance and has the power gain of [`HeldSamples::white_gain`]. For
-/// any other input, the outcome depends on its spectrum: psd and Allan variance are `None`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HeldSamples {
-    /// From 0 to below 1.
-    pub probability: f64,
+effect! {
+    /// With this probability a sample is the one before it again; all channels of the triad repeat together.
+    ///
+    /// One channel that names it is enough. White noise keeps its variance and has the power gain of [`HeldSamples::white_gain`]. For
+    /// any other input, the outcome depends on its spectrum: psd and Allan variance are `None`.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct HeldSamples: dyn Effect, 13, Stage::Hold, Samples;
+    "the sensor sends its last sample again; all channels of the triad repeat together"
+        => "samples sent twice, {probability:.3e} of all,";
+    probability: f64 = PROBABILITY, "", "that a sample is the one before it again";
 }
-
-static SPEC: Spec = Spec {
-    name: "held_samples",
-    stream: streams::HELD_SAMPLES,
-    stage: Stage::Hold,
-    parameters: &[number("probability", Range::Probability, "that a sample is the one before it again")],
-    forms: &[],
-    meaning: "the sensor sends its last sample again; all channels of the triad repeat together",
-};
-pub(super) static KIND: Kind<dyn Effect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(HeldSamples { probability: values.number("probability") }) };
 
 impl HeldSamples {
     /// The power gain for a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives (1
@@ -38,12 +26,6 @@ impl HeldSamples {
 }
 
 impl Effect for HeldSamples {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("probability", self.probability.into())]
-    }
     fn scope(&self) -> Scope {
         Scope::Triad
     }
@@ -53,27 +35,15 @@ impl Effect for HeldSamples {
     fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
         None
     }
-    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        Box::new(HoldSampler { probability: self.probability, last: None, stream })
-    }
-}
-
-#[derive(Debug)]
-struct HoldSampler {
-    probability: f64,
-    last: Option<f64>,
-    stream: Stream,
-}
-
-impl Sampler for HoldSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            let held = self.stream.uniform() < self.probability;
-            match self.last {
+    fn sampler(&self, _rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let (probability, mut last) = (self.probability, None);
+        each(move |value| {
+            let held = stream.uniform() < probability;
+            match last {
                 Some(last) if held => *value = last,
-                _ => self.last = Some(*value),
+                _ => last = Some(*value),
             }
-        }
+        })
     }
 }
 

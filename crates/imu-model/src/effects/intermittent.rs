@@ -1,11 +1,10 @@
 //! Intermittent: another effect that comes and goes.
 
 use super::gauss_markov::lorentzian;
-use super::spec::{Form, Kind, Need, Parameter, Range, Values, number};
-use super::stream::number as streams;
+use super::spec::{FROM_ZERO, Form, Need, Parameter, Values, above, described};
 use super::{
-    Bursts, Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone, White, profile,
-    sampled,
+    Bursts, Effect, EffectKind, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone, White,
+    profile, sampled,
 };
 use serde_json::{Map, Value, json};
 use std::f64::consts::TAU;
@@ -52,65 +51,43 @@ pub enum Times {
 }
 
 static OF_WHITE: Spec = Spec {
-    name: "white",
-    stream: streams::NONE,
-    stage: Stage::Noise,
-    parameters: &[number("n", Range::FromZero, "N in U/√Hz: two-sided density N²")],
-    forms: &[],
+    stream: 0,
+    parameters: &[Parameter::new("n", FROM_ZERO, "U/√Hz", "N in U/√Hz: two-sided density N²")],
     meaning: "white noise",
+    ..*White::SPEC
 };
 
+/// A symmetric line.
 static OF_RESONANCE: Spec = Spec {
-    name: "resonance",
-    stream: streams::NONE,
-    stage: Stage::Noise,
-    parameters: super::resonance::SYMMETRIC,
-    forms: &[],
+    stream: 0,
+    parameters: Resonance::SPEC.parameters.split_at(3).0,
     meaning: "noise in a narrow band, with a symmetric Lorentzian line",
+    ..*Resonance::SPEC
 };
 
-static SPEC: Spec = Spec {
-    name: "intermittent",
-    stream: streams::INTERMITTENT,
-    stage: Stage::Noise,
-    parameters: &[
-        Parameter {
-            name: "of",
-            form: Form::Effect(&[&super::tone::TONE_SPEC, &OF_RESONANCE, &OF_WHITE]),
-            need: Need::Always,
-            meaning: "the effect that comes and goes",
-        },
-        Parameter {
-            name: "on_s",
-            form: Form::Number(Range::Above(0.0)),
-            need: Need::InItsForm,
-            meaning: "mean length of a stay, s",
-        },
-        Parameter {
-            name: "off_s",
-            form: Form::Number(Range::Above(0.0)),
-            need: Need::InItsForm,
-            meaning: "mean length of a pause, s",
-        },
-        Parameter {
-            name: "intervals",
-            form: Form::Intervals,
-            need: Need::InItsForm,
-            meaning: "[from_s, to_s] after the start: it is there inside",
-        },
+const GATED: &[&Spec] = &[Tone::SPEC, &OF_RESONANCE, &OF_WHITE];
+
+const fn in_form(name: &'static str, form: Form, meaning: &'static str) -> Parameter {
+    Parameter::new(name, form, "s", meaning).needed(Need::InItsForm)
+}
+
+described! {
+    Intermittent: dyn Effect, 21, Stage::Noise;
+    "a tone, a resonance or white noise that comes and goes, at random or inside intervals";
+    [
+        Parameter::new("of", Form::Effect(GATED), "", "the effect that comes and goes"),
+        in_form("on_s", above(0.0), "mean length of a stay, s"),
+        in_form("off_s", above(0.0), "mean length of a pause, s"),
+        in_form("intervals", Form::Intervals, "[from_s, to_s] after the start: it is there inside"),
     ],
-    forms: &[&["on_s", "off_s"], &["intervals"]],
-    meaning: "a tone, a resonance or white noise that comes and goes, at random or inside intervals",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
+    &[&["on_s", "off_s"], &["intervals"]];
+    |values| {
         let of = values.effect("of");
         let number = |name: &str| of.as_ref().map_or(0.0, |of| of.number(name));
         let frequency_hz = number("frequency_hz");
-        let gated = match of.as_ref().map(Values::effect_name) {
-            Some("tone") => Gated::Tone(Tone { frequency_hz, amplitude: number("amplitude") }),
-            Some("resonance") => {
+        let gated = match of.as_ref().map(Values::kind) {
+            Some(EffectKind::Tone) => Gated::Tone(Tone { frequency_hz, amplitude: number("amplitude") }),
+            Some(EffectKind::Resonance) => {
                 Gated::Resonance(Resonance::new(frequency_hz, number("bandwidth_hz"), number("sigma")))
             }
             _ => Gated::White(White { n: number("n") }),
@@ -119,9 +96,17 @@ pub(super) static KIND: Kind<dyn Effect> = Kind {
             Some(on_s) => Times::Random { on_s, off_s: values.number("off_s") },
             None => Times::Intervals(values.pairs("intervals")),
         };
-        Arc::new(Intermittent { of: gated, times })
+        Intermittent { of: gated, times }
     },
-};
+    |of| {
+        let mut parameters = vec![("of", of.of.value())];
+        match &of.times {
+            Times::Random { on_s, off_s } => parameters.extend([("on_s", (*on_s).into()), ("off_s", (*off_s).into())]),
+            Times::Intervals(intervals) => parameters.push(("intervals", profile::value(intervals))),
+        }
+        parameters
+    }
+}
 
 impl Gated {
     fn effect(&self) -> &dyn Effect {
@@ -164,20 +149,9 @@ fn telegraph(on_s: f64, off_s: f64) -> (f64, f64) {
 }
 
 impl Effect for Intermittent {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = vec![("of", self.of.value())];
-        match &self.times {
-            Times::Random { on_s, off_s } => parameters.extend([("on_s", (*on_s).into()), ("off_s", (*off_s).into())]),
-            Times::Intervals(intervals) => parameters.push(("intervals", super::profile::value(intervals))),
-        }
-        parameters
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         let refused = self.of.effect().check_at(rate_hz).err();
-        refused.map_or(Ok(()), |of| Err(SPEC.refuse(format!("of.{}", of.parameter), of.found, of.allowed)))
+        refused.map_or(Ok(()), |of| Err(Self::SPEC.refuse(format!("of.{}", of.parameter), of.found, of.allowed)))
     }
     /// `None` inside intervals: over a record it is the effect's own times the share of them, smeared by their lengths.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
@@ -369,7 +343,7 @@ mod tests {
 
     #[test]
     fn an_entry_is_read_and_written_with_its_effect() {
-        let read = |entry: Value| KIND.read(entry.as_object().unwrap());
+        let read = |entry: Value| Intermittent::DEFINITION.read(entry.as_object().unwrap());
         let entries = [
             json!({"of": {"effect": "tone", "frequency_hz": 5.0, "amplitude": 0.1}, "on_s": 60.0, "off_s": 120.0}),
             json!({"of": {"effect": "white", "n": 0.1}, "intervals": [[1.0, 2.0]]}),
@@ -389,7 +363,7 @@ mod tests {
     #[test]
     fn senseless_entries_are_refused_with_the_place() {
         let refused = |entry: Value| {
-            let read = KIND.read(entry.as_object().unwrap()).and_then(|effect| effect.check(40.0));
+            let read = Intermittent::DEFINITION.read(entry.as_object().unwrap()).and_then(|effect| effect.check(40.0));
             read.unwrap_err().parameter
         };
         let tone = |frequency_hz: f64| json!({"effect": "tone", "frequency_hz": frequency_hz, "amplitude": 0.1});

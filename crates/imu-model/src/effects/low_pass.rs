@@ -1,27 +1,24 @@
 //! Low pass: the sensor's bandwidth.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::white::WHITE_BEHIND;
-use super::{Effect, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, White};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, Form, Need, above, effect};
+use super::{Effect, Record, Refusal, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// A Butterworth filter of the sum of all stages before it in the chain, motion and noise alike.
-///
-/// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
-/// there for ever. Noise of the electronics behind it is not filtered: `white_behind`.
-///
-/// Source: the bilinear transform of Butterworth's filter, prewarped to its cutoff, in sections of first and second order.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LowPass {
-    /// −3 dB, Hz.
-    pub cutoff_hz: f64,
-    /// 1 to [`LowPass::ORDER_MAX`].
-    pub order: u64,
-    /// White noise that comes in behind it, N in U/√Hz.
-    pub white_behind: f64,
+effect! {
+    /// A Butterworth filter of the sum of all stages before it in the chain, motion and noise alike.
+    ///
+    /// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
+    /// there for ever. Noise of the electronics behind it is not filtered: `white_behind`.
+    ///
+    /// Source: the bilinear transform of Butterworth's filter, prewarped to its cutoff, in sections of first and second order.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct LowPass: dyn Effect, 16, Stage::Bandwidth, White;
+    "the sensor's bandwidth: a Butterworth filter of motion and noise" => "a low-pass filter at {cutoff_hz:.2} Hz";
+    cutoff_hz: f64 = above(0.0), "Hz", "−3 dB, Hz; below half the rate at which it acts";
+    order: u64 = Form::Whole(1, LowPass::ORDER_MAX), "", "of Butterworth's filter", Need::Default(1.0);
+    white_behind: f64 = FROM_ZERO, "U/√Hz",
+        "white noise that comes in behind the filter, N in U/√Hz", Need::Unwritten(0.0);
 }
 
 impl LowPass {
@@ -33,34 +30,6 @@ impl LowPass {
         Self { cutoff_hz, order, white_behind: 0.0 }
     }
 }
-
-static SPEC: Spec = Spec {
-    name: "low_pass",
-    stream: streams::LOW_PASS,
-    stage: Stage::Bandwidth,
-    parameters: &[
-        number("cutoff_hz", Range::Above(0.0), "−3 dB, Hz; below half the rate at which it acts"),
-        Parameter {
-            name: "order",
-            form: Form::Whole(1, LowPass::ORDER_MAX),
-            need: Need::Default(1.0),
-            meaning: "of Butterworth's filter",
-        },
-        WHITE_BEHIND,
-    ],
-    forms: &[],
-    meaning: "the sensor's bandwidth: a Butterworth filter of motion and noise",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(LowPass {
-            cutoff_hz: values.number("cutoff_hz"),
-            order: values.whole("order"),
-            white_behind: values.number(WHITE_BEHIND.name),
-        })
-    },
-};
 
 impl LowPass {
     /// Power gain at a warped frequency over that of the cutoff.
@@ -75,15 +44,8 @@ fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
 }
 
 impl Effect for LowPass {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let own = [("cutoff_hz", self.cutoff_hz.into()), ("order", self.order.into())];
-        own.into_iter().chain(White { n: self.white_behind }.behind()).collect()
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
-        SPEC.below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
+        Self::SPEC.below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
     }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         White { n: self.white_behind }.psd(frequency_hz, rate_hz)
@@ -115,8 +77,17 @@ impl Effect for LowPass {
             let back = [2.0 * (warped * warped - 1.0) / below, (1.0 - warped * damping + warped * warped) / below];
             sections.push(Section::new([gain, 2.0 * gain, gain], back));
         }
-        let filter = LowPassSampler { sections, started: false };
-        White { n: self.white_behind }.after(Box::new(filter), rate_hz, record_length_s, stream)
+        let mut started = false;
+        let filter = each(move |value| {
+            for section in &mut sections {
+                if !started {
+                    (section.inputs, section.outputs) = ([*value; 2], [*value; 2]);
+                }
+                *value = section.next(*value);
+            }
+            started = true;
+        });
+        White { n: self.white_behind }.after(filter, rate_hz, record_length_s, stream)
     }
 }
 
@@ -140,28 +111,6 @@ impl Section {
         self.inputs = [input, self.inputs[0]];
         self.outputs = [output, self.outputs[0]];
         output
-    }
-}
-
-#[derive(Debug)]
-struct LowPassSampler {
-    sections: Vec<Section>,
-    started: bool,
-}
-
-impl Sampler for LowPassSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        if let (false, Some(first)) = (self.started, values.first()) {
-            for section in &mut self.sections {
-                (section.inputs, section.outputs) = ([*first; 2], [*first; 2]);
-            }
-            self.started = true;
-        }
-        for section in &mut self.sections {
-            for value in values.iter_mut() {
-                *value = section.next(*value);
-            }
-        }
     }
 }
 

@@ -8,9 +8,9 @@
 //! Every effect samples from a separate stream ([`stream`]), so that adding one never changes another's values. A
 //! sampler works on blocks in place and its values do not depend on how the stream is cut into blocks.
 //!
-//! [`Stage`] is the order in which effects act, for any order in a file. [`registry`] holds every effect under its name with its
-//! parameters and their ranges. The refusals, the JSON Schema and the tables in `docs/effects.md` follow from it. Effects on a
-//! triad, driven by a motion, are in [`triad`].
+//! [`Stage`] is the order in which effects act, for any order in a file. [`EffectKind`] is the identity of an effect, listed once
+//! below; [`Spec`] has its parameters, their ranges and units, and its words. The refusals, the JSON Schema, a report's phrases and
+//! the tables in `docs/effects.md` follow from it. Effects on a triad, driven by a motion, are in [`triad`].
 //!
 //! Refused, with parameter, the value found and the values allowed ([`Refusal`]): values outside their range, frequencies from
 //! half the rate up, intervals that end before they begin.
@@ -73,7 +73,7 @@ pub use rate_ramp::RateRamp;
 pub use resolution::Resolution;
 pub use resonance::Resonance;
 pub use saturation::Saturation;
-pub use spec::{Kind, LARGEST, Refusal, Spec};
+pub use spec::{Definition, Described, LARGEST, Refusal, Spec};
 pub use spectrum::SpectralNoise;
 pub use spikes::Spikes;
 pub use stream::{Stream, StreamId};
@@ -86,8 +86,46 @@ pub use wandering_line::WanderingLine;
 pub use warm_up::WarmUp;
 pub use white::White;
 
-use serde_json::Value;
 use std::sync::Arc;
+
+registry::registry! {
+    beside: White = "white", Flicker = "flicker", RandomWalk = "random_walk";
+    channel:
+        Resolution = "resolution",
+        QuantizationNoise = "quantization_noise",
+        RateRamp = "rate_ramp",
+        GaussMarkov = "gauss_markov",
+        Tone = "tone",
+        Comb = "comb",
+        Resonance = "resonance",
+        TemperatureBias = "temperature_bias",
+        WarmUp = "warm_up",
+        Spikes = "spikes",
+        HeavyTails = "heavy_tails",
+        BiasStep = "bias_step",
+        Bursts = "bursts",
+        VarianceChange = "variance_change",
+        LowPass = "low_pass",
+        MovingAverage = "moving_average",
+        Saturation = "saturation",
+        HeldSamples = "held_samples",
+        CommonMode = "common_mode",
+        Timing = "timing",
+        PowerLaw = "power_law",
+        SpectralNoise = "spectrum",
+        ModulatedBand = "modulated_band",
+        Intermittent = "intermittent",
+        WanderingLine = "wandering_line";
+    triad:
+        Bias = "bias",
+        ScaleFactor = "scale_factor",
+        ScaleFactorNonlinearity = "scale_factor_nonlinearity",
+        Misalignment = "misalignment",
+        CrossAxisSensitivity = "cross_axis_sensitivity",
+        GSensitivity = "g_sensitivity",
+        Latency = "latency";
+    on both: Saturation;
+}
 
 /// Temperature if none is given, °C: that of a laboratory, and of the reference in most data sheets.
 pub const USUAL_TEMPERATURE_C: f64 = 25.0;
@@ -212,31 +250,33 @@ pub struct Line {
     pub power: f64,
 }
 
+/// A part of a record in which an effect acts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Extent {
+    /// Middle and half width of its band, Hz; none for all frequencies.
+    pub band_hz: Option<[f64; 2]>,
+    /// Begin and end, s; none for all the time.
+    pub time_s: Option<[f64; 2]>,
+    /// Its part of the effect, in any unit.
+    pub weight: f64,
+}
+
+impl Extent {
+    /// A band about a frequency.
+    pub fn band(frequency_hz: f64, half_width_hz: f64, weight: f64) -> Self {
+        Self { band_hz: Some([frequency_hz, half_width_hz]), time_s: None, weight }
+    }
+
+    /// A stretch of time, of a weight.
+    pub fn time(from_s: f64, to_s: f64, weight: f64) -> Self {
+        Self { band_hz: None, time_s: Some([from_s, to_s]), weight }
+    }
+}
+
 /// One error source of a channel. U is the unit of the channel it acts on.
 ///
 /// Making an effect with other parameters is cheap: fits make new ones again and again.
-pub trait Effect: std::fmt::Debug + Send + Sync {
-    /// Its name, place in the chain and parameters with their ranges.
-    fn spec(&self) -> &'static Spec;
-
-    /// Its parameters as they stand in a model's file.
-    fn parameters(&self) -> Vec<(&'static str, Value)>;
-
-    /// A parameter that is a number, in its unit; none of another form or name.
-    fn number(&self, name: &str) -> Option<f64> {
-        self.parameters().into_iter().find(|(own, _)| *own == name).and_then(|(_, value)| value.as_f64())
-    }
-
-    /// The name in files and messages (docs/formats.md).
-    fn name(&self) -> &'static str {
-        self.spec().name
-    }
-
-    /// The stage of the chain at which it acts.
-    fn stage(&self) -> Stage {
-        self.spec().stage
-    }
-
+pub trait Effect: Described + std::fmt::Debug + Send + Sync {
     /// How far it reaches.
     fn scope(&self) -> Scope {
         Scope::Channel
@@ -280,6 +320,11 @@ pub trait Effect: std::fmt::Debug + Send + Sync {
 
     /// Lines in the spectrum of the effect's output.
     fn lines(&self) -> Vec<Line> {
+        Vec::new()
+    }
+
+    /// The parts of a record in which it acts, as far as its parameters determine them; none for an effect without a place.
+    fn extents(&self) -> Vec<Extent> {
         Vec::new()
     }
 
@@ -356,16 +401,35 @@ pub trait Sampler: std::fmt::Debug + Send {
     }
 }
 
+/// A sampler that lets `act` change one sample after the other, at any temperature.
+pub(crate) fn each(act: impl FnMut(&mut f64) + Send + 'static) -> Box<dyn Sampler> {
+    Box::new(Each(act))
+}
+
+struct Each<F>(F);
+
+impl<F> std::fmt::Debug for Each<F> {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Each")
+    }
+}
+
+impl<F: FnMut(&mut f64) + Send> Sampler for Each<F> {
+    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
+        values.iter_mut().for_each(&mut self.0);
+    }
+}
+
 /// Two effects are the same if they have the same name and parameters.
 impl PartialEq for dyn Effect {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name() && self.parameters() == other.parameters()
+        self.kind() == other.kind() && self.parameters() == other.parameters()
     }
 }
 
 /// Likewise.
 impl PartialEq for dyn TriadEffect {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name() && self.parameters() == other.parameters()
+        self.kind() == other.kind() && self.parameters() == other.parameters()
     }
 }

@@ -1,9 +1,7 @@
 //! Modulated band: a resonance that grows and fades along a profile.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, profile};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, Form, Parameter, above, described};
+use super::{Effect, Extent, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, profile};
 use std::sync::Arc;
 
 /// Narrow-band noise as that of [`Resonance`], times a factor that follows a profile.
@@ -18,45 +16,33 @@ pub struct ModulatedBand {
     pub level: Vec<(f64, f64)>,
 }
 
-static SPEC: Spec = Spec {
-    name: "modulated_band",
-    stream: streams::MODULATED_BAND,
-    stage: Stage::Noise,
-    parameters: &[
-        number("frequency_hz", Range::Above(0.0), "centre, Hz; below half the rate at which it acts"),
-        number("bandwidth_hz", Range::Above(0.0), "full width at half power, Hz"),
-        number("sigma", Range::FromZero, "root mean square where the factor is 1, U"),
-        Parameter {
-            name: "level",
-            form: Form::Profile,
-            need: Need::Always,
-            meaning: "[t_s, factor on the amplitude], linear in between",
-        },
-    ],
-    forms: &[],
-    meaning: "noise in a narrow band that grows and fades along a profile",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(ModulatedBand {
-            band: Resonance::new(values.number("frequency_hz"), values.number("bandwidth_hz"), values.number("sigma")),
-            level: values.pairs("level"),
-        })
+described! {
+    ModulatedBand: dyn Effect, 20, Stage::Noise;
+    "noise in a narrow band that grows and fades along a profile"
+        => "a band of vibration at {frequency_hz:.2} Hz, {bandwidth_hz:.2} Hz wide, whose level changes{more}";
+    [
+        Parameter::new("frequency_hz", above(0.0), "Hz", "centre, Hz; below half the rate at which it acts"),
+        Parameter::new("bandwidth_hz", above(0.0), "Hz", "full width at half power, Hz"),
+        Parameter::new("sigma", FROM_ZERO, "U", "root mean square where the factor is 1, U"),
+        Parameter::new("level", Form::Profile, "", "[t_s, factor on the amplitude], linear in between"),
+    ];
+    |values| ModulatedBand {
+        band: Resonance::new(values.number("frequency_hz"), values.number("bandwidth_hz"), values.number("sigma")),
+        level: values.pairs("level"),
     },
-};
-
-impl Effect for ModulatedBand {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = self.band.parameters();
-        parameters.push(("level", profile::value(&self.level)));
+    |of| {
+        let mut parameters = of.band.parameters();
+        parameters.push(("level", profile::value(&of.level)));
         parameters
     }
+}
+
+impl Effect for ModulatedBand {
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
-        SPEC.below_nyquist("frequency_hz", self.band.frequency_hz, rate_hz)
+        Self::SPEC.below_nyquist("frequency_hz", self.band.frequency_hz, rate_hz)
+    }
+    fn extents(&self) -> Vec<Extent> {
+        self.band.extents()
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None

@@ -1,23 +1,22 @@
 //! Moving average: the mean of the last samples, as a sensor's filter computes it.
 
-use super::spec::{Form, Kind, Need, Parameter};
-use super::stream::number as streams;
-use super::white::WHITE_BEHIND;
-use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature, White};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, Form, Need, effect};
+use super::{Effect, Record, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// The mean of the last `window` samples of the sum of all stages before it in the chain, at the rate at which it acts.
-///
-/// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are. Noise of the
-/// electronics behind it is not averaged: `white_behind`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct MovingAverage {
-    /// W in samples, 1 to [`MovingAverage::WINDOW_MAX`].
-    pub window: u64,
-    /// White noise that comes in behind it, N in U/√Hz.
-    pub white_behind: f64,
+effect! {
+    /// The mean of the last `window` samples of the sum of all stages before it in the chain, at the rate at which it acts.
+    ///
+    /// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are. Noise of the
+    /// electronics behind it is not averaged: `white_behind`.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct MovingAverage: dyn Effect, 17, Stage::Bandwidth, White;
+    "the mean of the last samples of motion and noise";
+    window: u64 = Form::Whole(1, MovingAverage::WINDOW_MAX), "samples",
+        "samples that are averaged, at the rate at which it acts";
+    white_behind: f64 = FROM_ZERO, "U/√Hz",
+        "white noise that comes in behind the filter, N in U/√Hz", Need::Unwritten(0.0);
 }
 
 impl MovingAverage {
@@ -30,30 +29,6 @@ impl MovingAverage {
     }
 }
 
-static SPEC: Spec = Spec {
-    name: "moving_average",
-    stream: streams::MOVING_AVERAGE,
-    stage: Stage::Bandwidth,
-    parameters: &[
-        Parameter {
-            name: "window",
-            form: Form::Whole(1, MovingAverage::WINDOW_MAX),
-            need: Need::Always,
-            meaning: "samples that are averaged, at the rate at which it acts",
-        },
-        WHITE_BEHIND,
-    ],
-    forms: &[],
-    meaning: "the mean of the last samples of motion and noise",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        let white_behind = values.number(WHITE_BEHIND.name);
-        Arc::new(MovingAverage { window: values.whole("window"), white_behind })
-    },
-};
-
 /// |H|² of the mean over `window` samples at `cycles` per sample.
 pub fn boxcar_gain(window: u64, cycles: f64) -> f64 {
     let (window, x) = (window as f64, PI * cycles);
@@ -61,12 +36,6 @@ pub fn boxcar_gain(window: u64, cycles: f64) -> f64 {
 }
 
 impl Effect for MovingAverage {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        [("window", self.window.into())].into_iter().chain(White { n: self.white_behind }.behind()).collect()
-    }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         White { n: self.white_behind }.psd(frequency_hz, rate_hz)
     }
@@ -80,8 +49,9 @@ impl Effect for MovingAverage {
         Some(Arc::new(Self { white_behind: 0.0, ..*self }))
     }
     fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        let filter = AverageSampler(RunningMean::new(self.window));
-        White { n: self.white_behind }.after(Box::new(filter), rate_hz, record_length_s, stream)
+        let mut mean = RunningMean::new(self.window);
+        let filter = each(move |value| *value = mean.next(*value));
+        White { n: self.white_behind }.after(filter, rate_hz, record_length_s, stream)
     }
 }
 
@@ -119,17 +89,6 @@ impl RunningMean {
             self.sum = self.last.iter().sum();
         }
         self.sum / self.window as f64
-    }
-}
-
-#[derive(Debug)]
-struct AverageSampler(RunningMean);
-
-impl Sampler for AverageSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value = self.0.next(*value);
-        }
     }
 }
 

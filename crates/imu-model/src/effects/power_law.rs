@@ -10,64 +10,31 @@
 //! `the_density_is_the_power_law_from_one_over_the_record_to_half_the_rate`: within 2 % for 1000 samples, 5 h at 40 Hz and
 //! 24 h at 800 Hz, the most close to half the rate.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, Form, Range, above, effect};
+use super::{Effect, Moments, Record, Sampler, Stage, Stream, Temperature};
 use std::f64::consts::PI;
-use std::sync::Arc;
 
-/// Noise with two-sided PSD `density`·(f/`at_hz`)^−`alpha` up to half the rate.
-///
-/// From a slope of 1 on it has no level: its variance grows with the record. Slopes steeper than 1 begin at 0, as a random walk
-/// does. Slopes are below 2.5. The part of an Allan variance that comes from below a frequency goes with it to the power of 3 −
-/// α. From 3 on there is therefore no Allan variance, and for slopes close to 3 most of it comes from far below one over the
-/// record's length.
-///
-/// Source of the law: Kasdin 1995, Discrete simulation of colored noise (Proc. IEEE 83); of the ladder: as in flicker noise.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PowerLaw {
-    /// The density falls as f^−α.
-    pub alpha: f64,
-    /// The frequency at which `density` is the density, Hz.
-    pub at_hz: f64,
-    /// Two-sided density there, U²/Hz.
-    pub density: f64,
+effect! {
+    /// Noise with two-sided PSD `density`·(f/`at_hz`)^−`alpha` up to half the rate.
+    ///
+    /// From a slope of 1 on it has no level: its variance grows with the record. Slopes steeper than 1 begin at 0, as a random walk
+    /// does. Slopes are below 2.5. The part of an Allan variance that comes from below a frequency goes with it to the power of 3 −
+    /// α. From 3 on there is therefore no Allan variance, and for slopes close to 3 most of it comes from far below one over the
+    /// record's length.
+    ///
+    /// Source of the law: Kasdin 1995, Discrete simulation of colored noise (Proc. IEEE 83); of the ladder: as in flicker noise.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct PowerLaw: dyn Effect, 18, Stage::Noise;
+    "noise whose density falls as a power of the frequency";
+    alpha: f64 = Form::Number(Range::Between(0.0, STEEPEST)), "", "slope: the density falls as f^−alpha";
+    at_hz: f64 = above(0.0), "Hz", "the frequency at which `density` is given, Hz";
+    density: f64 = FROM_ZERO, "U²/Hz", "two-sided density there, U²/Hz";
 }
 
 /// Slopes are below this.
 const STEEPEST: f64 = 2.5;
 
-static SPEC: Spec = Spec {
-    name: "power_law",
-    stream: streams::POWER_LAW,
-    stage: Stage::Noise,
-    parameters: &[
-        number("alpha", Range::Between(0.0, STEEPEST), "slope: the density falls as f^−alpha"),
-        number("at_hz", Range::Above(0.0), "the frequency at which `density` is given, Hz"),
-        number("density", Range::FromZero, "two-sided density there, U²/Hz"),
-    ],
-    forms: &[],
-    meaning: "noise whose density falls as a power of the frequency",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(PowerLaw {
-            alpha: values.number("alpha"),
-            at_hz: values.number("at_hz"),
-            density: values.number("density"),
-        })
-    },
-};
-
 impl Effect for PowerLaw {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("alpha", self.alpha.into()), ("at_hz", self.at_hz.into()), ("density", self.density.into())]
-    }
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(self.density * (frequency_hz / self.at_hz).powf(-self.alpha))
     }

@@ -1,41 +1,22 @@
 //! Quantization noise (Q): independent errors of the angle (or velocity), so that the rate shows their differences.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, effect};
+use super::{Effect, Moments, Record, Sampler, Stage, Stream, each};
 use std::f64::consts::PI;
-use std::sync::Arc;
 
-/// White angle noise of standard deviation Q per sample.
-///
-/// The rate is its difference over one period dt: two-sided PSD 4Q² sin²(πf·dt)/dt, Allan variance 3Q²/τ² exactly.
-///
-/// Source: IEEE Std 952-1997, annex C (quantization noise), in sampled form.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct QuantizationNoise {
-    /// Q in U·s.
-    pub q: f64,
+effect! {
+    /// White angle noise of standard deviation Q per sample.
+    ///
+    /// The rate is its difference over one period dt: two-sided PSD 4Q² sin²(πf·dt)/dt, Allan variance 3Q²/τ² exactly.
+    ///
+    /// Source: IEEE Std 952-1997, annex C (quantization noise), in sampled form.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct QuantizationNoise: dyn Effect, 8, Stage::Noise, Coloured;
+    "IEEE's quantization noise: white noise of the angle or velocity, seen in the rate";
+    q as "Q": f64 = FROM_ZERO, "U·s", "standard deviation of the white angle noise, U·s";
 }
 
-static SPEC: Spec = Spec {
-    name: "quantization_noise",
-    stream: streams::QUANTIZATION_NOISE,
-    stage: Stage::Noise,
-    parameters: &[number("Q", Range::FromZero, "standard deviation of the white angle noise, U·s")],
-    forms: &[],
-    meaning: "IEEE's quantization noise: white noise of the angle or velocity, seen in the rate",
-};
-pub(super) static KIND: Kind<dyn Effect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(QuantizationNoise { q: values.number("Q") }) };
-
 impl Effect for QuantizationNoise {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("Q", self.q.into())]
-    }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let sine = 2.0 * (PI * frequency_hz / rate_hz).sin();
         Some(self.q * self.q * sine * sine * rate_hz)
@@ -48,26 +29,12 @@ impl Effect for QuantizationNoise {
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let scale = self.q * rate_hz;
-        let last = scale * stream.normal();
-        Box::new(QuantizationSampler { scale, last, stream })
-    }
-}
-
-/// The last angle's error over dt.
-#[derive(Debug)]
-struct QuantizationSampler {
-    scale: f64,
-    last: f64,
-    stream: Stream,
-}
-
-impl Sampler for QuantizationSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            let error = self.scale * self.stream.normal();
-            *value += error - self.last;
-            self.last = error;
-        }
+        let mut last = scale * stream.normal();
+        each(move |value| {
+            let error = scale * stream.normal();
+            *value += error - last;
+            last = error;
+        })
     }
 }
 

@@ -1,40 +1,23 @@
 //! Random walk of the rate (K): the sum of independent steps.
 
-use super::spec::{Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, effect};
+use super::{Effect, Record, Sampler, Stage, Stream, each};
 use std::f64::consts::PI;
 
-/// Rate random walk with two-sided PSD (K/2πf)².
-///
-/// Sampled, it is a sum of steps of standard deviation K√dt that starts at 0; its spectrum is then
-/// (K·dt)²/(4 sin²(πf·dt)), which is (K/2πf)² far below Nyquist.
-///
-/// Source: IEEE Std 952-1997, annex C (rate random walk).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RandomWalk {
-    /// K in U/√s.
-    pub k: f64,
+effect! {
+    /// Rate random walk with two-sided PSD (K/2πf)².
+    ///
+    /// Sampled, it is a sum of steps of standard deviation K√dt that starts at 0; its spectrum is then
+    /// (K·dt)²/(4 sin²(πf·dt)), which is (K/2πf)² far below Nyquist.
+    ///
+    /// Source: IEEE Std 952-1997, annex C (rate random walk).
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct RandomWalk: dyn Effect, 3, Stage::Noise;
+    "rate random walk, two-sided density (K/2πf)²";
+    k as "K": f64 = FROM_ZERO, "U/√s", "K in U/√s";
 }
 
-const PARAMETERS: [Parameter; 1] = [number("K", Range::FromZero, "K in U/√s")];
-static SPEC: Spec = Spec {
-    name: "random_walk",
-    stream: streams::RANDOM_WALK,
-    stage: Stage::Noise,
-    parameters: &PARAMETERS,
-    forms: &[],
-    meaning: "rate random walk, two-sided density (K/2πf)²",
-};
-
 impl Effect for RandomWalk {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("K", self.k.into())]
-    }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let half_step = 2.0 * rate_hz * (PI * frequency_hz / rate_hz).sin();
         Some((self.k / half_step).powi(2))
@@ -44,25 +27,12 @@ impl Effect for RandomWalk {
         let m = m as f64;
         Some(self.k * self.k / record.rate_hz * (2.0 * m * m + 1.0) / (6.0 * m))
     }
-    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        Box::new(RandomWalkSampler { step: self.k / rate_hz.sqrt(), value: 0.0, stream })
-    }
-}
-
-/// The walk's place and the size of its steps.
-#[derive(Debug)]
-struct RandomWalkSampler {
-    step: f64,
-    value: f64,
-    stream: Stream,
-}
-
-impl Sampler for RandomWalkSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value += self.value;
-            self.value += self.step * self.stream.normal();
-        }
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let (step, mut level) = (self.k / rate_hz.sqrt(), 0.0);
+        each(move |value| {
+            *value += level;
+            level += step * stream.normal();
+        })
     }
 }
 

@@ -1,38 +1,19 @@
 //! Rate ramp (R): a bias that drifts steadily.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{ANY, effect};
+use super::{At, Effect, Record, Sampler, Stage, Stream, each};
 
-/// A bias of R·t, from 0 at the start.
-///
-/// Allan variance R²τ²/2, the same in every record that is long enough. Source: IEEE Std 952-1997, annex C (rate ramp).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RateRamp {
-    /// R in U/s.
-    pub r: f64,
+effect! {
+    /// A bias of R·t, from 0 at the start.
+    ///
+    /// Allan variance R²τ²/2, the same in every record that is long enough. Source: IEEE Std 952-1997, annex C (rate ramp).
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct RateRamp: dyn Effect, 0, Stage::Bias;
+    "a bias that grows by R every second, from 0 at the start" => "a drift of {R:.3e} a second";
+    r as "R": f64 = ANY, "U/s", "slope, U/s";
 }
 
-static SPEC: Spec = Spec {
-    name: "rate_ramp",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[number("R", Range::Any, "slope, U/s")],
-    forms: &[],
-    meaning: "a bias that grows by R every second, from 0 at the start",
-};
-pub(super) static KIND: Kind<dyn Effect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(RateRamp { r: values.number("R") }) };
-
 impl Effect for RateRamp {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("R", self.r.into())]
-    }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
     }
@@ -50,23 +31,11 @@ impl Effect for RateRamp {
         row[0] = at.time_s;
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(RampSampler { slope: self.r / rate_hz, index: 0 })
-    }
-}
-
-/// The next sample's index.
-#[derive(Debug)]
-struct RampSampler {
-    slope: f64,
-    index: u64,
-}
-
-impl Sampler for RampSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value += self.slope * self.index as f64;
-            self.index += 1;
-        }
+        let (slope, mut index) = (self.r / rate_hz, 0_u64);
+        each(move |value| {
+            *value += slope * index as f64;
+            index += 1;
+        })
     }
 }
 

@@ -1,42 +1,23 @@
 //! Resolution: sent values are rounded.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{above, effect};
+use super::{At, Effect, Moments, Record, Sampler, Stage, Stream, each};
 
-/// Each value sent is the nearest multiple of `step`.
-///
-/// The error is white with variance step²/12, evenly spread, if the values' own noise exceeds about half a step per
-/// sample. At half a step that variance is off by 0.9 %, at one step by 3e-9. If the values hardly move, rounding keeps
-/// them at one multiple and the closed forms do not hold.
-///
-/// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Resolution {
-    /// U.
-    pub step: f64,
+effect! {
+    /// Each value sent is the nearest multiple of `step`.
+    ///
+    /// The error is white with variance step²/12, evenly spread, if the values' own noise exceeds about half a step per
+    /// sample. At half a step that variance is off by 0.9 %, at one step by 3e-9. If the values hardly move, rounding keeps
+    /// them at one multiple and the closed forms do not hold.
+    ///
+    /// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Resolution: dyn Effect, 0, Stage::Resolution, White;
+    "output rounded to the nearest multiple" => "values in steps of {step:.3e}";
+    step: f64 = above(0.0), "U", "distance of the values that are sent, U";
 }
 
-static SPEC: Spec = Spec {
-    name: "resolution",
-    stream: streams::NONE,
-    stage: Stage::Resolution,
-    parameters: &[number("step", Range::Above(0.0), "distance of the values that are sent, U")],
-    forms: &[],
-    meaning: "output rounded to the nearest multiple",
-};
-pub(super) static KIND: Kind<dyn Effect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(Resolution { step: values.number("step") }) };
-
 impl Effect for Resolution {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("step", self.step.into())]
-    }
     fn psd(&self, _frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         Some(self.step * self.step / 12.0 / rate_hz)
     }
@@ -50,18 +31,8 @@ impl Effect for Resolution {
         Some(Moments { variance: self.step * self.step / 12.0, kurtosis: Some(1.8) })
     }
     fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(Rounding(self.step))
-    }
-}
-
-#[derive(Debug)]
-struct Rounding(f64);
-
-impl Sampler for Rounding {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value = (*value / self.0).round() * self.0;
-        }
+        let step = self.step;
+        each(move |value| *value = (*value / step).round() * step)
     }
 }
 

@@ -1,68 +1,28 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
 use super::gauss_markov::Lorentzian;
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, sampled};
-use serde_json::Value;
+use super::spec::{ANY, FROM_ZERO, Need, above, effect};
+use super::{Effect, Extent, Moments, Record, Refusal, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::{PI, TAU};
-use std::sync::Arc;
 
-/// Narrow-band noise whose spectrum has a Lorentzian line at ± its frequency.
-///
-/// A damped oscillation that white noise drives: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin 2πf₀|t|) with w the
-/// full width at half power and a its asymmetry, exact at the samples, stationary from the start. Its frequency and damping hold
-/// at any rate. The line is the same for any a; the spectrum far from it differs. The displacement of a mass on a damped spring
-/// that a white force drives has a = 1, its velocity a = −1 (Wang and Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); both
-/// quadratures driven alike have 0.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Resonance {
-    /// Centre, Hz.
-    pub frequency_hz: f64,
-    /// Full width at half power, Hz.
-    pub bandwidth_hz: f64,
-    /// Root mean square, U.
-    pub sigma: f64,
-    /// How much more there is below the line than above it; within ± [`Resonance::most_asymmetric`].
-    pub asymmetry: f64,
+effect! {
+    /// Narrow-band noise whose spectrum has a Lorentzian line at ± its frequency.
+    ///
+    /// A damped oscillation that white noise drives: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin 2πf₀|t|) with w the
+    /// full width at half power and a its asymmetry (within ± [`Resonance::most_asymmetric`]), exact at the samples, stationary
+    /// from the start. Its frequency and damping hold at any rate. The line is the same for any a; the spectrum far from it
+    /// differs. The displacement of a mass on a damped spring that a white force drives has a = 1, its velocity a = −1 (Wang and
+    /// Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); both quadratures driven alike have 0.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Resonance: dyn Effect, 7, Stage::Noise, White;
+    "noise in a narrow band, with a Lorentzian line"
+        => "a band of vibration at {frequency_hz:.2} Hz, {bandwidth_hz:.2} Hz wide{more}";
+    frequency_hz: f64 = above(0.0), "Hz", "centre, Hz; below half the rate at which it acts";
+    bandwidth_hz: f64 = above(0.0), "Hz", "full width at half power, Hz";
+    sigma: f64 = FROM_ZERO, "U", "root mean square, U";
+    asymmetry: f64 = ANY, "",
+        "0: as much noise on both sides; 1: a displacement, more below the line; -1: a velocity", Need::Unwritten(0.0);
 }
-
-const FREQUENCY: Parameter =
-    number("frequency_hz", Range::Above(0.0), "centre, Hz; below half the rate at which it acts");
-const BANDWIDTH: Parameter = number("bandwidth_hz", Range::Above(0.0), "full width at half power, Hz");
-const SIGMA: Parameter = number("sigma", Range::FromZero, "root mean square, U");
-/// Of a symmetric line.
-pub(super) static SYMMETRIC: &[Parameter] = &[FREQUENCY, BANDWIDTH, SIGMA];
-
-static SPEC: Spec = Spec {
-    name: "resonance",
-    stream: streams::RESONANCE,
-    stage: Stage::Noise,
-    parameters: &[
-        FREQUENCY,
-        BANDWIDTH,
-        SIGMA,
-        Parameter {
-            name: "asymmetry",
-            form: Form::Number(Range::Any),
-            need: Need::Default(0.0),
-            meaning: "0: as much noise on both sides; 1: a displacement, more below the line; -1: a velocity",
-        },
-    ],
-    forms: &[],
-    meaning: "noise in a narrow band, with a Lorentzian line",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(Resonance {
-            frequency_hz: values.number("frequency_hz"),
-            bandwidth_hz: values.number("bandwidth_hz"),
-            sigma: values.number("sigma"),
-            asymmetry: values.number("asymmetry"),
-        })
-    },
-};
 
 impl Resonance {
     /// A symmetric line.
@@ -89,27 +49,18 @@ impl Resonance {
 }
 
 impl Effect for Resonance {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = vec![
-            ("frequency_hz", self.frequency_hz.into()),
-            ("bandwidth_hz", self.bandwidth_hz.into()),
-            ("sigma", self.sigma.into()),
-        ];
-        if self.asymmetry != 0.0 {
-            parameters.push(("asymmetry", self.asymmetry.into()));
-        }
-        parameters
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
-        SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)?;
+        Self::SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)?;
         let most = self.most_asymmetric(rate_hz);
         match self.asymmetry.abs() <= most * (1.0 + 1e-9) {
             true => Ok(()),
-            false => Err(SPEC.refuse("asymmetry", self.asymmetry, format!("{} to {most} at {rate_hz} Hz", -most))),
+            false => {
+                Err(Self::SPEC.refuse("asymmetry", self.asymmetry, format!("{} to {most} at {rate_hz} Hz", -most)))
+            }
         }
+    }
+    fn extents(&self) -> Vec<Extent> {
+        vec![Extent::band(self.frequency_hz, self.bandwidth_hz, 1.0)]
     }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         self.densities(&[frequency_hz], rate_hz).first().copied()
@@ -170,36 +121,19 @@ impl Effect for Resonance {
             let across = both / own.max(f64::MIN_POSITIVE);
             [[own, 0.0], [across, root(second - across * across)]]
         };
-        Box::new(ResonanceSampler {
-            turn: [(-decay).exp() * cosine, (-decay).exp() * sine],
-            drive: drive.map(|of| of.map(|part| self.sigma * part)),
-            state: [one, (1.0 + odd * odd).sqrt() * other - odd * one],
-            stream,
-        })
-    }
-}
-
-/// The oscillation's two quadratures, and how they turn and shrink per sample.
-#[derive(Debug)]
-struct ResonanceSampler {
-    turn: [f64; 2],
-    drive: [[f64; 2]; 2],
-    state: [f64; 2],
-    stream: Stream,
-}
-
-impl Sampler for ResonanceSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        let [cosine, sine] = self.turn;
-        for value in values {
-            let [x, y] = self.state;
+        // The oscillation's two quadratures turn and shrink per sample.
+        let (cosine, sine) = ((-decay).exp() * cosine, (-decay).exp() * sine);
+        let drive = drive.map(|of| of.map(|part| self.sigma * part));
+        let mut state = [one, (1.0 + odd * odd).sqrt() * other - odd * one];
+        each(move |value| {
+            let [x, y] = state;
             *value += x;
-            let (one, other) = (self.stream.normal(), self.stream.normal());
-            self.state = [
-                cosine * x - sine * y + self.drive[0][0] * one + self.drive[0][1] * other,
-                sine * x + cosine * y + self.drive[1][0] * one + self.drive[1][1] * other,
+            let (one, other) = (stream.normal(), stream.normal());
+            state = [
+                cosine * x - sine * y + drive[0][0] * one + drive[0][1] * other,
+                sine * x + cosine * y + drive[1][0] * one + drive[1][1] * other,
             ];
-        }
+        })
     }
 }
 

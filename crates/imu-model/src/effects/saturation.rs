@@ -1,50 +1,25 @@
 //! Saturation of a channel: no sample is sent beyond its limits.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{ANY, effect};
+use super::{At, Effect, Record, Refusal, Sampler, Stage, Stream, each};
 
-/// Values beyond a limit become the limit, motion and noise alike.
-///
-/// Its effect on spectrum and Allan variance depends on how often the other noise and the motion reach a limit: `None`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Saturation {
-    /// Lowest value, U.
-    pub low: f64,
-    /// Highest value, U.
-    pub high: f64,
+effect! {
+    /// Values beyond a limit become the limit, motion and noise alike.
+    ///
+    /// Its effect on spectrum and Allan variance depends on how often the other noise and the motion reach a limit: `None`.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Saturation: dyn Effect, 0, Stage::Saturation, Samples;
+    "values beyond a limit become the limit";
+    low: f64 = ANY, "U", "lowest value, U";
+    high: f64 = ANY, "U", "highest value, U; above `low`";
 }
 
-static SPEC: Spec = Spec {
-    name: "saturation",
-    stream: streams::NONE,
-    stage: Stage::Saturation,
-    parameters: &[
-        number("low", Range::Any, "lowest value, U"),
-        number("high", Range::Any, "highest value, U; above `low`"),
-    ],
-    forms: &[],
-    meaning: "values beyond a limit become the limit",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(Saturation { low: values.number("low"), high: values.number("high") }),
-};
-
 impl Effect for Saturation {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("low", self.low.into()), ("high", self.high.into())]
-    }
     fn check_at(&self, _rate_hz: f64) -> Result<(), Refusal> {
         if self.low < self.high {
             return Ok(());
         }
-        Err(SPEC.refuse("high", self.high, format!("a number above `low`, {}", self.low)))
+        Err(Self::SPEC.refuse("high", self.high, format!("a number above `low`, {}", self.low)))
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
@@ -56,22 +31,8 @@ impl Effect for Saturation {
         input.max(self.low).min(self.high)
     }
     fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(Clip { low: self.low, high: self.high })
-    }
-}
-
-/// The limits.
-#[derive(Debug)]
-struct Clip {
-    low: f64,
-    high: f64,
-}
-
-impl Sampler for Clip {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value = value.max(self.low).min(self.high);
-        }
+        let Self { low, high } = *self;
+        each(move |value| *value = value.max(low).min(high))
     }
 }
 

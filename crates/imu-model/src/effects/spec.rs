@@ -1,9 +1,9 @@
 //! The specification of an effect's entry in a model's file: names, ranges and meanings in one table per effect.
 //!
 //! In: the parameters as JSON. Out: checked values, or a [`Refusal`] with the parameter, the value found and the values
-//! allowed. Messages, the JSON Schema and the documentation's tables are made of the same entries.
+//! allowed. Messages, the JSON Schema, a report's phrases and the documentation's tables are made of the same entries.
 
-use super::Stage;
+use super::{EffectKind, Stage};
 use serde_json::{Map, Value, json};
 use std::sync::Arc;
 
@@ -11,8 +11,8 @@ use std::sync::Arc;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{effect}: `{parameter}`: found {found}; allowed is {allowed}")]
 pub struct Refusal {
-    /// The effect's name.
-    pub effect: &'static str,
+    /// The effect.
+    pub effect: EffectKind,
     /// The parameter, with the place inside it: `intervals[2]`.
     pub parameter: String,
     /// The value that was found.
@@ -88,6 +88,8 @@ impl Range {
 pub enum Form {
     /// One number.
     Number(Range),
+    /// An instant, s from the record's begin on: 0 or more.
+    Time,
     /// A whole number between the two, both included.
     Whole(u64, u64),
     /// One or more numbers.
@@ -113,6 +115,8 @@ pub enum Need {
     Always,
     /// No; this is the default.
     Default(f64),
+    /// No; this is the default, and a model that has it does not write it.
+    Unwritten(f64),
     /// No; without it the effect omits the feature.
     Optional,
     /// Required in the form to which it belongs, if that is chosen ([`Spec::forms`]).
@@ -128,41 +132,95 @@ pub struct Parameter {
     pub form: Form,
     /// Whether it has to.
     pub need: Need,
-    /// Its meaning, with its unit (U: the channel's).
+    /// Its unit (U: the channel's); empty for a number without one.
+    pub unit: &'static str,
+    /// Its meaning.
     pub meaning: &'static str,
 }
 
-/// A parameter that is a number and has to be there.
-pub(super) const fn number(name: &'static str, range: Range, meaning: &'static str) -> Parameter {
-    Parameter { name, form: Form::Number(range), need: Need::Always, meaning }
+/// Any number.
+pub(super) const ANY: Form = Form::Number(Range::Any);
+/// A number of 0 or more.
+pub(super) const FROM_ZERO: Form = Form::Number(Range::FromZero);
+/// A probability below 1.
+pub(super) const PROBABILITY: Form = Form::Number(Range::Probability);
+/// A number above this one.
+pub(super) const fn above(least: f64) -> Form {
+    Form::Number(Range::Above(least))
+}
+
+impl Parameter {
+    /// A parameter that has to be there.
+    pub(super) const fn new(name: &'static str, form: Form, unit: &'static str, meaning: &'static str) -> Self {
+        Self { name, form, need: Need::Always, unit, meaning }
+    }
+
+    pub(super) const fn needed(self, need: Need) -> Self {
+        Self { need, ..self }
+    }
+
+    /// The value that it has if it is not given.
+    pub fn default(&self) -> Option<f64> {
+        match self.need {
+            Need::Default(value) | Need::Unwritten(value) => Some(value),
+            _ => None,
+        }
+    }
+
+    /// Whether a model writes the value.
+    fn writes(&self, value: &Value) -> bool {
+        match self.need {
+            Need::Unwritten(default) => value.as_f64() != Some(default),
+            Need::Optional => value.as_array().is_none_or(|list| !list.is_empty()),
+            _ => true,
+        }
+    }
+}
+
+/// How an effect shows in a record at rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Nature {
+    /// A density throughout the record that is white at low frequencies: a part of N, or a filter of it.
+    White,
+    /// A density throughout the record with a slope or a correlation time.
+    Coloured,
+    /// The distribution of single samples.
+    Samples,
+    /// Otherwise: a course, a line, a density that changes with time.
+    Other,
 }
 
 /// One kind of effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spec {
-    /// Its name in files and messages.
-    pub name: &'static str,
-    /// The number of its random stream ([`super::stream::number`]); 0 if it does not use random draws.
+    /// Its identity.
+    pub kind: EffectKind,
+    /// The number of its random stream ([`super::stream`]); 0 if it does not use random draws.
     pub stream: u16,
     /// The stage of the chain at which it acts.
     pub stage: Stage,
+    /// How it shows in a record.
+    pub nature: Nature,
     /// Its parameters.
     pub parameters: &'static [Parameter],
     /// Sets of parameters of which exactly one is given; empty if there is no choice.
     pub forms: &'static [&'static [&'static str]],
     /// Its meaning, in a sentence.
     pub meaning: &'static str,
+    /// A few words with its main numbers, as `{size:.3e}`; `{more}` is the place for further effects of the kind. The first
+    /// phrase counts whose numbers are not 0, else the last one; without a phrase the name.
+    pub phrases: &'static [&'static str],
 }
 
-/// A kind of effect and how one is made of a file's entry; `E` is the trait object.
-pub struct Kind<E: ?Sized> {
+/// An effect's table and how one is made of a file's entry; `E` is the trait object.
+pub struct Definition<E: ?Sized> {
     /// Its table.
     pub spec: &'static Spec,
     /// Makes one of values that were checked.
     pub make: fn(&Values<'_>) -> Arc<E>,
 }
 
-impl<E: ?Sized> Kind<E> {
+impl<E: ?Sized> Definition<E> {
     /// Reads an effect from its entry's keys (without `effect`).
     ///
     /// # Errors
@@ -173,7 +231,222 @@ impl<E: ?Sized> Kind<E> {
     }
 }
 
+/// What an effect says of itself, on a channel or a triad.
+pub trait Described {
+    /// Its name, place in the chain and parameters with their ranges.
+    fn spec(&self) -> &'static Spec;
+
+    /// Its parameters as they stand in a model's file.
+    fn parameters(&self) -> Vec<(&'static str, Value)>;
+
+    /// Its identity.
+    fn kind(&self) -> EffectKind {
+        self.spec().kind
+    }
+
+    /// The name in files and messages (docs/formats.md).
+    fn name(&self) -> &'static str {
+        self.kind().name()
+    }
+
+    /// The stage of the chain at which it acts.
+    fn stage(&self) -> Stage {
+        self.spec().stage
+    }
+
+    /// A parameter as it stands in a model's file; none of another name.
+    fn parameter(&self, name: &str) -> Option<Value> {
+        self.parameters().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
+    }
+
+    /// A parameter that is a number, in its unit; none of another form or name.
+    fn number(&self, name: &str) -> Option<f64> {
+        self.parameter(name)?.as_f64()
+    }
+
+    /// The pairs of a parameter that is a list of them.
+    fn pairs(&self, name: &str) -> Vec<(f64, f64)> {
+        self.parameter(name).iter().filter_map(Value::as_array).flatten().filter_map(pair_of).collect()
+    }
+}
+
+/// A type of parameter.
+pub(super) trait Field: Sized {
+    /// From an entry's checked values.
+    fn read(values: &Values<'_>, name: &str) -> Self;
+    /// As in an entry.
+    fn write(&self) -> Value;
+}
+
+macro_rules! fields {
+    ($($type:ty: $read:ident, |$value:ident| $write:expr;)+) => {$(
+        impl Field for $type {
+            fn read(values: &Values<'_>, name: &str) -> Self {
+                values.$read(name)
+            }
+            fn write(&self) -> Value {
+                let $value = self;
+                $write
+            }
+        }
+    )+};
+}
+
+fields! {
+    f64: number, |value| (*value).into();
+    u64: whole, |value| (*value).into();
+    Vec<f64>: numbers, |list| list.clone().into();
+    Vec<(f64, f64)>: pairs, |points| super::profile::value(points);
+    [[f64; 3]; 3]: matrix, |rows| json!(rows);
+}
+
+/// The parameters that a model writes, of values in the table's order.
+pub(super) fn written<const N: usize>(spec: &'static Spec, values: [Value; N]) -> Vec<(&'static str, Value)> {
+    let pairs = spec.parameters.iter().zip(values).filter(|(parameter, value)| parameter.writes(value));
+    pairs.map(|(parameter, value)| (parameter.name, value)).collect()
+}
+
+/// Describes a type: its stream, stage, meaning and phrases, its parameters, and how it is read and written.
+macro_rules! described {
+    (
+        $type:ident: $trait:ty, $stream:literal, $stage:expr $(, $nature:ident)?;
+        $meaning:literal $(=> $($phrase:literal),+)?;
+        [$($parameter:expr),* $(,)?] $(, $forms:expr)?;
+        |$values:ident| $make:expr, |$of:ident| $write:expr
+    ) => {
+        impl $type {
+            /// Its table.
+            pub const SPEC: &'static $crate::effects::Spec = &$crate::effects::Spec {
+                kind: $crate::effects::EffectKind::$type,
+                stream: $stream,
+                stage: $stage,
+                nature: $crate::effects::spec::described!(@nature $($nature)?),
+                parameters: &[$($parameter),*],
+                forms: $crate::effects::spec::described!(@forms $($forms)?),
+                meaning: $meaning,
+                phrases: &[$($($phrase),+)?],
+            };
+            /// Its table, and how it is made of an entry.
+            pub const DEFINITION: &'static $crate::effects::spec::Definition<$trait> =
+                &$crate::effects::spec::Definition { spec: Self::SPEC, make: |$values| std::sync::Arc::new($make) };
+        }
+
+        impl $crate::effects::spec::Described for $type {
+            fn spec(&self) -> &'static $crate::effects::Spec {
+                Self::SPEC
+            }
+            fn parameters(&self) -> Vec<(&'static str, serde_json::Value)> {
+                let $of = self;
+                $write
+            }
+        }
+    };
+    (@nature) => {
+        $crate::effects::spec::Nature::Other
+    };
+    (@nature $nature:ident) => {
+        $crate::effects::spec::Nature::$nature
+    };
+    (@forms) => {
+        &[]
+    };
+    (@forms $forms:expr) => {
+        $forms
+    };
+}
+pub(super) use described;
+
+/// Defines the type of an effect whose fields are its parameters, and describes it.
+macro_rules! effect {
+    (
+        $(#[$meta:meta])*
+        pub struct $type:ident: $trait:ty, $stream:literal, $stage:expr $(, $nature:ident)?;
+        $meaning:literal $(=> $($phrase:literal),+)?;
+        $($field:ident $(as $key:literal)?: $of:ty = $form:expr, $unit:literal, $words:literal $(, $need:expr)?;)+
+    ) => {
+        $(#[$meta])*
+        pub struct $type {
+            $(#[doc = $words] pub $field: $of,)+
+        }
+
+        $crate::effects::spec::described! {
+            $type: $trait, $stream, $stage $(, $nature)?;
+            $meaning $(=> $($phrase),+)?;
+            [$($crate::effects::spec::Parameter::new(
+                $crate::effects::spec::effect!(@key $field $($key)?), $form, $unit, $words
+            )$(.needed($need))?),+];
+            |values| $type {
+                $($field: $crate::effects::spec::Field::read(
+                    values, $crate::effects::spec::effect!(@key $field $($key)?)
+                )),+
+            },
+            |of| $crate::effects::spec::written(
+                Self::SPEC, [$($crate::effects::spec::Field::write(&of.$field)),+]
+            )
+        }
+    };
+    (@key $field:ident) => {
+        stringify!($field)
+    };
+    (@key $field:ident $key:literal) => {
+        $key
+    };
+}
+pub(super) use effect;
+
 impl Spec {
+    /// The name in files and messages.
+    pub fn name(&self) -> &'static str {
+        self.kind.name()
+    }
+
+    /// Whether it has the same density throughout a record.
+    pub fn is_lasting(&self) -> bool {
+        matches!(self.nature, Nature::White | Nature::Coloured)
+    }
+
+    /// Whether the values and stamps of a record show it without inference; it is noise or a level otherwise.
+    pub fn is_fact(&self) -> bool {
+        matches!(self.stage, Stage::Saturation | Stage::Resolution | Stage::Hold | Stage::Timing)
+    }
+
+    /// The effect in a few words, with the main numbers of an entry; `more`: words about further effects of the kind.
+    pub fn phrase(&self, entry: Option<&Value>, more: &str) -> String {
+        let number = |name: &str| entry.and_then(|of| of.get(name)).and_then(Value::as_f64).unwrap_or_default();
+        let holes =
+            |phrase: &'static str| phrase.split(['{', '}']).skip(1).step_by(2).filter_map(|of| of.split_once(':'));
+        let counts = |phrase: &&&'static str| holes(phrase).all(|(name, _)| number(name) != 0.0);
+        let Some(phrase) = self.phrases.iter().find(counts).or(self.phrases.last()) else {
+            return self.name().replace('_', " ");
+        };
+        let filled = holes(phrase).fold((*phrase).to_owned(), |text, (name, form)| {
+            let (value, digits) = (number(name), form.trim_matches(['.', 'e']).parse().unwrap_or_default());
+            let value = if form.ends_with('e') { format!("{value:.digits$e}") } else { format!("{value:.digits$}") };
+            text.replace(&format!("{{{name}:{form}}}"), &value)
+        });
+        filled.replace("{more}", more)
+    }
+
+    /// Moves the times among an entry's parameters, among those of a list of entries, or among their intervals.
+    pub fn move_times(&self, entry: &mut Value, by_s: f64) {
+        if let Value::Array(list) = entry {
+            list.iter_mut().for_each(|of| self.move_times(of, by_s));
+        }
+        for parameter in self.parameters {
+            let Some(value) = entry.get_mut(parameter.name) else { continue };
+            match (parameter.form, value) {
+                (Form::Time, Value::Array(ends)) => ends.iter_mut().for_each(|end| move_time(end, by_s)),
+                (Form::Time, instant) => move_time(instant, by_s),
+                (Form::Intervals | Form::Profile, Value::Array(pairs)) => {
+                    let times = if parameter.form == Form::Profile { 1 } else { 2 };
+                    let pairs = pairs.iter_mut().filter_map(Value::as_array_mut);
+                    pairs.for_each(|pair| pair.iter_mut().take(times).for_each(|time| move_time(time, by_s)));
+                }
+                _ => {}
+            }
+        }
+    }
+
     /// Whether the table allows `parameters`.
     pub(super) fn check(&self, parameters: &[(&'static str, Value)]) -> Result<(), Refusal> {
         self.check_map(&parameters.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
@@ -191,7 +464,7 @@ impl Spec {
         found: impl ToString,
         allowed: impl Into<String>,
     ) -> Refusal {
-        Refusal { effect: self.name, parameter: parameter.into(), found: found.to_string(), allowed: allowed.into() }
+        Refusal { effect: self.kind, parameter: parameter.into(), found: found.to_string(), allowed: allowed.into() }
     }
 
     /// Refuses a frequency of half the rate or more.
@@ -242,7 +515,7 @@ impl Spec {
     fn needed(&self, form: &[&'static str]) -> Vec<&'static str> {
         let optional = |name: &str| {
             let parameter = self.parameters.iter().find(|parameter| parameter.name == name);
-            parameter.is_some_and(|parameter| matches!(parameter.need, Need::Default(_) | Need::Optional))
+            parameter.is_some_and(|of| of.default().is_some() || of.need == Need::Optional)
         };
         form.iter().copied().filter(|name| !optional(name)).collect()
     }
@@ -269,12 +542,12 @@ impl Spec {
     /// The JSON Schema of an entry.
     pub fn schema(&self) -> Value {
         let mut properties = Map::new();
-        properties.insert("effect".to_owned(), json!({"const": self.name}));
+        properties.insert("effect".to_owned(), json!({"const": self.name()}));
         let mut required = vec!["effect"];
         for parameter in self.parameters {
             let mut schema = parameter.form.schema();
             schema["description"] = json!(parameter.meaning);
-            if let Need::Default(default) = parameter.need {
+            if let Some(default) = parameter.default() {
                 schema["default"] = json!(default);
             }
             if parameter.need == Need::Always {
@@ -318,11 +591,13 @@ impl Parameter {
                 .collect()
         };
         let at = |index: usize| wrong(format!("[{index}]"), &value[index]);
+        let number = |range: Range| match value.as_f64() {
+            Some(number) if range.contains(number) => Ok(()),
+            found => Err((String::new(), value.to_string(), range.words_for(found))),
+        };
         match self.form {
-            Form::Number(range) => match value.as_f64() {
-                Some(number) if range.contains(number) => Ok(()),
-                found => Err((String::new(), value.to_string(), range.words_for(found))),
-            },
+            Form::Number(range) => number(range),
+            Form::Time => number(Range::FromZero),
             Form::Whole(from, to) => match whole_of(value) {
                 Some(number) if (from..=to).contains(&number) => Ok(()),
                 _ => Err(whole()),
@@ -349,8 +624,8 @@ impl Parameter {
             Form::Effect(specs) => {
                 let entry = value.as_object().ok_or_else(whole)?;
                 let name = entry.get(EFFECT).unwrap_or(&Value::Null);
-                let Some(spec) = specs.iter().find(|spec| name == spec.name) else {
-                    let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                let Some(spec) = specs.iter().find(|spec| name == spec.name()) else {
+                    let names: Vec<_> = specs.iter().map(|spec| spec.name()).collect();
                     let allowed = format!("one of \"{}\"", names.join("\", \""));
                     return Err((format!(".{EFFECT}"), name.to_string(), allowed));
                 };
@@ -372,6 +647,7 @@ impl Form {
     pub fn words(self) -> String {
         match self {
             Self::Number(range) => range.words(),
+            Self::Time => Range::FromZero.words(),
             Self::Whole(from, to) => format!("a whole number from {from} to {to}"),
             Self::Numbers(range) => format!("a list of one or more, each {}", range.words()),
             Self::Intervals => "a list of one or more [from_s, to_s] with 0 ≤ from_s < to_s".to_owned(),
@@ -383,7 +659,7 @@ impl Form {
                     .to_owned()
             }
             Self::Effect(specs) => {
-                let names: Vec<_> = specs.iter().map(|spec| spec.name).collect();
+                let names: Vec<_> = specs.iter().map(|spec| spec.name()).collect();
                 format!("an effect with its parameters, one of \"{}\"", names.join("\", \""))
             }
             Self::Matrix => "three rows of three numbers".to_owned(),
@@ -397,6 +673,7 @@ impl Form {
             |items: Value, count: usize| json!({"type": "array", "items": items, "minItems": count, "maxItems": count});
         match self {
             Self::Number(range) => range.schema(),
+            Self::Time => Range::FromZero.schema(),
             Self::Whole(from, to) => json!({"type": "integer", "minimum": from, "maximum": to}),
             Self::Numbers(range) => list(range.schema(), 1),
             Self::Intervals => list(exactly(Range::FromZero.schema(), 2), 1),
@@ -411,6 +688,12 @@ impl Form {
 fn whole_of(value: &Value) -> Option<u64> {
     // 4.0 is the whole number 4 in JSON.
     value.as_u64().or_else(|| value.as_f64().filter(|n| n.fract() == 0.0 && (0.0..1e15).contains(n)).map(|n| n as u64))
+}
+
+fn move_time(value: &mut Value, by_s: f64) {
+    if let Some(time_s) = value.as_f64() {
+        *value = (time_s + by_s).into();
+    }
 }
 
 fn pair_of(value: &Value) -> Option<(f64, f64)> {
@@ -448,18 +731,18 @@ impl Values<'_> {
         let form = self.spec.parameters.iter().find(|parameter| parameter.name == name)?.form;
         let Form::Effect(specs) = form else { return None };
         let map = self.map.get(name)?.as_object()?;
-        let spec = specs.iter().find(|spec| map.get(EFFECT).is_some_and(|name| name == spec.name))?;
+        let spec = specs.iter().find(|spec| map.get(EFFECT).is_some_and(|name| name == spec.name()))?;
         Some(Values { spec, map })
     }
-    /// The name of the effect whose values these are.
-    pub(super) fn effect_name(&self) -> &'static str {
-        self.spec.name
+    /// The effect whose values these are.
+    pub(super) fn kind(&self) -> EffectKind {
+        self.spec.kind
     }
     /// The number, or its default.
     pub(super) fn number(&self, name: &str) -> f64 {
         self.optional(name).unwrap_or_else(|| {
-            let need = self.spec.parameters.iter().find(|parameter| parameter.name == name).map(|found| found.need);
-            if let Some(Need::Default(default)) = need { default } else { 0.0 }
+            let parameter = self.spec.parameters.iter().find(|parameter| parameter.name == name);
+            parameter.and_then(Parameter::default).unwrap_or_default()
         })
     }
     pub(super) fn optional(&self, name: &str) -> Option<f64> {

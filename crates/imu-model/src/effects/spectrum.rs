@@ -5,25 +5,25 @@
 //! the rate are smoothed. The filter runs by overlap-save in blocks of its own length, for any blocks that are requested. All
 //! input that it reaches back to is drawn first, so that the noise is stationary from the start.
 
-use super::spec::{Form, Kind, Need, Parameter};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature, profile, sampled};
+use super::spec::{Form, Need, effect};
+use super::{Effect, Moments, Record, Refusal, Sampler, Stage, Stream, Temperature, profile, sampled};
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
-use serde_json::Value;
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// Noise whose two-sided density is given at points, straight lines in between (density over frequency) and constant beyond
-/// them, times the square of a factor that may follow a profile.
-///
-/// Autocovariance without a profile: 2·Σ b·(cos ωf₁ − cos ωf₀)/ω² over the lines of slope b from f₀ to f₁, ω = 2πk·dt.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SpectralNoise {
-    /// Frequency in Hz, two-sided density in U²/Hz; frequencies rise, up to half the rate at which it acts.
-    pub density: Vec<(f64, f64)>,
-    /// Time in s after the start, factor on the amplitude; empty: 1 throughout.
-    pub level: Vec<(f64, f64)>,
+effect! {
+    /// Noise whose two-sided density is given at points, straight lines in between (density over frequency) and constant beyond
+    /// them, times the square of a factor that may follow a profile.
+    ///
+    /// Autocovariance without a profile: 2·Σ b·(cos ωf₁ − cos ωf₀)/ω² over the lines of slope b from f₀ to f₁, ω = 2πk·dt.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct SpectralNoise: dyn Effect, 19, Stage::Noise;
+    "noise of a given density: what has no name";
+    density: Vec<(f64, f64)> = Form::Density, "U²/Hz",
+        "[f_hz, two-sided density in U²/Hz], straight lines in between, constant beyond";
+    level: Vec<(f64, f64)> = Form::Profile, "",
+        "[t_s, factor on the amplitude], linear in between; 1 where it is not given", Need::Optional;
 }
 
 /// Taps at most.
@@ -32,32 +32,6 @@ pub const TAPS_MAX: usize = 4096;
 const TAPS_MIN: usize = 64;
 /// Taps per period of the distance between the closest points.
 const TAPS_PER_DISTANCE: f64 = 16.0;
-
-static SPEC: Spec = Spec {
-    name: "spectrum",
-    stream: streams::SPECTRUM,
-    stage: Stage::Noise,
-    parameters: &[
-        Parameter {
-            name: "density",
-            form: Form::Density,
-            need: Need::Always,
-            meaning: "[f_hz, two-sided density in U²/Hz], straight lines in between, constant beyond",
-        },
-        Parameter {
-            name: "level",
-            form: Form::Profile,
-            need: Need::Optional,
-            meaning: "[t_s, factor on the amplitude], linear in between; 1 where it is not given",
-        },
-    ],
-    forms: &[],
-    meaning: "noise of a given density: what has no name",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(SpectralNoise { density: values.pairs("density"), level: values.pairs("level") }),
-};
 
 impl SpectralNoise {
     /// The density at a frequency without the level's factor, U²/Hz.
@@ -87,21 +61,11 @@ impl SpectralNoise {
 }
 
 impl Effect for SpectralNoise {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = vec![("density", profile::value(&self.density))];
-        if !self.level.is_empty() {
-            parameters.push(("level", profile::value(&self.level)));
-        }
-        parameters
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         let half_hz = 0.5 * rate_hz;
         let Some(place) = self.density.iter().position(|point| point.0 > half_hz * (1.0 + 1e-9)) else { return Ok(()) };
         let allowed = format!("frequencies up to {half_hz} Hz, half the rate at which it acts");
-        Err(SPEC.refuse(format!("density[{place}]"), format!("{} Hz", self.density[place].0), allowed))
+        Err(Self::SPEC.refuse(format!("density[{place}]"), format!("{} Hz", self.density[place].0), allowed))
     }
     /// `None` with a level, which makes it another one at any time.
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {

@@ -1,57 +1,26 @@
 //! Spikes: single samples far off.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{FROM_ZERO, Form, Need, Range, effect};
+use super::{Effect, Moments, Record, Refusal, Sampler, Stage, Stream, each};
 
-/// Single samples that are off by about `amplitude`, at random times.
-///
-/// Each sample has one with probability `rate_hz`/rate, of random sign, its size evenly spread over half to one and a half
-/// times `amplitude` (mean and median are `amplitude`). The spectrum is white.
-///
-/// With `cluster` above 1 they come on neighbouring samples. At every sample a cluster begins with the same probability s, and a
-/// cluster continues with probability q = 1 − 1/`cluster`. The number of spikes in a cluster is therefore geometric with that
-/// mean (but for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with π =
-/// `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Spikes {
-    /// How many there are per second on average.
-    pub rate_hz: f64,
-    /// Typical size, U.
-    pub amplitude: f64,
-    /// Mean number in one cluster, from 1.
-    pub cluster: f64,
+effect! {
+    /// Single samples that are off by about `amplitude`, at random times.
+    ///
+    /// Each sample has one with probability `rate_hz`/rate, of random sign, its size evenly spread over half to one and a half
+    /// times `amplitude` (mean and median are `amplitude`). The spectrum is white.
+    ///
+    /// With `cluster` above 1 they come on neighbouring samples. At every sample a cluster begins with the same probability s, and a
+    /// cluster continues with probability q = 1 − 1/`cluster`. The number of spikes in a cluster is therefore geometric with that
+    /// mean (but for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with π =
+    /// `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Spikes: dyn Effect, 9, Stage::Noise, Samples;
+    "single samples far off, at random times and with random sign";
+    rate_hz: f64 = FROM_ZERO, "Hz", "spikes per second on average; up to the rate at which they act";
+    amplitude: f64 = FROM_ZERO, "U", "typical size, U; sizes spread evenly from half of it to one and a half";
+    cluster: f64 = Form::Number(Range::From(1.0)), "",
+        "mean number of spikes in one cluster, on neighbouring samples", Need::Unwritten(1.0);
 }
-
-static SPEC: Spec = Spec {
-    name: "spikes",
-    stream: streams::SPIKES,
-    stage: Stage::Noise,
-    parameters: &[
-        number("rate_hz", Range::FromZero, "spikes per second on average; up to the rate at which they act"),
-        number("amplitude", Range::FromZero, "typical size, U; sizes spread evenly from half of it to one and a half"),
-        Parameter {
-            name: "cluster",
-            form: Form::Number(Range::From(1.0)),
-            need: Need::Default(1.0),
-            meaning: "mean number of spikes in one cluster, on neighbouring samples",
-        },
-    ],
-    forms: &[],
-    meaning: "single samples far off, at random times and with random sign",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(Spikes {
-            rate_hz: values.number("rate_hz"),
-            amplitude: values.number("amplitude"),
-            cluster: values.number("cluster"),
-        })
-    },
-};
 
 /// Mean square and fourth moment of a number spread evenly over 0.5 … 1.5.
 const SQUARE: f64 = 13.0 / 12.0;
@@ -70,22 +39,12 @@ impl Spikes {
 }
 
 impl Effect for Spikes {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = vec![("rate_hz", self.rate_hz.into()), ("amplitude", self.amplitude.into())];
-        if self.cluster != 1.0 {
-            parameters.push(("cluster", self.cluster.into()));
-        }
-        parameters
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         if self.rate_hz <= rate_hz {
             return Ok(());
         }
         let allowed = format!("at most {rate_hz} spikes per second, one for every sample");
-        Err(SPEC.refuse("rate_hz", format!("{} Hz", self.rate_hz), allowed))
+        Err(Self::SPEC.refuse("rate_hz", format!("{} Hz", self.rate_hz), allowed))
     }
     fn psd(&self, _frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         Some(self.variance(rate_hz) / rate_hz)
@@ -97,38 +56,22 @@ impl Effect for Spikes {
         let kurtosis = FOURTH / (SQUARE * SQUARE) * record.rate_hz / self.rate_hz;
         Some(Moments { variance: self.variance(record.rate_hz), kurtosis: kurtosis.is_finite().then_some(kurtosis) })
     }
-    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let share = self.rate_hz / rate_hz;
         let goes_on = 1.0 - 1.0 / self.cluster;
         // With one each time all three are `share`, to the last bit.
         let begins = share * (1.0 - goes_on) / (1.0 - share * goes_on);
         let again = if goes_on > 0.0 { goes_on + (1.0 - goes_on) * begins } else { begins };
-        Box::new(SpikeSampler { next: share, begins, again, amplitude: self.amplitude, stream })
-    }
-}
-
-#[derive(Debug)]
-struct SpikeSampler {
-    /// Probability of a spike on the next sample.
-    next: f64,
-    /// After a sample without one.
-    begins: f64,
-    /// After a sample with one.
-    again: f64,
-    amplitude: f64,
-    stream: Stream,
-}
-
-impl Sampler for SpikeSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            let is_one = self.stream.uniform() < self.next;
-            self.next = if is_one { self.again } else { self.begins };
+        // The probability of a spike on the next sample is `again` after a sample with one, else `begins`.
+        let (amplitude, mut next) = (self.amplitude, share);
+        each(move |value| {
+            let is_one = stream.uniform() < next;
+            next = if is_one { again } else { begins };
             if is_one {
-                let size = self.amplitude * (0.5 + self.stream.uniform());
-                *value += if self.stream.uniform() < 0.5 { size } else { -size };
+                let size = amplitude * (0.5 + stream.uniform());
+                *value += if stream.uniform() < 0.5 { size } else { -size };
             }
-        }
+        })
     }
 }
 

@@ -7,7 +7,8 @@
 //! ```text
 //! bits 63–32  owner      the channel's column number (0–13); 256 + n for a triad (attitude, mag, accel, gyro: n = 0–3)
 //!                        and 260 for the whole sensor
-//! bits 31–16  effect     the kind's number in [`number`]; numbers are given once and never reused
+//! bits 31–16  effect     the number that the kind's file states, given once and never reused: the last one is 22, and 0
+//!                        is for effects that do not use random draws
 //! bits 15–0   instance   counts several effects of one kind on one owner, from 0
 //! ```
 //!
@@ -21,38 +22,6 @@ use rand_distr::{Distribution, StandardNormal};
 
 /// Separates these streams from any other use of the same seed; a new scheme gets a new number.
 const DOMAIN: &[u8; 18] = b"vn100d-simulator-1";
-
-/// The effects' numbers. New kinds get new numbers at the end; 0 is for effects that do not use random draws.
-#[expect(missing_docs, reason = "the effects' names")]
-pub mod number {
-    pub const NONE: u16 = 0;
-    pub const WHITE: u16 = 1;
-    pub const FLICKER: u16 = 2;
-    pub const RANDOM_WALK: u16 = 3;
-    pub const GAUSS_MARKOV: u16 = 4;
-    pub const TONE: u16 = 5;
-    pub const COMB: u16 = 6;
-    pub const RESONANCE: u16 = 7;
-    pub const QUANTIZATION_NOISE: u16 = 8;
-    pub const SPIKES: u16 = 9;
-    pub const HEAVY_TAILS: u16 = 10;
-    pub const BURSTS: u16 = 11;
-    pub const COMMON_MODE: u16 = 12;
-    pub const HELD_SAMPLES: u16 = 13;
-    /// `timing`: the stamps' jitter.
-    pub const TIMING: u16 = 14;
-    /// `timing`: the lost samples.
-    pub const TIMING_LOSS: u16 = 15;
-    /// `low_pass`: the noise behind it.
-    pub const LOW_PASS: u16 = 16;
-    /// `moving_average`: the noise behind it.
-    pub const MOVING_AVERAGE: u16 = 17;
-    pub const POWER_LAW: u16 = 18;
-    pub const SPECTRUM: u16 = 19;
-    pub const MODULATED_BAND: u16 = 20;
-    pub const INTERMITTENT: u16 = 21;
-    pub const WANDERING_LINE: u16 = 22;
-}
 
 /// Owner of a triad's streams.
 pub fn triad_owner(triad: Triad) -> u32 {

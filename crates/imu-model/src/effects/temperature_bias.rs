@@ -1,73 +1,36 @@
 //! Temperature bias: a level that follows the sensor's temperature.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{ANY, FROM_ZERO, Need, above, effect};
+use super::{At, Effect, Record, Sampler, Stage, Stream, Temperature};
 
-/// A bias that follows the sensor's temperature T: `per_c`·(P − `reference_c`) + `per_c2`·(P − `reference_c`)² +
-/// `per_c_per_s`·D.
-///
-/// P is T behind a play of full width `play_c`: it stays while T is within half of that from it, and else follows half the
-/// width behind; so that the level of a way up differs from that of the way down by `per_c`·`play_c`. It begins in the middle,
-/// P = T. Without play P is T. (Play, or backlash: Visintin, Differential Models of Hysteresis, 1994.)
-///
-/// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that lag.
-/// It is causal and begins at 0.
-///
-/// Its Allan variance is that of the temperature's course times `per_c`², and the course is not a parameter: `None`.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct TemperatureBias {
-    /// U/°C.
-    pub per_c: f64,
-    /// The temperature at which it vanishes, °C.
-    pub reference_c: f64,
-    /// Curvature, U/°C².
-    pub per_c2: f64,
-    /// Full width of the play between temperature and level, °C.
-    pub play_c: f64,
-    /// The addition for a changing temperature, U per °C/s.
-    pub per_c_per_s: f64,
+effect! {
+    /// A bias that follows the sensor's temperature T: `per_c`·(P − `reference_c`) + `per_c2`·(P − `reference_c`)² +
+    /// `per_c_per_s`·D.
+    ///
+    /// P is T behind a play of full width `play_c`: it stays while T is within half of that from it, and else follows half the
+    /// width behind; so that the level of a way up differs from that of the way down by `per_c`·`play_c`. It begins in the middle,
+    /// P = T. Without play P is T. (Play, or backlash: Visintin, Differential Models of Hysteresis, 1994.)
+    ///
+    /// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that lag.
+    /// It is causal and begins at 0.
+    ///
+    /// Its Allan variance is that of the temperature's course times `per_c`², and the course is not a parameter: `None`.
+    #[derive(Debug, Clone, Copy, PartialEq, Default)]
+    pub struct TemperatureBias: dyn Effect, 0, Stage::Bias;
+    "a bias that follows the sensor's temperature"
+        => "a level that moves by {per_c:.3e} per °C", "a level that follows the temperature, but not along a line";
+    per_c: f64 = ANY, "U/°C", "slope, U/°C";
+    reference_c: f64 = above(-273.15), "°C", "the temperature at which it vanishes, °C";
+    per_c2: f64 = ANY, "U/°C²", "curvature: per_c2·(T − reference_c)², U/°C²", Need::Unwritten(0.0);
+    play_c: f64 = FROM_ZERO, "°C",
+        "full width of the play between temperature and level (hysteresis), °C", Need::Unwritten(0.0);
+    per_c_per_s: f64 = ANY, "U·s/°C",
+        "what a temperature that changes adds, U per °C/s; dT/dt behind a lag of 10 s", Need::Unwritten(0.0);
 }
 
 /// Time constant of the lag behind which [`TemperatureBias::per_c_per_s`] sees dT/dt, s: short beside the warming of a sensor,
 /// long beside the noise and the steps of a thermometer.
 pub const RATE_LAG_S: f64 = 10.0;
-
-static SPEC: Spec = Spec {
-    name: "temperature_bias",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[
-        number("per_c", Range::Any, "slope, U/°C"),
-        number("reference_c", Range::Above(-273.15), "the temperature at which it vanishes, °C"),
-        further("per_c2", Range::Any, "curvature: per_c2·(T − reference_c)², U/°C²"),
-        further("play_c", Range::FromZero, "full width of the play between temperature and level (hysteresis), °C"),
-        further(
-            "per_c_per_s",
-            Range::Any,
-            "what a temperature that changes adds, U per °C/s; dT/dt behind a lag of 10 s",
-        ),
-    ],
-    forms: &[],
-    meaning: "a bias that follows the sensor's temperature",
-};
-const fn further(name: &'static str, range: Range, meaning: &'static str) -> Parameter {
-    Parameter { name, form: Form::Number(range), need: Need::Default(0.0), meaning }
-}
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(TemperatureBias {
-            per_c: values.number("per_c"),
-            reference_c: values.number("reference_c"),
-            per_c2: values.number("per_c2"),
-            play_c: values.number("play_c"),
-            per_c_per_s: values.number("per_c_per_s"),
-        })
-    },
-};
 
 impl TemperatureBias {
     /// One of a slope alone, in U/°C, that vanishes at `reference_c`.
@@ -83,18 +46,6 @@ impl TemperatureBias {
 }
 
 impl Effect for TemperatureBias {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let further = [("per_c2", self.per_c2), ("play_c", self.play_c), ("per_c_per_s", self.per_c_per_s)];
-        let given = further.into_iter().filter(|(_, value)| *value != 0.0);
-        [("per_c", self.per_c), ("reference_c", self.reference_c)]
-            .into_iter()
-            .chain(given)
-            .map(|(name, value)| (name, value.into()))
-            .collect()
-    }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
     }
@@ -150,6 +101,7 @@ impl Sampler for TemperatureSampler {
 mod tests {
     use super::super::check;
     use super::*;
+    use crate::effects::Described as _;
 
     #[test]
     fn the_level_follows_the_temperature() {

@@ -1,19 +1,19 @@
 //! Timing: stamps that scatter, samples that get lost.
 
-use super::spec::{Form, Kind, Need, Parameter, Range};
-use super::stream::number as streams;
-use super::{Effect, Record, Refusal, Sampler, Scope, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{FROM_ZERO, Need, PROBABILITY, effect};
+use super::{Effect, Record, Refusal, Sampler, Scope, Stage, Stream, each};
 
-/// Stamps with jitter, and samples lost on the way; the values are left alone. It concerns the whole sensor: one channel
-/// that names it is enough.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Timing {
-    /// Standard deviation of the stamps, s. Deviations end at 0.49 periods, so that stamps keep their order.
-    pub jitter_s: f64,
-    /// That a sample is lost.
-    pub drop_probability: f64,
+effect! {
+    /// Stamps with jitter, and samples lost on the way; the values are left alone. It concerns the whole sensor: one channel
+    /// that names it is enough.
+    ///
+    /// Deviations of stamps end at 0.49 periods, so that stamps keep their order.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Timing: dyn Effect, 14, Stage::Timing;
+    "stamps that scatter and samples that get lost; concerns the whole sensor";
+    jitter_s: f64 = FROM_ZERO, "s",
+        "standard deviation of the stamps, s; at most a fifth of the output's period", Need::Default(0.0);
+    drop_probability: f64 = PROBABILITY, "", "that a sample is lost", Need::Default(0.0);
 }
 
 /// Stamps may deviate by this part of a period at most.
@@ -21,33 +21,8 @@ pub(crate) const DEVIATION_MAX: f64 = 0.49;
 /// And their standard deviation may be this part of a period at most, so that deviations are seldom cut.
 pub const JITTER_MAX: f64 = 0.2;
 
-static SPEC: Spec = Spec {
-    name: "timing",
-    stream: streams::TIMING,
-    stage: Stage::Timing,
-    parameters: &[
-        Parameter {
-            name: "jitter_s",
-            form: Form::Number(Range::FromZero),
-            need: Need::Default(0.0),
-            meaning: "standard deviation of the stamps, s; at most a fifth of the output's period",
-        },
-        Parameter {
-            name: "drop_probability",
-            form: Form::Number(Range::Probability),
-            need: Need::Default(0.0),
-            meaning: "that a sample is lost",
-        },
-    ],
-    forms: &[],
-    meaning: "stamps that scatter and samples that get lost; concerns the whole sensor",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(Timing { jitter_s: values.number("jitter_s"), drop_probability: values.number("drop_probability") })
-    },
-};
+/// The random stream of the lost samples.
+pub const LOSS_STREAM: u16 = 15;
 
 impl Timing {
     /// The stamp's deviation in s, from a standard normal number.
@@ -58,12 +33,6 @@ impl Timing {
 }
 
 impl Effect for Timing {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("jitter_s", self.jitter_s.into()), ("drop_probability", self.drop_probability.into())]
-    }
     fn scope(&self) -> Scope {
         Scope::Sensor
     }
@@ -73,7 +42,7 @@ impl Effect for Timing {
             return Ok(());
         }
         let allowed = format!("at most {most_s} s, a fifth of the period at {rate_hz} Hz");
-        Err(SPEC.refuse("jitter_s", format!("{} s", self.jitter_s), allowed))
+        Err(Self::SPEC.refuse("jitter_s", format!("{} s", self.jitter_s), allowed))
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
@@ -85,16 +54,8 @@ impl Effect for Timing {
         Some(*self)
     }
     fn sampler(&self, _rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(Untouched)
+        each(|_| {})
     }
-}
-
-/// The values are as they were.
-#[derive(Debug)]
-struct Untouched;
-
-impl Sampler for Untouched {
-    fn act(&mut self, _values: &mut [f64], _temperature: Temperature<'_>) {}
 }
 
 #[cfg(test)]

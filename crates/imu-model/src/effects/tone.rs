@@ -1,77 +1,29 @@
 //! Tones: a sine, and a comb of one fundamental and its harmonics, with random phases.
 
-use super::spec::{Form, Kind, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Line, Moments, Record, Refusal, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, Form, Range, above, effect};
+use super::{At, Effect, Extent, Line, Moments, Record, Refusal, Sampler, Stage, Stream, each};
 use std::f64::consts::{PI, TAU};
-use std::sync::Arc;
 
-/// A sine of one frequency; its phase is drawn from the stream, all phases equally likely.
-///
-/// Expected Allan variance over the phases: A²·sin⁴(πfm·dt)/(m·sin(πf·dt))². Its spectrum is a line of power A²/2.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Tone {
-    /// Frequency, Hz; below half the rate at which it acts. Before a decimation it may lie above half the output's rate:
-    /// it then shows folded.
-    pub frequency_hz: f64,
-    /// Peak, U.
-    pub amplitude: f64,
+effect! {
+    /// A sine of one frequency; its phase is drawn from the stream, all phases equally likely.
+    ///
+    /// Expected Allan variance over the phases: A²·sin⁴(πfm·dt)/(m·sin(πf·dt))². Its spectrum is a line of power A²/2.
+    /// Before a decimation its frequency may lie above half the output's rate: it then shows folded.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Tone: dyn Effect, 5, Stage::Noise;
+    "a sine of one frequency and unknown phase" => "a {frequency_hz:.3} Hz tone of {amplitude:.2e}{more}";
+    frequency_hz: f64 = above(0.0), "Hz", "frequency, Hz; below half the rate at which it acts";
+    amplitude: f64 = FROM_ZERO, "U", "peak, U";
 }
 
-/// Harmonics of one fundamental: one cause, such as a motor. Phases are drawn independently.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Comb {
-    /// Frequency of the first harmonic, Hz.
-    pub fundamental_hz: f64,
-    /// Peaks of the first, second, third… harmonic, U.
-    pub amplitudes: Vec<f64>,
+effect! {
+    /// Harmonics of one fundamental: one cause, such as a motor. Phases are drawn independently.
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Comb: dyn Effect, 6, Stage::Noise;
+    "harmonics of one fundamental, as one cause" => "a comb of {fundamental_hz:.3} Hz{more}";
+    fundamental_hz: f64 = above(0.0), "Hz", "frequency of the first harmonic, Hz; the last one below half the rate";
+    amplitudes: Vec<f64> = Form::Numbers(Range::FromZero), "U", "peaks of the first, second… harmonic, U";
 }
-
-pub(super) static TONE_SPEC: Spec = Spec {
-    name: "tone",
-    stream: streams::TONE,
-    stage: Stage::Noise,
-    parameters: &[
-        number("frequency_hz", Range::Above(0.0), "frequency, Hz; below half the rate at which it acts"),
-        number("amplitude", Range::FromZero, "peak, U"),
-    ],
-    forms: &[],
-    meaning: "a sine of one frequency and unknown phase",
-};
-pub(super) static TONE: Kind<dyn Effect> = Kind {
-    spec: &TONE_SPEC,
-    make: |values| {
-        Arc::new(Tone { frequency_hz: values.number("frequency_hz"), amplitude: values.number("amplitude") })
-    },
-};
-
-static COMB_SPEC: Spec = Spec {
-    name: "comb",
-    stream: streams::COMB,
-    stage: Stage::Noise,
-    parameters: &[
-        number(
-            "fundamental_hz",
-            Range::Above(0.0),
-            "frequency of the first harmonic, Hz; the last one below half the rate",
-        ),
-        Parameter {
-            name: "amplitudes",
-            form: Form::Numbers(Range::FromZero),
-            need: Need::Always,
-            meaning: "peaks of the first, second… harmonic, U",
-        },
-    ],
-    forms: &[],
-    meaning: "harmonics of one fundamental, as one cause",
-};
-pub(super) static COMB: Kind<dyn Effect> = Kind {
-    spec: &COMB_SPEC,
-    make: |values| {
-        Arc::new(Comb { fundamental_hz: values.number("fundamental_hz"), amplitudes: values.numbers("amplitudes") })
-    },
-};
 
 /// Expected Allan variance of a sine of amplitude 1.
 fn allan_variance(frequency_hz: f64, m: u64, rate_hz: f64) -> f64 {
@@ -86,20 +38,17 @@ fn quadratures(frequency_hz: f64, time_s: f64) -> [f64; 2] {
 }
 
 impl Effect for Tone {
-    fn spec(&self) -> &'static Spec {
-        &TONE_SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("frequency_hz", self.frequency_hz.into()), ("amplitude", self.amplitude.into())]
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
-        TONE_SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
+        Self::SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
     }
     fn lines(&self) -> Vec<Line> {
         vec![Line { frequency_hz: self.frequency_hz, power: self.amplitude * self.amplitude / 2.0 }]
+    }
+    fn extents(&self) -> Vec<Extent> {
+        vec![Extent::band(self.frequency_hz, 0.0, 1.0)]
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         Some(self.amplitude * self.amplitude * allan_variance(self.frequency_hz, m, record.rate_hz))
@@ -114,10 +63,7 @@ impl Effect for Tone {
         row.copy_from_slice(&quadratures(self.frequency_hz, at.time_s));
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
-        Box::new(ToneSampler {
-            sines: vec![Sine::new(self.frequency_hz / rate_hz, self.amplitude, &mut stream)],
-            index: 0,
-        })
+        sum(vec![Sine::new(self.frequency_hz / rate_hz, self.amplitude, &mut stream)])
     }
 }
 
@@ -129,12 +75,6 @@ impl Comb {
 }
 
 impl Effect for Comb {
-    fn spec(&self) -> &'static Spec {
-        &COMB_SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("fundamental_hz", self.fundamental_hz.into()), ("amplitudes", self.amplitudes.clone().into())]
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         let highest_hz = self.fundamental_hz * self.amplitudes.len() as f64;
         if highest_hz < 0.5 * rate_hz {
@@ -145,13 +85,17 @@ impl Effect for Comb {
             "a highest harmonic below {} Hz, half the rate at which it acts (it is {highest_hz} Hz)",
             0.5 * rate_hz
         );
-        Err(COMB_SPEC.refuse("fundamental_hz", found, allowed))
+        Err(Self::SPEC.refuse("fundamental_hz", found, allowed))
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
     }
     fn lines(&self) -> Vec<Line> {
         self.harmonics().map(|(frequency_hz, peak)| Line { frequency_hz, power: peak * peak / 2.0 }).collect()
+    }
+    fn extents(&self) -> Vec<Extent> {
+        let present = self.harmonics().filter(|(_, peak)| *peak > 0.0);
+        present.map(|(frequency_hz, peak)| Extent::band(frequency_hz, 0.0, peak * peak)).collect()
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         Some(self.harmonics().map(|(f, peak)| peak * peak * allan_variance(f, m, record.rate_hz)).sum())
@@ -173,8 +117,7 @@ impl Effect for Comb {
         }
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
-        let sines = self.harmonics().map(|(f, peak)| Sine::new(f / rate_hz, peak, &mut stream)).collect();
-        Box::new(ToneSampler { sines, index: 0 })
+        sum(self.harmonics().map(|(f, peak)| Sine::new(f / rate_hz, peak, &mut stream)).collect())
     }
 }
 
@@ -192,25 +135,17 @@ impl Sine {
     }
 }
 
-/// The sines and the next sample's index.
-#[derive(Debug)]
-struct ToneSampler {
-    sines: Vec<Sine>,
-    index: u64,
-}
-
-impl Sampler for ToneSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            let index = self.index as f64;
-            for sine in &self.sines {
-                // Whole cycles are dropped first: the phase stays exact to 1e-7 cycles over 200 years at 800 Hz.
-                let cycles = (sine.step * index).fract() + sine.phase;
-                *value += sine.peak * (TAU * cycles).sin();
-            }
-            self.index += 1;
+/// Adds the sines.
+fn sum(sines: Vec<Sine>) -> Box<dyn Sampler> {
+    let mut index = 0_u64;
+    each(move |value| {
+        for sine in &sines {
+            // Whole cycles are dropped first: the phase stays exact to 1e-7 cycles over 200 years at 800 Hz.
+            let cycles = (sine.step * index as f64).fract() + sine.phase;
+            *value += sine.peak * (TAU * cycles).sin();
         }
-    }
+        index += 1;
+    })
 }
 
 #[cfg(test)]

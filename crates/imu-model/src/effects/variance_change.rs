@@ -1,12 +1,9 @@
 //! Change of variance: the white part's amplitude depends on time or temperature.
 
-use super::spec::{Form, Kind, Need, Parameter, Range};
-use super::stream::number as streams;
+use super::spec::{ANY, FROM_ZERO, Form, Need, Parameter, above, described};
 use super::{
-    Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments, profile,
+    Effect, Extent, Moments, Record, Sampler, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments, profile,
 };
-use serde_json::Value;
-use std::sync::Arc;
 
 /// A factor on the amplitude of the white part; the other noise is left alone.
 ///
@@ -34,42 +31,40 @@ pub enum VarianceChange {
     },
 }
 
-const fn in_form(name: &'static str, form: Form, meaning: &'static str) -> Parameter {
-    Parameter { name, form, need: Need::InItsForm, meaning }
+const fn in_form(name: &'static str, form: Form, unit: &'static str, meaning: &'static str) -> Parameter {
+    Parameter::new(name, form, unit, meaning).needed(Need::InItsForm)
 }
 
-static SPEC: Spec = Spec {
-    name: "variance_change",
-    stream: streams::NONE,
-    stage: Stage::WhitePart,
-    parameters: &[
-        in_form("from_s", Form::Number(Range::FromZero), "begin of the interval, s after the start"),
-        in_form("to_s", Form::Number(Range::FromZero), "its end, s; after `from_s`"),
-        in_form("factor", Form::Number(Range::FromZero), "on the amplitude of the white part, inside"),
-        in_form("profile", Form::Profile, "[t_s, factor], linear in between"),
-        in_form("per_c", Form::Number(Range::Any), "the factor is exp(per_c·(T − reference_c)), 1/°C"),
-        Parameter {
-            name: "reference_c",
-            form: Form::Number(Range::Above(-273.15)),
-            need: Need::Default(USUAL_TEMPERATURE_C),
-            meaning: "with `per_c`: the temperature at which the factor is 1, °C",
-        },
+described! {
+    VarianceChange: dyn Effect, 0, Stage::WhitePart;
+    "a factor on the amplitude of the white part, in an interval, by a profile or by temperature";
+    [
+        in_form("from_s", Form::Time, "s", "begin of the interval, s after the start"),
+        in_form("to_s", Form::Time, "s", "its end, s; after `from_s`"),
+        in_form("factor", FROM_ZERO, "", "on the amplitude of the white part, inside"),
+        in_form("profile", Form::Profile, "", "[t_s, factor], linear in between"),
+        in_form("per_c", ANY, "1/°C", "the factor is exp(per_c·(T − reference_c)), 1/°C"),
+        Parameter::new("reference_c", above(-273.15), "°C", "with `per_c`: the temperature at which the factor is 1, °C")
+            .needed(Need::Default(USUAL_TEMPERATURE_C)),
     ],
-    forms: &[&["from_s", "to_s", "factor"], &["profile"], &["per_c", "reference_c"]],
-    meaning: "a factor on the amplitude of the white part, in an interval, by a profile or by temperature",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(if let Some(per_c) = values.optional("per_c") {
-            VarianceChange::PerDegree { per_c, reference_c: values.number("reference_c") }
-        } else if let Some(factor) = values.optional("factor") {
-            VarianceChange::Interval { from_s: values.number("from_s"), to_s: values.number("to_s"), factor }
-        } else {
-            VarianceChange::Profile(values.pairs("profile"))
-        })
+    &[&["from_s", "to_s", "factor"], &["profile"], &["per_c", "reference_c"]];
+    |values| if let Some(per_c) = values.optional("per_c") {
+        VarianceChange::PerDegree { per_c, reference_c: values.number("reference_c") }
+    } else if let Some(factor) = values.optional("factor") {
+        VarianceChange::Interval { from_s: values.number("from_s"), to_s: values.number("to_s"), factor }
+    } else {
+        VarianceChange::Profile(values.pairs("profile"))
     },
-};
+    |of| match of {
+        VarianceChange::Interval { from_s, to_s, factor } => {
+            vec![("from_s", (*from_s).into()), ("to_s", (*to_s).into()), ("factor", (*factor).into())]
+        }
+        VarianceChange::Profile(points) => vec![("profile", profile::value(points))],
+        VarianceChange::PerDegree { per_c, reference_c } => {
+            vec![("per_c", (*per_c).into()), ("reference_c", (*reference_c).into())]
+        }
+    }
+}
 
 impl VarianceChange {
     /// The factor at an instant.
@@ -99,29 +94,28 @@ impl VarianceChange {
 }
 
 impl Effect for VarianceChange {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        match self {
-            Self::Interval { from_s, to_s, factor } => {
-                vec![("from_s", (*from_s).into()), ("to_s", (*to_s).into()), ("factor", (*factor).into())]
-            }
-            Self::Profile(points) => {
-                vec![("profile", profile::value(points))]
-            }
-            Self::PerDegree { per_c, reference_c } => {
-                vec![("per_c", (*per_c).into()), ("reference_c", (*reference_c).into())]
-            }
-        }
-    }
     fn check_at(&self, _rate_hz: f64) -> Result<(), super::Refusal> {
         match self {
             Self::Interval { from_s, to_s, .. } if from_s >= to_s => {
-                Err(SPEC.refuse("to_s", format!("{to_s} s"), format!("a time after `from_s`, {from_s} s")))
+                Err(Self::SPEC.refuse("to_s", format!("{to_s} s"), format!("a time after `from_s`, {from_s} s")))
             }
             _ => Ok(()),
         }
+    }
+    fn extents(&self) -> Vec<Extent> {
+        // A profile acts where its factor is further from 1 than half of what it is at most.
+        let [from_s, to_s] = match self {
+            Self::Interval { from_s, to_s, .. } => [*from_s, *to_s],
+            Self::Profile(points) => {
+                let far = |point: &(f64, f64)| point.1.ln().abs();
+                let most = points.iter().map(far).fold(0.0, f64::max);
+                let mut loud = points.iter().filter(|point| far(point) >= 0.5 * most).map(|point| point.0);
+                let first = loud.next().unwrap_or_default();
+                [first, loud.next_back().unwrap_or(first)]
+            }
+            Self::PerDegree { .. } => return Vec::new(),
+        };
+        if from_s < to_s { vec![Extent::time(from_s, to_s, 1.0)] } else { Vec::new() }
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
@@ -185,7 +179,9 @@ mod tests {
 
     #[test]
     fn the_forms_are_not_mixed() {
-        let read = |entry: Value| KIND.read(entry.as_object().unwrap()).map_err(|refusal| refusal.found);
+        let read = |entry: serde_json::Value| {
+            VarianceChange::DEFINITION.read(entry.as_object().unwrap()).map_err(|refusal| refusal.found)
+        };
         assert!(read(json!({"per_c": 0.01})).is_ok());
         assert!(read(json!({"per_c": 0.01, "reference_c": 20.0})).is_ok());
         assert_eq!(read(json!({"reference_c": 20.0})).unwrap_err(), "`reference_c`");

@@ -1,63 +1,28 @@
 //! Wandering line: a line whose frequency and amplitude drift to and fro.
 
 use super::gauss_markov::lorentzian;
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Temperature, sampled};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, above, effect};
+use super::{Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn uniformly; d and u are Gauss–Markov processes of rms
-/// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 for any s.
-///
-/// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), V = 2β(t/T_f − 1 + e^(−t/T_f)) the phase's variance about its
-/// mean course, β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan 9. The phase is integrated exactly
-/// between samples, so that it holds at any rate.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WanderingLine {
-    /// Mean frequency, Hz.
-    pub frequency_hz: f64,
-    /// Root mean square of the line times √2, U.
-    pub amplitude: f64,
-    /// Root mean square of the frequency about its mean, Hz.
-    pub frequency_sigma_hz: f64,
-    /// Correlation time of the frequency, s.
-    pub frequency_tc_s: f64,
-    /// Root mean square of the amplitude's logarithm.
-    pub amplitude_sigma: f64,
-    /// Correlation time of the amplitude's logarithm, s.
-    pub amplitude_tc_s: f64,
+effect! {
+    /// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn uniformly; d and u are Gauss–Markov processes of rms
+    /// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 for any s.
+    ///
+    /// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), V = 2β(t/T_f − 1 + e^(−t/T_f)) the phase's variance about its
+    /// mean course, β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan 9. The phase is integrated exactly
+    /// between samples, so that it holds at any rate.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct WanderingLine: dyn Effect, 22, Stage::Noise;
+    "a line whose frequency and amplitude wander";
+    frequency_hz: f64 = above(0.0), "Hz", "mean frequency, Hz; below half the rate at which it acts";
+    amplitude: f64 = FROM_ZERO, "U", "root mean square of the line times √2, U";
+    frequency_sigma_hz: f64 = FROM_ZERO, "Hz", "root mean square of the frequency about its mean, Hz";
+    frequency_tc_s: f64 = above(0.0), "s", "correlation time of the frequency, s";
+    amplitude_sigma: f64 = FROM_ZERO, "", "root mean square of the amplitude's logarithm; up to 3";
+    amplitude_tc_s: f64 = above(0.0), "s", "correlation time of the amplitude's logarithm, s";
 }
-
-static SPEC: Spec = Spec {
-    name: "wandering_line",
-    stream: streams::WANDERING_LINE,
-    stage: Stage::Noise,
-    parameters: &[
-        number("frequency_hz", Range::Above(0.0), "mean frequency, Hz; below half the rate at which it acts"),
-        number("amplitude", Range::FromZero, "root mean square of the line times √2, U"),
-        number("frequency_sigma_hz", Range::FromZero, "root mean square of the frequency about its mean, Hz"),
-        number("frequency_tc_s", Range::Above(0.0), "correlation time of the frequency, s"),
-        number("amplitude_sigma", Range::FromZero, "root mean square of the amplitude's logarithm; up to 3"),
-        number("amplitude_tc_s", Range::Above(0.0), "correlation time of the amplitude's logarithm, s"),
-    ],
-    forms: &[],
-    meaning: "a line whose frequency and amplitude wander",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(WanderingLine {
-            frequency_hz: values.number("frequency_hz"),
-            amplitude: values.number("amplitude"),
-            frequency_sigma_hz: values.number("frequency_sigma_hz"),
-            frequency_tc_s: values.number("frequency_tc_s"),
-            amplitude_sigma: values.number("amplitude_sigma"),
-            amplitude_tc_s: values.number("amplitude_tc_s"),
-        })
-    },
-};
 
 /// β above which the sum over Lorentzian lines cancels too far: its terms grow as e^β and alternate.
 const SUMMED_UP_TO: f64 = 8.0;
@@ -87,26 +52,13 @@ impl WanderingLine {
 }
 
 impl Effect for WanderingLine {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![
-            ("frequency_hz", self.frequency_hz.into()),
-            ("amplitude", self.amplitude.into()),
-            ("frequency_sigma_hz", self.frequency_sigma_hz.into()),
-            ("frequency_tc_s", self.frequency_tc_s.into()),
-            ("amplitude_sigma", self.amplitude_sigma.into()),
-            ("amplitude_tc_s", self.amplitude_tc_s.into()),
-        ]
-    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         if self.amplitude_sigma > AMPLITUDE_SIGMA_MAX {
             let allowed =
                 format!("at most {AMPLITUDE_SIGMA_MAX}: an amplitude that goes over a factor of 400 both ways");
-            return Err(SPEC.refuse("amplitude_sigma", self.amplitude_sigma, allowed));
+            return Err(Self::SPEC.refuse("amplitude_sigma", self.amplitude_sigma, allowed));
         }
-        SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
+        Self::SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
     }
     /// The sum over Lorentzian lines into which the autocovariance expands, in powers of e^(−t/T_f) and e^(−t/T_a). `None` for a
     /// frequency that wanders slowly (β above 8, a frequency held for more than some 0.45 turns): the terms alternate, and
@@ -181,18 +133,21 @@ impl Effect for WanderingLine {
         // integral_variance(x).
         let shared = wanders[0] * wanders[0] / drive;
         let own = (integral_variance(x) - shared * shared).max(0.0).sqrt();
-        let start = [stream.normal(), stream.normal()];
-        Box::new(WanderingSampler {
-            step: self.frequency_hz / rate_hz,
-            pole: [(-x).exp(), (-y).exp()],
-            drive: [drive, (-(-2.0 * y).exp_m1()).sqrt()],
-            carried: turn * wanders[0],
-            gathered: [turn * shared, turn * own],
-            amplitude_sigma: self.amplitude_sigma,
-            peak: self.amplitude * (-self.amplitude_sigma * self.amplitude_sigma).exp(),
-            state: start,
-            cycles: stream.uniform(),
-            stream,
+        // The processes' states over their rms, and the phase in cycles.
+        let mut state = [stream.normal(), stream.normal()];
+        let mut cycles = stream.uniform();
+        let (step, amplitude_sigma) = (self.frequency_hz / rate_hz, self.amplitude_sigma);
+        let (pole, drive) = ([(-x).exp(), (-y).exp()], [drive, (-(-2.0 * y).exp_m1()).sqrt()]);
+        // Cycles that the frequency's state turns in a sample, and the cycles that its drive and an independent number add.
+        let (carried, gathered) = (turn * wanders[0], [turn * shared, turn * own]);
+        let peak = self.amplitude * (-self.amplitude_sigma * self.amplitude_sigma).exp();
+        each(move |value| {
+            let [frequency, amplitude] = state;
+            *value += peak * (amplitude_sigma * amplitude).exp() * (TAU * cycles).cos();
+            let drives = [stream.normal(), stream.normal(), stream.normal()];
+            let wander = carried * frequency + gathered[0] * drives[0] + gathered[1] * drives[1];
+            cycles = (cycles + step + wander).rem_euclid(1.0);
+            state = [pole[0] * frequency + drive[0] * drives[0], pole[1] * amplitude + drive[1] * drives[2]];
         })
     }
 }
@@ -211,40 +166,6 @@ fn integral_variance(x: f64) -> f64 {
         power *= -x / f64::from(n + 1);
     }
     sum
-}
-
-/// The processes' states over their rms, and the phase in cycles.
-#[derive(Debug)]
-struct WanderingSampler {
-    /// Mean cycles per sample.
-    step: f64,
-    pole: [f64; 2],
-    drive: [f64; 2],
-    /// Cycles that the frequency's state turns in a sample, and the cycles that its drive and an independent number
-    /// add.
-    carried: f64,
-    gathered: [f64; 2],
-    amplitude_sigma: f64,
-    peak: f64,
-    state: [f64; 2],
-    cycles: f64,
-    stream: Stream,
-}
-
-impl Sampler for WanderingSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            let [frequency, amplitude] = self.state;
-            *value += self.peak * (self.amplitude_sigma * amplitude).exp() * (TAU * self.cycles).cos();
-            let drives = [self.stream.normal(), self.stream.normal(), self.stream.normal()];
-            let wander = self.carried * frequency + self.gathered[0] * drives[0] + self.gathered[1] * drives[1];
-            self.cycles = (self.cycles + self.step + wander).rem_euclid(1.0);
-            self.state = [
-                self.pole[0] * frequency + self.drive[0] * drives[0],
-                self.pole[1] * amplitude + self.drive[1] * drives[2],
-            ];
-        }
-    }
 }
 
 #[cfg(test)]

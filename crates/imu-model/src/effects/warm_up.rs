@@ -1,42 +1,20 @@
 //! Warm-up: the bias after switching on, dying away.
 
-use super::spec::{Kind, Range, number};
-use super::stream::number as streams;
-use super::{At, Effect, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
-use std::sync::Arc;
+use super::spec::{ANY, above, effect};
+use super::{At, Effect, Extent, Record, Sampler, Stage, Stream, each};
 
-/// A bias of A·exp(−t/τ), A at the start.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WarmUp {
-    /// At the start, U; signed.
-    pub amplitude: f64,
-    /// Time to fall to 1/e, s.
-    pub tau_s: f64,
+effect! {
+    /// A bias of A·exp(−t/τ), A at the start.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct WarmUp: dyn Effect, 0, Stage::Bias;
+    "a bias that dies away exponentially from the start" => "a warm-up of {amplitude:.3e} in {tau_s:.3e} s";
+    amplitude: f64 = ANY, "U", "bias at the start, U; signed";
+    tau_s: f64 = above(0.0), "s", "time to fall to 1/e, s";
 }
 
-static SPEC: Spec = Spec {
-    name: "warm_up",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[
-        number("amplitude", Range::Any, "bias at the start, U; signed"),
-        number("tau_s", Range::Above(0.0), "time to fall to 1/e, s"),
-    ],
-    forms: &[],
-    meaning: "a bias that dies away exponentially from the start",
-};
-pub(super) static KIND: Kind<dyn Effect> = Kind {
-    spec: &SPEC,
-    make: |values| Arc::new(WarmUp { amplitude: values.number("amplitude"), tau_s: values.number("tau_s") }),
-};
-
 impl Effect for WarmUp {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("amplitude", self.amplitude.into()), ("tau_s", self.tau_s.into())]
+    fn extents(&self) -> Vec<Extent> {
+        vec![Extent::time(0.0, 3.0 * self.tau_s, 1.0)]
     }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
@@ -61,24 +39,11 @@ impl Effect for WarmUp {
         row[0] = (-at.time_s / self.tau_s).exp();
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, _stream: Stream) -> Box<dyn Sampler> {
-        Box::new(WarmUpSampler { amplitude: self.amplitude, decay: 1.0 / (rate_hz * self.tau_s), index: 0 })
-    }
-}
-
-/// The next sample's index, and the bias's parameters.
-#[derive(Debug)]
-struct WarmUpSampler {
-    amplitude: f64,
-    decay: f64,
-    index: u64,
-}
-
-impl Sampler for WarmUpSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value += self.amplitude * (-self.decay * self.index as f64).exp();
-            self.index += 1;
-        }
+        let (amplitude, decay, mut index) = (self.amplitude, 1.0 / (rate_hz * self.tau_s), 0_u64);
+        each(move |value| {
+            *value += amplitude * (-decay * index as f64).exp();
+            index += 1;
+        })
     }
 }
 

@@ -1,36 +1,19 @@
 //! White noise (N): angle random walk of a gyroscope, velocity random walk of an accelerometer.
 
-use super::spec::{Form, Need, Parameter, Range, number};
-use super::stream::number as streams;
-use super::{Effect, Moments, Record, Sampler, Spec, Stage, Stream, Temperature};
-use serde_json::Value;
+use super::spec::{FROM_ZERO, effect};
+use super::{Effect, Moments, Record, Sampler, Stage, Stream, Temperature, each};
 
-/// White noise with two-sided PSD N².
-///
-/// Source: IEEE Std 952-1997, annex C (angle random walk).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct White {
-    /// N in U/√Hz.
-    pub n: f64,
+effect! {
+    /// White noise with two-sided PSD N².
+    ///
+    /// Source: IEEE Std 952-1997, annex C (angle random walk).
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct White: dyn Effect, 1, Stage::Noise;
+    "white noise, two-sided density N²";
+    n as "N": f64 = FROM_ZERO, "U/√Hz", "N in U/√Hz";
 }
 
-const PARAMETERS: [Parameter; 1] = [number("N", Range::FromZero, "N in U/√Hz")];
-static SPEC: Spec = Spec {
-    name: "white",
-    stream: streams::WHITE,
-    stage: Stage::Noise,
-    parameters: &PARAMETERS,
-    forms: &[],
-    meaning: "white noise, two-sided density N²",
-};
-
 impl Effect for White {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("N", self.n.into())]
-    }
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(self.n * self.n)
     }
@@ -40,25 +23,13 @@ impl Effect for White {
     fn moments(&self, record: Record) -> Option<Moments> {
         Some(Moments { variance: self.n * self.n * record.rate_hz, kurtosis: Some(3.0) })
     }
-    fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        Box::new(WhiteSampler { sigma: self.n * rate_hz.sqrt(), stream })
+    fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
+        let sigma = self.n * rate_hz.sqrt();
+        each(move |value| *value += sigma * stream.normal())
     }
 }
 
-/// White noise behind a filter, which the filter does not shape.
-pub(super) const WHITE_BEHIND: Parameter = Parameter {
-    name: "white_behind",
-    form: Form::Number(Range::FromZero),
-    need: Need::Default(0.0),
-    meaning: "white noise that comes in behind the filter, N in U/√Hz",
-};
-
 impl White {
-    /// Its entry in a filter's parameters; none for a filter without noise behind it.
-    pub(super) fn behind(self) -> Option<(&'static str, Value)> {
-        (self.n > 0.0).then(|| (WHITE_BEHIND.name, self.n.into()))
-    }
-
     /// A filter's sampler that adds this noise to what it passes.
     pub(super) fn after(
         self,
@@ -78,21 +49,6 @@ struct InTurn([Box<dyn Sampler>; 2]);
 impl Sampler for InTurn {
     fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>) {
         self.0.iter_mut().for_each(|sampler| sampler.act(values, temperature));
-    }
-}
-
-/// Independent normal values of standard deviation N/√dt.
-#[derive(Debug)]
-struct WhiteSampler {
-    sigma: f64,
-    stream: Stream,
-}
-
-impl Sampler for WhiteSampler {
-    fn act(&mut self, values: &mut [f64], _temperature: Temperature<'_>) {
-        for value in values {
-            *value += self.sigma * self.stream.normal();
-        }
     }
 }
 

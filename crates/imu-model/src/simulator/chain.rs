@@ -4,7 +4,7 @@ use super::model::SensorModel;
 use crate::effects::moving_average::RunningMean;
 use crate::effects::stream::{SENSOR_OWNER, triad_owner};
 use crate::effects::{
-    Effect, Flicker, RandomWalk, Sampler, Saturation, Scope, Stage, Stream, StreamId, Temperature, White, registry,
+    Effect, EffectKind, Flicker, RandomWalk, Sampler, Saturation, Scope, Stage, Stream, StreamId, Temperature, White,
 };
 use imu_core::sample::Channel;
 use std::collections::BTreeMap;
@@ -58,16 +58,16 @@ pub(super) struct Chain {
 
 /// A channel's own effects in the chain's order, each with its number among those of its kind.
 pub(super) fn in_order(effects: &[Arc<dyn Effect>]) -> Vec<Numbered> {
-    let mut counts: BTreeMap<&str, u16> = BTreeMap::new();
+    let mut counts: BTreeMap<EffectKind, u16> = BTreeMap::new();
     let mut numbered: Vec<Numbered> = effects
         .iter()
         .map(|effect| {
-            let count = counts.entry(effect.name()).or_default();
+            let count = counts.entry(effect.kind()).or_default();
             *count += 1;
             (Arc::clone(effect), *count - 1)
         })
         .collect();
-    numbered.sort_by_key(|(effect, instance)| (effect.stage(), registry::rank(effect.spec()), *instance));
+    numbered.sort_by_key(|(effect, instance)| (effect.stage(), effect.kind(), *instance));
     numbered
 }
 
@@ -81,11 +81,11 @@ pub(super) fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered>
     });
     let mut all: Vec<Numbered> = own.into_iter().filter(|(effect, _)| effect.scope() != Scope::Triad).collect();
     for (effect, instance) in shared {
-        if !all.iter().any(|(known, number)| known.name() == effect.name() && *number == instance) {
+        if !all.iter().any(|(known, number)| known.kind() == effect.kind() && *number == instance) {
             all.push((effect, instance));
         }
     }
-    all.sort_by_key(|(effect, instance)| (effect.stage(), registry::rank(effect.spec()), *instance));
+    all.sort_by_key(|(effect, instance)| (effect.stage(), effect.kind(), *instance));
     all
 }
 

@@ -32,8 +32,9 @@ pub use model::{ChannelModel, Fault, ModelError, Sampling, SensorModel, TriadMod
 pub use reference::{Motion, Reference, TemperatureCourse};
 pub use spectrum::{Spectrum, plateau};
 
-use crate::effects::stream::{SENSOR_OWNER, number};
-use crate::effects::{Stream, StreamId, Temperature, Timing, USUAL_TEMPERATURE_C};
+use crate::effects::stream::SENSOR_OWNER;
+use crate::effects::timing::LOSS_STREAM;
+use crate::effects::{EffectKind, Stream, StreamId, Temperature, Timing, USUAL_TEMPERATURE_C};
 use chain::{Chain, Level, Terms};
 use imu_core::sample::{Channel, ChannelSet, Triad};
 use response::Response;
@@ -410,7 +411,8 @@ fn timing(model: &SensorModel, seed: u64) -> Vec<(Timing, Stream, Stream)> {
     // Several on one channel: the longest list of any channel, of which the others' are beginnings.
     let timings = model.channels.values().map(of).max_by_key(Vec::len).unwrap_or_default();
     let stream = |effect, instance| Stream::new(seed, StreamId { owner: SENSOR_OWNER, effect, instance });
-    let both = |(instance, timing)| (timing, stream(number::TIMING, instance), stream(number::TIMING_LOSS, instance));
+    let own = EffectKind::Timing.spec().stream;
+    let both = |(instance, timing)| (timing, stream(own, instance), stream(LOSS_STREAM, instance));
     (0..).zip(timings).map(both).collect()
 }
 

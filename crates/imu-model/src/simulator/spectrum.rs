@@ -3,7 +3,8 @@
 use super::chain::effects_on;
 use super::model::{ChannelModel, SensorModel};
 use crate::effects::moving_average::boxcar_gain;
-use crate::effects::{Effect, Flicker, Line, RandomWalk, Record, Stage, White};
+use crate::effects::spec::Nature;
+use crate::effects::{Effect, EffectKind, Flicker, Line, RandomWalk, Record, Stage, White};
 use imu_core::sample::Channel;
 use std::sync::Arc;
 
@@ -18,21 +19,22 @@ use std::sync::Arc;
 ///
 /// `imu-noise` finds the same value in a record of the model: `examples/one_n.rs`, docs/validation.md.
 pub fn plateau(model: &SensorModel, channel: Channel, samples: u64) -> f64 {
-    const WHITE: [&str; 6] =
-        ["resonance", "low_pass", "moving_average", "common_mode", "resolution", "variance_change"];
     /// A frequency below all others, in parts of the rate.
     const LOWEST: f64 = 1e-9;
     let Some(of) = model.channels.get(&channel) else { return 0.0 };
     let rate_hz = model.rate_hz;
-    let density = |without: &str| {
-        let own = |effect: &&Arc<dyn Effect>| WHITE.contains(&effect.name()) && effect.name() != without;
+    let density = |changes: bool| {
+        let own = |effect: &&Arc<dyn Effect>| match effect.kind() {
+            EffectKind::VarianceChange => changes,
+            _ => effect.spec().nature == Nature::White,
+        };
         let white =
             ChannelModel { n: of.n, effects: of.effects.iter().filter(own).cloned().collect(), ..Default::default() };
         let channels = [(channel, white)].into();
         let alone = SensorModel { rate_hz, channels, sampling: model.sampling, ..SensorModel::default() };
         Spectrum::new(&alone, channel, Record { rate_hz, samples }).psd(LOWEST * rate_hz)
     };
-    density("").or_else(|| density("variance_change")).unwrap_or(0.0).sqrt()
+    density(true).or_else(|| density(false)).unwrap_or(0.0).sqrt()
 }
 
 /// The closed forms of one channel of a model, for a record.
@@ -106,7 +108,7 @@ impl<'a> Spectrum<'a> {
         let mut noise = Flicker { b: parameters.b }.psd(frequency_hz, internal_hz)?
             + RandomWalk { k: parameters.k }.psd(frequency_hz, internal_hz)?;
         let effects = self.effects();
-        if effects.iter().filter(|effect| effect.name() == "variance_change").count() > 1 {
+        if effects.iter().filter(|effect| effect.kind() == EffectKind::VarianceChange).count() > 1 {
             // The mean square of their product is not the product of their mean squares.
             return None;
         }

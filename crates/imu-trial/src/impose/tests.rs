@@ -95,7 +95,7 @@ fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
 
 #[test]
 fn what_is_told_of_an_effect_is_read_by_the_library() {
-    use imu_model::effects::registry;
+    use imu_model::effects::CHANNEL;
     for kind in Kind::LIBRARY.iter().copied() {
         // A saturation's limits follow from the samples.
         if kind == Kind::Saturation {
@@ -104,7 +104,7 @@ fn what_is_told_of_an_effect_is_read_by_the_library() {
         let (effect, ..) = imposed(kind, 3);
         for told in effect.parameters.values() {
             for one in told.as_array().cloned().unwrap_or_else(|| vec![told.clone()]) {
-                let found = registry::find(&registry::CHANNEL, kind.effect().unwrap()).unwrap();
+                let found = CHANNEL.iter().find(|of| Some(of.spec.kind) == kind.effect()).unwrap();
                 let read = found.read(one.as_object().unwrap()).unwrap();
                 assert_eq!(read.check(RATE), Ok(()), "{kind}");
             }

@@ -50,7 +50,7 @@ pub fn information(
     let mut cosines = Cosines::new(coarse);
     let coarse_hz = rate_hz / each as f64;
     let kinds: Vec<Kind> =
-        Kind::LIBRARY.into_iter().filter(|of| of.numbers().is_some() && of.triads().contains(&triad)).collect();
+        Kind::LIBRARY.iter().copied().filter(|of| of.numbers().is_some() && of.triads().contains(&triad)).collect();
     let kinds: Vec<Kind> = if kinds.contains(&kind) { kinds } else { kinds.into_iter().chain([kind]).collect() };
     let nothing = shown(triad, course, rate_hz, &[], warmth_c);
     let mut columns: Vec<(Kind, Vec<f64>)> = Vec::new();

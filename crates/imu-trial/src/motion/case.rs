@@ -278,30 +278,21 @@ impl Case {
         };
         let mean_c = if with_effects { self.mean_c() } else { 0.0 };
         for (place, triad) in TRIADS.into_iter().enumerate() {
+            let own = |on_channels: bool, axis: usize| -> Option<Value> {
+                let all = effects.iter().map(|(_, effect)| effect).filter(|effect| effect.triad == triad);
+                let own = all.filter(|effect| effect.kind.on_channels() == on_channels);
+                let own: Vec<Value> = own.map(|effect| entry(effect, axis, mean_c)).collect();
+                (!own.is_empty()).then(|| own.into())
+            };
             for (axis, channel) in triad.channels().into_iter().enumerate() {
                 let [n, b, k] = self.nbk[place][axis][1];
-                let mut entry = json!({"N": n, "B": b, "K": k});
-                let own: Vec<Value> = effects
-                    .iter()
-                    .filter(|(_, effect)| effect.triad == triad && effect.kind.on_channels())
-                    .map(|(_, effect)| match effect.kind {
-                        Kind::LowPass => json!({"effect": "low_pass", "cutoff_hz": effect.numbers[0]}),
-                        _ => json!({
-                            "effect": "temperature_bias", "per_c": effect.numbers[axis], "reference_c": mean_c
-                        }),
-                    })
-                    .collect();
-                if !own.is_empty() {
-                    entry["effects"] = own.into();
+                let mut channel_entry = json!({"N": n, "B": b, "K": k});
+                if let Some(own) = own(true, axis) {
+                    channel_entry["effects"] = own;
                 }
-                channels.insert(channel.name().to_owned(), entry);
+                channels.insert(channel.name().to_owned(), channel_entry);
             }
-            let own: Vec<Value> = effects
-                .iter()
-                .filter(|(_, effect)| effect.triad == triad && !effect.kind.on_channels())
-                .map(|(_, effect)| entry(effect))
-                .collect();
-            if !own.is_empty() {
+            if let Some(own) = own(false, 0) {
                 triads.insert(triad.name().to_owned(), json!({"effects": own}));
             }
         }
@@ -318,25 +309,24 @@ impl Case {
     }
 }
 
-/// An effect as a model's file has it.
-fn entry(effect: &Imposed) -> Value {
+/// An effect as a model's file has it; of those on channels, on the axis.
+fn entry(effect: &Imposed, axis: usize, mean_c: f64) -> Value {
     let n = &effect.numbers;
-    match effect.kind {
+    let mut entry = match effect.kind {
         Kind::UnsignedNonlinearity | Kind::SignedNonlinearity => json!({
-            "effect": "scale_factor_nonlinearity", "x": n[0], "y": n[1], "z": n[2],
-            "full_scale": full_scale(effect.triad),
+            "x": n[0], "y": n[1], "z": n[2], "full_scale": full_scale(effect.triad),
             "form": if effect.kind == Kind::SignedNonlinearity { "signed" } else { "unsigned" }
         }),
-        Kind::CrossAxisSensitivity => {
-            json!({"effect": "cross_axis_sensitivity", "xy": n[0], "xz": n[1], "yz": n[2]})
-        }
-        Kind::GSensitivity => json!({
-            "effect": "g_sensitivity", "m": [[n[0], n[1], n[2]], [n[3], n[4], n[5]], [n[6], n[7], n[8]]]
-        }),
-        Kind::Latency => json!({"effect": "latency", "seconds": n[0]}),
-        Kind::Saturation => json!({"effect": "saturation", "range": n[0]}),
-        kind => json!({"effect": kind.name(), "x": n[0], "y": n[1], "z": n[2]}),
-    }
+        Kind::CrossAxisSensitivity => json!({"xy": n[0], "xz": n[1], "yz": n[2]}),
+        Kind::GSensitivity => json!({"m": [[n[0], n[1], n[2]], [n[3], n[4], n[5]], [n[6], n[7], n[8]]]}),
+        Kind::Latency => json!({"seconds": n[0]}),
+        Kind::Saturation => json!({"range": n[0]}),
+        Kind::LowPass => json!({"cutoff_hz": n[0]}),
+        Kind::TemperatureBias => json!({"per_c": n[axis], "reference_c": mean_c}),
+        _ => json!({"x": n[0], "y": n[1], "z": n[2]}),
+    };
+    entry["effect"] = json!(effect.kind.effect());
+    entry
 }
 
 /// A case's recording, reference and model as bytes, from the process that makes cases to the one that diagnoses them: a
@@ -423,12 +413,12 @@ mod tests {
     fn every_kind_of_the_library_is_one_that_a_model_can_say() {
         for kind in Kind::LIBRARY {
             for triad in kind.triads() {
-                let case = Case::draw(8, 1, &[(kind, *triad)], Some(6000));
+                let case = Case::draw(8, 1, &[(*kind, *triad)], Some(6000));
                 let model = case.model(true).unwrap();
                 let on_triads = model.triads.values().flat_map(|of| &of.effects).map(|effect| effect.name());
                 let on_channels = model.channels.values().flat_map(|of| &of.effects).map(|effect| effect.name());
                 let names: Vec<&str> = on_triads.chain(on_channels).collect();
-                assert!(names.contains(&kind.effect().unwrap()), "{kind}");
+                assert!(names.contains(&kind.effect().unwrap().name()), "{kind}");
             }
         }
     }

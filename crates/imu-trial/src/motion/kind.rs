@@ -1,99 +1,39 @@
 //! Kinds: the effects that a sealed case with a motion may lack.
 
 use crate::draw::Draw;
+use crate::kind::kinds;
 use imu_core::sample::Triad;
-use serde::{Deserialize, Serialize};
+use imu_model::EffectKind;
 
-/// An effect that a case lacks in its model.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// A constant per axis.
-    Bias,
-    /// A fraction per axis.
-    ScaleFactor,
-    /// Its square.
-    UnsignedNonlinearity,
-    /// Its square with its sign.
-    SignedNonlinearity,
-    /// A rotation.
-    Misalignment,
-    /// The symmetric part.
-    CrossAxisSensitivity,
-    /// The gyro feels the specific force.
-    GSensitivity,
-    /// It is late.
-    Latency,
-    /// It is cut off.
-    Saturation,
-    /// Its bandwidth is less.
-    LowPass,
-    /// Its level follows the temperature.
-    TemperatureBias,
-    /// It follows with play.
-    Hysteresis,
-    /// It creeps after its input.
-    Creep,
-    /// It does not move near 0.
-    DeadBand,
-    /// It stands off the reference's point.
-    LeverArm,
-    /// Its scale factor follows the temperature.
-    WarmScale,
+kinds! {
+    /// An effect that a case lacks in its model: one of the library in a row with its identity, or one outside it.
+    row: Option<EffectKind>;
+    /// The kinds of the library.
+    LIBRARY:
+        Bias = "bias" => Some(EffectKind::Bias),
+        ScaleFactor = "scale_factor" => Some(EffectKind::ScaleFactor),
+        UnsignedNonlinearity = "unsigned_nonlinearity" => Some(EffectKind::ScaleFactorNonlinearity),
+        SignedNonlinearity = "signed_nonlinearity" => Some(EffectKind::ScaleFactorNonlinearity),
+        Misalignment = "misalignment" => Some(EffectKind::Misalignment),
+        CrossAxisSensitivity = "cross_axis_sensitivity" => Some(EffectKind::CrossAxisSensitivity),
+        GSensitivity = "g_sensitivity" => Some(EffectKind::GSensitivity),
+        Latency = "latency" => Some(EffectKind::Latency),
+        Saturation = "saturation" => Some(EffectKind::Saturation),
+        LowPass = "low_pass" => Some(EffectKind::LowPass),
+        TemperatureBias = "temperature_bias" => Some(EffectKind::TemperatureBias);
+    /// The kinds outside it.
+    OUTSIDE:
+        Hysteresis = "hysteresis" => None,
+        Creep = "creep" => None,
+        DeadBand = "dead_band" => None,
+        LeverArm = "lever_arm" => None,
+        WarmScale = "warm_scale" => None;
 }
 
 impl Kind {
-    /// The kinds of the library.
-    pub const LIBRARY: [Self; 11] = [
-        Self::Bias,
-        Self::ScaleFactor,
-        Self::UnsignedNonlinearity,
-        Self::SignedNonlinearity,
-        Self::Misalignment,
-        Self::CrossAxisSensitivity,
-        Self::GSensitivity,
-        Self::Latency,
-        Self::Saturation,
-        Self::LowPass,
-        Self::TemperatureBias,
-    ];
-    /// The kinds outside it.
-    pub const OUTSIDE: [Self; 5] = [Self::Hysteresis, Self::Creep, Self::DeadBand, Self::LeverArm, Self::WarmScale];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Bias => "bias",
-            Self::ScaleFactor => "scale_factor",
-            Self::UnsignedNonlinearity => "unsigned_nonlinearity",
-            Self::SignedNonlinearity => "signed_nonlinearity",
-            Self::Misalignment => "misalignment",
-            Self::CrossAxisSensitivity => "cross_axis_sensitivity",
-            Self::GSensitivity => "g_sensitivity",
-            Self::Latency => "latency",
-            Self::Saturation => "saturation",
-            Self::LowPass => "low_pass",
-            Self::TemperatureBias => "temperature_bias",
-            Self::Hysteresis => "hysteresis",
-            Self::Creep => "creep",
-            Self::DeadBand => "dead_band",
-            Self::LeverArm => "lever_arm",
-            Self::WarmScale => "warm_scale",
-        }
-    }
-
-    /// The kind of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::LIBRARY.into_iter().chain(Self::OUTSIDE).find(|kind| kind.name() == name)
-    }
-
-    /// The documented name of its effect; None outside the library.
-    pub fn effect(self) -> Option<&'static str> {
-        match self {
-            Self::UnsignedNonlinearity | Self::SignedNonlinearity => Some("scale_factor_nonlinearity"),
-            of if Self::LIBRARY.contains(&of) => Some(of.name()),
-            _ => None,
-        }
+    /// The documented effect; none outside the library.
+    pub fn effect(self) -> Option<EffectKind> {
+        self.row()
     }
 
     /// The triads it may be on.
@@ -140,12 +80,6 @@ impl Kind {
     }
 }
 
-impl std::fmt::Display for Kind {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
 /// One effect of a case: its kind and its triad.
 pub type Wish = (Kind, Triad);
 
@@ -165,7 +99,7 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
             (Some(class), _) => classes.push(class),
             (_, Some(kind)) => kinds.push(kind),
             _ => {
-                let all: Vec<&str> = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).map(Kind::name).collect();
+                let all: Vec<&str> = Kind::all().map(Kind::name).collect();
                 return Err(format!("`{word}`: expected {}, or some of {}", CLASSES.join(", "), all.join(", ")));
             }
         }
@@ -201,9 +135,9 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
         let count = (until.round() as usize).saturating_sub(made.len());
         let mut list: Vec<Vec<Wish>> = match class {
             "none" => vec![Vec::new()],
-            "outside" => in_turn(&single(&some(&Kind::OUTSIDE))),
+            "outside" => in_turn(&single(&some(Kind::OUTSIDE))),
             "pair" => {
-                let all = single(&some(&Kind::LIBRARY)).concat();
+                let all = single(&some(Kind::LIBRARY)).concat();
                 let pairs = all.iter().enumerate().flat_map(|(at, one)| {
                     all[at + 1..].iter().filter(|other| goes_with(*one, **other)).map(|other| vec![*one, *other])
                 });
@@ -211,7 +145,7 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
                 draw.shuffle(&mut pairs);
                 pairs
             }
-            _ => in_turn(&single(&some(&Kind::LIBRARY))),
+            _ => in_turn(&single(&some(Kind::LIBRARY))),
         };
         if list.is_empty() {
             list.push(Vec::new());
@@ -251,7 +185,7 @@ mod tests {
         assert_eq!(count(&Vec::is_empty), 200);
         assert_eq!(count(&|wishes| wishes.len() == 2), 200);
         assert_eq!(count(&|wishes| wishes.len() == 1 && wishes[0].0.effect().is_none()), 100);
-        for kind in Kind::LIBRARY {
+        for kind in Kind::LIBRARY.iter().copied() {
             let own = count(&|wishes| wishes.len() == 1 && wishes[0].0 == kind);
             assert!((44..=48).contains(&own), "{kind}: {own}");
         }

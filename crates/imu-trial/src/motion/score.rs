@@ -6,6 +6,7 @@ use super::kind::Kind;
 use crate::detection::{self, Limit};
 use crate::interval::Rate;
 use imu_core::sample::Triad;
+use imu_model::EffectKind;
 use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -108,15 +109,13 @@ fn triad_of(cause: &Value) -> Option<String> {
 
 /// Whether a cause is the effect: its name, its form, its triad.
 fn is(of: &TrueEffect, cause: &Value) -> bool {
-    let wanted = match of.kind {
-        Kind::UnsignedNonlinearity => "unsigned scale_factor_nonlinearity".to_owned(),
-        Kind::SignedNonlinearity => "signed scale_factor_nonlinearity".to_owned(),
-        kind => match kind.effect() {
-            Some(name) => name.to_owned(),
-            None => return false,
-        },
+    let form = match of.kind {
+        Kind::UnsignedNonlinearity => "unsigned ",
+        Kind::SignedNonlinearity => "signed ",
+        _ => "",
     };
-    called(cause) == wanted && triad_of(cause).as_deref() == Some(of.triad.as_str())
+    let Some(effect) = of.kind.effect() else { return false };
+    called(cause) == format!("{form}{effect}") && triad_of(cause).as_deref() == Some(of.triad.as_str())
 }
 
 /// Whether each stated interval of a triad's parameters holds the truth.
@@ -243,12 +242,15 @@ impl Score {
         let spurious = |of: &Judgement| of.causes.iter().any(|cause| !cause.right);
         // A refusal is no answer either.
         let blamed = |of: &Judgement| !of.causes.is_empty() || !matches!(of.verdict.as_str(), "no_gap" | "parameters");
-        let turned = [(Kind::Misalignment, "cross_axis_sensitivity"), (Kind::CrossAxisSensitivity, "misalignment")];
+        let turned = [
+            (Kind::Misalignment, EffectKind::CrossAxisSensitivity),
+            (Kind::CrossAxisSensitivity, EffectKind::Misalignment),
+        ];
         let mixed = |of: &Judgement| {
             turned.iter().any(|(kind, other)| {
                 of.kinds.contains(kind)
-                    && !of.kinds.iter().any(|kind| kind.effect() == Some(other))
-                    && of.causes.iter().any(|cause| cause.effect == *other)
+                    && !of.kinds.iter().any(|kind| kind.effect() == Some(*other))
+                    && of.causes.iter().any(|cause| cause.effect == other.name())
             })
         };
         let both = single().chain(pairs());
@@ -270,7 +272,7 @@ impl Score {
             ("false_unknown", Rate::of(both.clone().map(unknown))),
             ("spurious", Rate::of(both.map(spurious))),
         ]);
-        let kinds = Kind::LIBRARY.into_iter().chain(Kind::OUTSIDE).filter_map(|kind| {
+        let kinds = Kind::all().filter_map(|kind| {
             let own: Vec<&Judgement> = all.iter().filter(|of| of.kinds == [kind]).collect();
             if own.is_empty() {
                 return None;

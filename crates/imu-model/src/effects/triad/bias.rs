@@ -1,12 +1,9 @@
 //! Bias of a triad's axes.
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
-use crate::effects::spec::{Kind, Range, number};
-use crate::effects::stream::number as streams;
-use crate::effects::{Spec, Stage};
+use crate::effects::Stage;
+use crate::effects::spec::{ANY, Parameter, described};
 use imu_core::sample::Triad;
-use serde_json::Value;
-use std::sync::Arc;
 
 /// A constant per axis, beside each channel's own `bias`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,28 +12,18 @@ pub struct Bias {
     pub axes: Axes,
 }
 
-static SPEC: Spec = Spec {
-    name: "bias",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[
-        number("x", Range::Any, "bias of the x axis, U"),
-        number("y", Range::Any, "bias of the y axis, U"),
-        number("z", Range::Any, "bias of the z axis, U"),
-    ],
-    forms: &[],
-    meaning: "a constant per axis",
-};
-pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(Bias { axes: values.axes() }) };
+described! {
+    Bias: dyn TriadEffect, 0, Stage::Bias;
+    "a constant per axis";
+    [
+        Parameter::new("x", ANY, "U", "bias of the x axis, U"),
+        Parameter::new("y", ANY, "U", "bias of the y axis, U"),
+        Parameter::new("z", ANY, "U", "bias of the z axis, U"),
+    ];
+    |values| Bias { axes: values.axes() }, |of| xyz(of.axes)
+}
 
 impl TriadEffect for Bias {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        xyz(self.axes)
-    }
     fn triads(&self) -> &'static [Triad] {
         &[Triad::Attitude, Triad::Mag, Triad::Accel, Triad::Gyro]
     }

@@ -1,45 +1,21 @@
 //! g-sensitivity: gyroscopes feel acceleration.
 
 use super::{Axes, Drive, TriadEffect};
-use crate::effects::spec::{Form, Kind, Need, Parameter};
-use crate::effects::stream::number as streams;
-use crate::effects::{Spec, Stage};
+use crate::effects::Stage;
+use crate::effects::spec::{Form, effect};
 use imu_core::sample::Triad;
-use serde_json::{Value, json};
-use std::sync::Arc;
 
-/// The gyroscope shows M·a more, a being the specific force.
-///
-/// Source: IEEE Std 528-2019 (acceleration-sensitive drift rate).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GSensitivity {
-    /// Row: gyroscope axis; column: acceleration axis; (rad/s)/(m/s²).
-    pub m: [Axes; 3],
+effect! {
+    /// The gyroscope shows M·a more, a being the specific force.
+    ///
+    /// Source: IEEE Std 528-2019 (acceleration-sensitive drift rate).
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct GSensitivity: dyn TriadEffect, 0, Stage::Bias;
+    "gyroscopes show a part of the specific force; on the gyro triad";
+    m: [Axes; 3] = Form::Matrix, "(rad/s)/(m/s²)", "row: gyro axis, column: acceleration axis; (rad/s)/(m/s²)";
 }
 
-static SPEC: Spec = Spec {
-    name: "g_sensitivity",
-    stream: streams::NONE,
-    stage: Stage::Bias,
-    parameters: &[Parameter {
-        name: "m",
-        form: Form::Matrix,
-        need: Need::Always,
-        meaning: "row: gyro axis, column: acceleration axis; (rad/s)/(m/s²)",
-    }],
-    forms: &[],
-    meaning: "gyroscopes show a part of the specific force; on the gyro triad",
-};
-pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(GSensitivity { m: values.matrix("m") }) };
-
 impl TriadEffect for GSensitivity {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("m", json!(self.m))]
-    }
     fn triads(&self) -> &'static [Triad] {
         &[Triad::Gyro]
     }

@@ -1,21 +1,19 @@
 //! Latency: the triad shows the motion of a moment ago.
 
 use super::{Axes, TriadEffect};
-use crate::effects::spec::{Kind, Range, number};
-use crate::effects::stream::number as streams;
-use crate::effects::{Refusal, Spec, Stage};
+use crate::effects::spec::{FROM_ZERO, effect};
+use crate::effects::{Described, Refusal, Stage};
 use imu_core::sample::Triad;
-use serde_json::Value;
 use std::collections::VecDeque;
-use std::sync::Arc;
 
-/// The motion arrives this much late; noise does not come from the motion and is left alone.
-///
-/// Between samples the motion is a cubic through four of them (Lagrange). Before its start it is what it was at the start.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Latency {
-    /// s, 0 to [`Latency::SECONDS_MAX`].
-    pub seconds: f64,
+effect! {
+    /// The motion arrives this much late; noise does not come from the motion and is left alone.
+    ///
+    /// Between samples the motion is a cubic through four of them (Lagrange). Before its start it is what it was at the start.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Latency: dyn TriadEffect, 0, Stage::Latency;
+    "the triad shows the motion of a moment ago";
+    seconds: f64 = FROM_ZERO, "s", "by how much the motion is late, s; at most 10";
 }
 
 impl Latency {
@@ -23,33 +21,16 @@ impl Latency {
     pub const SECONDS_MAX: f64 = 10.0;
 }
 
-static SPEC: Spec = Spec {
-    name: "latency",
-    stream: streams::NONE,
-    stage: Stage::Latency,
-    parameters: &[number("seconds", Range::FromZero, "by how much the motion is late, s; at most 10")],
-    forms: &[],
-    meaning: "the triad shows the motion of a moment ago",
-};
-pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(Latency { seconds: values.number("seconds") }) };
-
 impl TriadEffect for Latency {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("seconds", self.seconds.into())]
-    }
     fn check(&self, triad: Triad) -> Result<(), Refusal> {
         if !self.triads().contains(&triad) {
-            return Err(SPEC.refuse("effect", format!("`latency` on {}", triad.name()), "accel or gyro"));
+            return Err(Self::SPEC.refuse("effect", format!("`latency` on {}", triad.name()), "accel or gyro"));
         }
-        SPEC.check(&self.parameters())?;
+        Self::SPEC.check(&self.parameters())?;
         if self.seconds <= Self::SECONDS_MAX {
             return Ok(());
         }
-        Err(SPEC.refuse("seconds", format!("{} s", self.seconds), format!("at most {} s", Self::SECONDS_MAX)))
+        Err(Self::SPEC.refuse("seconds", format!("{} s", self.seconds), format!("at most {} s", Self::SECONDS_MAX)))
     }
     fn delay_s(&self) -> f64 {
         self.seconds

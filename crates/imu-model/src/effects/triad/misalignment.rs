@@ -1,11 +1,8 @@
 //! Misalignment and cross-axis sensitivity: the two halves of a small matrix, antisymmetric and symmetric.
 
 use super::{Axes, Drive, TriadEffect, xyz};
-use crate::effects::spec::{Kind, Range, number};
-use crate::effects::stream::number as streams;
-use crate::effects::{Spec, Stage};
-use serde_json::Value;
-use std::sync::Arc;
+use crate::effects::Stage;
+use crate::effects::spec::{ANY, Parameter, described, effect};
 
 /// The triad as a whole is turned by a small rotation vector θ: measured = true + θ × true.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,59 +11,29 @@ pub struct Misalignment {
     pub rotation: Axes,
 }
 
-/// Axes see one another alike: measured = true + S·true with S symmetric and zero on its diagonal. With misalignment it
-/// makes the orthogonality errors of single axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CrossAxisSensitivity {
-    /// Between x and y.
-    pub xy: f64,
-    /// Between x and z.
-    pub xz: f64,
-    /// Between y and z.
-    pub yz: f64,
+effect! {
+    /// Axes see one another alike: measured = true + S·true with S symmetric and zero on its diagonal. With misalignment it
+    /// makes the orthogonality errors of single axes.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct CrossAxisSensitivity: dyn TriadEffect, 0, Stage::CrossAxis;
+    "axes show a fraction of one another, alike in both directions";
+    xy: f64 = ANY, "", "what x shows of y, and y of x, a fraction";
+    xz: f64 = ANY, "", "what x shows of z, and z of x, a fraction";
+    yz: f64 = ANY, "", "what y shows of z, and z of y, a fraction";
 }
 
-static MISALIGNMENT_SPEC: Spec = Spec {
-    name: "misalignment",
-    stream: streams::NONE,
-    stage: Stage::CrossAxis,
-    parameters: &[
-        number("x", Range::Any, "rotation about the x axis, rad"),
-        number("y", Range::Any, "rotation about the y axis, rad"),
-        number("z", Range::Any, "rotation about the z axis, rad"),
-    ],
-    forms: &[],
-    meaning: "the triad is turned by a small rotation vector θ: measured = true + θ × true",
-};
-pub(in crate::effects) static MISALIGNMENT: Kind<dyn TriadEffect> =
-    Kind { spec: &MISALIGNMENT_SPEC, make: |values| Arc::new(Misalignment { rotation: values.axes() }) };
-
-static CROSS_AXIS_SPEC: Spec = Spec {
-    name: "cross_axis_sensitivity",
-    stream: streams::NONE,
-    stage: Stage::CrossAxis,
-    parameters: &[
-        number("xy", Range::Any, "what x shows of y, and y of x, a fraction"),
-        number("xz", Range::Any, "what x shows of z, and z of x, a fraction"),
-        number("yz", Range::Any, "what y shows of z, and z of y, a fraction"),
-    ],
-    forms: &[],
-    meaning: "axes show a fraction of one another, alike in both directions",
-};
-pub(in crate::effects) static CROSS_AXIS_SENSITIVITY: Kind<dyn TriadEffect> = Kind {
-    spec: &CROSS_AXIS_SPEC,
-    make: |values| {
-        Arc::new(CrossAxisSensitivity { xy: values.number("xy"), xz: values.number("xz"), yz: values.number("yz") })
-    },
-};
+described! {
+    Misalignment: dyn TriadEffect, 0, Stage::CrossAxis;
+    "the triad is turned by a small rotation vector θ: measured = true + θ × true";
+    [
+        Parameter::new("x", ANY, "rad", "rotation about the x axis, rad"),
+        Parameter::new("y", ANY, "rad", "rotation about the y axis, rad"),
+        Parameter::new("z", ANY, "rad", "rotation about the z axis, rad"),
+    ];
+    |values| Misalignment { rotation: values.axes() }, |of| xyz(of.rotation)
+}
 
 impl TriadEffect for Misalignment {
-    fn spec(&self) -> &'static Spec {
-        &MISALIGNMENT_SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        xyz(self.rotation)
-    }
     fn deviation(&self, drive: Drive) -> Axes {
         let ([x, y, z], [a, b, c]) = (self.rotation, drive.input);
         [y * c - z * b, z * a - x * c, x * b - y * a]
@@ -81,12 +48,6 @@ impl TriadEffect for Misalignment {
 }
 
 impl TriadEffect for CrossAxisSensitivity {
-    fn spec(&self) -> &'static Spec {
-        &CROSS_AXIS_SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        vec![("xy", self.xy.into()), ("xz", self.xz.into()), ("yz", self.yz.into())]
-    }
     fn deviation(&self, drive: Drive) -> Axes {
         let [a, b, c] = drive.input;
         [self.xy * b + self.xz * c, self.xy * a + self.yz * c, self.xz * a + self.yz * b]

@@ -22,7 +22,7 @@ pub use saturation::Saturation;
 pub use scale_factor::ScaleFactor;
 pub use scale_factor_nonlinearity::ScaleFactorNonlinearity;
 
-use super::{Refusal, Spec, Stage};
+use super::{Described, Refusal};
 use imu_core::sample::Triad;
 use serde_json::Value;
 
@@ -39,26 +39,10 @@ pub struct Drive {
 }
 
 /// One error source of a triad. U is the unit of its channels.
-pub trait TriadEffect: std::fmt::Debug + Send + Sync {
-    /// Its name, place in the chain and parameters with their ranges.
-    fn spec(&self) -> &'static Spec;
-
-    /// Its parameters as they stand in a model's file.
-    fn parameters(&self) -> Vec<(&'static str, Value)>;
-
+pub trait TriadEffect: Described + std::fmt::Debug + Send + Sync {
     /// The triads it makes sense on: those that a motion drives, if it needs one.
     fn triads(&self) -> &'static [Triad] {
         &[Triad::Accel, Triad::Gyro]
-    }
-
-    /// The name in files and messages (docs/formats.md).
-    fn name(&self) -> &'static str {
-        self.spec().name
-    }
-
-    /// The stage of the chain at which it acts.
-    fn stage(&self) -> Stage {
-        self.spec().stage
     }
 
     /// Whether the parameters are in their ranges and the effect may stand on this triad.
@@ -115,7 +99,7 @@ fn xyz(values: Axes) -> Vec<(&'static str, Value)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::effects::registry;
+    use crate::effects::{TRIAD, registry};
     use serde_json::json;
 
     /// One of each kind, through the registry.
@@ -138,7 +122,7 @@ mod tests {
             ("saturation", json!({"range": 35.0})),
         ]
         .into_iter()
-        .map(|(name, entry)| registry::find(&registry::TRIAD, name).unwrap().read(entry.as_object().unwrap()).unwrap())
+        .map(|(name, entry)| registry::find(&TRIAD, name).unwrap().read(entry.as_object().unwrap()).unwrap())
         .collect()
     }
 
@@ -159,7 +143,7 @@ mod tests {
     fn parameters_come_back_as_they_were_read() {
         for effect in all() {
             let entry = effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
-            let again = registry::find(&registry::TRIAD, effect.name()).unwrap().read(&entry).unwrap();
+            let again = registry::find(&TRIAD, effect.name()).unwrap().read(&entry).unwrap();
             assert_eq!(again.parameters(), effect.parameters());
             assert!(effect.check(Triad::Gyro).is_ok());
         }

@@ -1,11 +1,8 @@
 //! Scale factor error: an axis shows a fixed fraction too much.
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
-use crate::effects::spec::{Kind, Range, number};
-use crate::effects::stream::number as streams;
-use crate::effects::{Spec, Stage};
-use serde_json::Value;
-use std::sync::Arc;
+use crate::effects::Stage;
+use crate::effects::spec::{ANY, Parameter, described};
 
 /// Each axis shows (1 + s) times its input.
 ///
@@ -16,28 +13,18 @@ pub struct ScaleFactor {
     pub axes: Axes,
 }
 
-static SPEC: Spec = Spec {
-    name: "scale_factor",
-    stream: streams::NONE,
-    stage: Stage::Scale,
-    parameters: &[
-        number("x", Range::Any, "fraction that the x axis shows too much"),
-        number("y", Range::Any, "fraction that the y axis shows too much"),
-        number("z", Range::Any, "fraction that the z axis shows too much"),
-    ],
-    forms: &[],
-    meaning: "each axis shows a fixed fraction of its input too much",
-};
-pub(in crate::effects) static KIND: Kind<dyn TriadEffect> =
-    Kind { spec: &SPEC, make: |values| Arc::new(ScaleFactor { axes: values.axes() }) };
+described! {
+    ScaleFactor: dyn TriadEffect, 0, Stage::Scale;
+    "each axis shows a fixed fraction of its input too much";
+    [
+        Parameter::new("x", ANY, "", "fraction that the x axis shows too much"),
+        Parameter::new("y", ANY, "", "fraction that the y axis shows too much"),
+        Parameter::new("z", ANY, "", "fraction that the z axis shows too much"),
+    ];
+    |values| ScaleFactor { axes: values.axes() }, |of| xyz(of.axes)
+}
 
 impl TriadEffect for ScaleFactor {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        xyz(self.axes)
-    }
     fn deviation(&self, drive: Drive) -> Axes {
         std::array::from_fn(|axis| self.axes[axis] * drive.input[axis])
     }

@@ -1,11 +1,8 @@
 //! Scale-factor nonlinearity: the scale factor depends on the input.
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
-use crate::effects::spec::{Form, Kind, Need, Parameter, Range, number};
-use crate::effects::stream::number as streams;
-use crate::effects::{Spec, Stage};
-use serde_json::Value;
-use std::sync::Arc;
+use crate::effects::Stage;
+use crate::effects::spec::{ANY, Form, Parameter, above, described};
 
 /// Each axis deviates by a fraction x of full scale F at full scale: x·ω²/F, or x·ω·|ω|/F.
 ///
@@ -20,35 +17,28 @@ pub struct ScaleFactorNonlinearity {
     pub signed: bool,
 }
 
-static SPEC: Spec = Spec {
-    name: "scale_factor_nonlinearity",
-    stream: streams::NONE,
-    stage: Stage::Scale,
-    parameters: &[
-        number("x", Range::Any, "deviation of the x axis at full scale, a fraction of it"),
-        number("y", Range::Any, "deviation of the y axis at full scale, a fraction of it"),
-        number("z", Range::Any, "deviation of the z axis at full scale, a fraction of it"),
-        number("full_scale", Range::Above(0.0), "U"),
-        Parameter {
-            name: "form",
-            form: Form::Choice(&["unsigned", "signed"]),
-            need: Need::Always,
-            meaning: "unsigned: ω²; signed: ω·|ω|",
-        },
-    ],
-    forms: &[],
-    meaning: "the deviation grows with the square of the input",
-};
-pub(in crate::effects) static KIND: Kind<dyn TriadEffect> = Kind {
-    spec: &SPEC,
-    make: |values| {
-        Arc::new(ScaleFactorNonlinearity {
-            axes: values.axes(),
-            full_scale: values.number("full_scale"),
-            signed: values.word("form") == "signed",
-        })
+described! {
+    ScaleFactorNonlinearity: dyn TriadEffect, 0, Stage::Scale;
+    "the deviation grows with the square of the input";
+    [
+        Parameter::new("x", ANY, "", "deviation of the x axis at full scale, a fraction of it"),
+        Parameter::new("y", ANY, "", "deviation of the y axis at full scale, a fraction of it"),
+        Parameter::new("z", ANY, "", "deviation of the z axis at full scale, a fraction of it"),
+        Parameter::new("full_scale", above(0.0), "U", "U"),
+        Parameter::new("form", Form::Choice(&["unsigned", "signed"]), "", "unsigned: ω²; signed: ω·|ω|"),
+    ];
+    |values| ScaleFactorNonlinearity {
+        axes: values.axes(),
+        full_scale: values.number("full_scale"),
+        signed: values.word("form") == "signed",
     },
-};
+    |of| {
+        let mut parameters = xyz(of.axes);
+        parameters.push(("full_scale", of.full_scale.into()));
+        parameters.push(("form", if of.signed { "signed" } else { "unsigned" }.into()));
+        parameters
+    }
+}
 
 impl ScaleFactorNonlinearity {
     fn squares(&self, input: Axes) -> Axes {
@@ -57,15 +47,6 @@ impl ScaleFactorNonlinearity {
 }
 
 impl TriadEffect for ScaleFactorNonlinearity {
-    fn spec(&self) -> &'static Spec {
-        &SPEC
-    }
-    fn parameters(&self) -> Vec<(&'static str, Value)> {
-        let mut parameters = xyz(self.axes);
-        parameters.push(("full_scale", self.full_scale.into()));
-        parameters.push(("form", if self.signed { "signed" } else { "unsigned" }.into()));
-        parameters
-    }
     fn deviation(&self, drive: Drive) -> Axes {
         let squares = self.squares(drive.input);
         std::array::from_fn(|axis| self.axes[axis] * squares[axis])

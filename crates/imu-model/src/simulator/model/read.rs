@@ -5,7 +5,7 @@ use super::{
     CHANNEL_KEYS, ChannelModel, FORMAT, KEYS, ModelError, SAMPLING_KEYS, Sampling, SensorModel, TRIAD_KEYS, TRIADS,
     TriadModel,
 };
-use crate::effects::{Kind, registry};
+use crate::effects::{CHANNEL, Definition, TRIAD, registry};
 use imu_core::sample::{Channel, Triad};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -87,7 +87,7 @@ fn sampling(place: &Place<'_>) -> Result<Sampling, ModelError> {
 fn channel_model(place: &Place<'_>) -> Result<ChannelModel, ModelError> {
     place.only_keys(&CHANNEL_KEYS)?;
     let number = |key| place.optional(key).map(|place| place.number()).transpose();
-    let effects = place.optional("effects").map(|place| effects(&place, &registry::CHANNEL)).transpose()?;
+    let effects = place.optional("effects").map(|place| effects(&place, &CHANNEL)).transpose()?;
     let effects = effects.unwrap_or_default();
     let uncertainty = place.optional("uncertainty");
     let uncertainty = uncertainty.map(|place| super::uncertainty::read(&place, &effects)).transpose()?;
@@ -108,18 +108,18 @@ fn triads(places: &Place<'_>) -> Result<BTreeMap<Triad, TriadModel>, ModelError>
             return Err(place.refuse_key(&one_of(&TRIADS.map(Triad::name))));
         };
         place.only_keys(&TRIAD_KEYS)?;
-        let list = place.optional("effects").map(|place| effects(&place, &registry::TRIAD)).transpose()?;
+        let list = place.optional("effects").map(|place| effects(&place, &TRIAD)).transpose()?;
         triads.insert(triad, TriadModel { effects: list.unwrap_or_default() });
     }
     Ok(triads)
 }
 
 /// A list of effects of these kinds.
-fn effects<E: ?Sized>(list: &Place<'_>, kinds: &'static [&'static Kind<E>]) -> Result<Vec<Arc<E>>, ModelError> {
+fn effects<E: ?Sized>(list: &Place<'_>, kinds: &'static [&'static Definition<E>]) -> Result<Vec<Arc<E>>, ModelError> {
     list.items("a list of effects")?.iter().map(|place| effect(place, kinds)).collect()
 }
 
-fn effect<E: ?Sized>(place: &Place<'_>, kinds: &'static [&'static Kind<E>]) -> Result<Arc<E>, ModelError> {
+fn effect<E: ?Sized>(place: &Place<'_>, kinds: &'static [&'static Definition<E>]) -> Result<Arc<E>, ModelError> {
     let mut entry = object(place)?;
     let name = place.key("effect", &one_of(&registry::names(kinds)))?;
     let kind = name.value.as_str().and_then(|name| registry::find(kinds, name));

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::effects::spec::{Form, Need, Range};
-use crate::effects::{Kind, Spec, registry};
+use crate::effects::{CHANNEL, Definition, EffectKind, Spec, TRIAD};
 use proptest::prelude::*;
 use serde_json::json;
 
@@ -40,6 +40,7 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
     let count = 1 + pool.below(4);
     match form {
         Form::Number(range) => json!(number(name, range, pool)),
+        Form::Time => json!(number(name, Range::FromZero, pool)),
         Form::Whole(from, to) => json!(from + pool.below((to - from + 1) as usize) as u64),
         Form::Numbers(range) => json!((0..count).map(|_| number(name, range, pool)).collect::<Vec<_>>()),
         Form::Intervals => json!((0..count).map(|i| [i as f64, i as f64 + 0.01 + pool.unit()]).collect::<Vec<_>>()),
@@ -53,17 +54,19 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
 }
 
 /// A file's entry for a kind, optional keys there or not.
-fn entry<E: ?Sized>(kind: &Kind<E>, pool: &mut Pool<'_>) -> Value {
+fn entry<E: ?Sized>(kind: &Definition<E>, pool: &mut Pool<'_>) -> Value {
     entry_of(kind.spec, pool)
 }
 
 fn entry_of(spec: &Spec, pool: &mut Pool<'_>) -> Value {
-    let mut entry = json!({"effect": spec.name});
+    let mut entry = json!({"effect": spec.name()});
     let chosen = spec.forms.get(pool.below(spec.forms.len().max(1))).copied().unwrap_or_default();
     for parameter in spec.parameters {
         let there = match parameter.need {
             Need::Always => true,
-            Need::Default(_) => pool.unit() < 0.5 && (chosen.is_empty() || chosen.contains(&"per_c")),
+            Need::Default(_) | Need::Unwritten(_) => {
+                pool.unit() < 0.5 && (chosen.is_empty() || chosen.contains(&"per_c"))
+            }
             Need::Optional => pool.unit() < 0.5,
             Need::InItsForm => chosen.contains(&parameter.name),
         };
@@ -86,13 +89,15 @@ fn model(pool: &mut Pool<'_>) -> Value {
     if pool.unit() < 0.5 {
         model["provenance"] = json!({"capture": "desk", "fit": {"p_value": pool.unit()}});
     }
-    let shared = [entry(registry::find(&registry::CHANNEL, "held_samples").unwrap(), pool)];
+    let shared = [entry(crate::effects::HeldSamples::DEFINITION, pool)];
     for channel in Channel::ALL {
         if channel != Channel::GyroX && pool.unit() < 0.6 {
             continue;
         }
-        let kinds: Vec<_> =
-            registry::CHANNEL.iter().filter(|kind| !matches!(kind.spec.name, "held_samples" | "timing")).collect();
+        let kinds: Vec<_> = CHANNEL
+            .iter()
+            .filter(|kind| !matches!(kind.spec.kind, EffectKind::HeldSamples | EffectKind::Timing))
+            .collect();
         let count = pool.below(5);
         let mut effects: Vec<Value> = (0..count).map(|_| entry(kinds[pool.below(kinds.len())], pool)).collect();
         if pool.unit() < 0.3 {
@@ -112,8 +117,7 @@ fn model(pool: &mut Pool<'_>) -> Value {
         model["channels"][channel.name()] = body;
     }
     let count = pool.below(6);
-    let effects: Vec<Value> =
-        (0..count).map(|_| entry(registry::TRIAD[pool.below(registry::TRIAD.len())], pool)).collect();
+    let effects: Vec<Value> = (0..count).map(|_| entry(TRIAD[pool.below(TRIAD.len())], pool)).collect();
     model["triads"]["gyro"] = json!({"effects": effects});
     model
 }
@@ -142,7 +146,7 @@ proptest! {
 
     #[test]
     fn an_effect_with_a_key_too_many_or_too_few_is_refused(numbers in proptest::collection::vec(0.0..1.0_f64, 50..100)) {
-        for kind in registry::CHANNEL {
+        for kind in CHANNEL {
             let full = entry(kind, &mut Pool(numbers.iter().cycle()));
             let mut map = full.as_object().unwrap().clone();
             map.remove("effect");
@@ -150,14 +154,14 @@ proptest! {
             let mut more = map.clone();
             more.insert("wobble".to_owned(), json!(1));
             prop_assert_eq!(kind.read(&more).unwrap_err().parameter, "wobble");
-            for parameter in kind.spec.parameters.iter().filter(|parameter| !matches!(parameter.need, Need::Default(_))) {
+            for parameter in kind.spec.parameters.iter().filter(|parameter| parameter.default().is_none()) {
                 let mut less = map.clone();
                 if parameter.need != Need::Optional && less.remove(parameter.name).is_some() {
-                    prop_assert!(kind.read(&less).is_err(), "{} without {}", kind.spec.name, parameter.name);
+                    prop_assert!(kind.read(&less).is_err(), "{} without {}", kind.spec.name(), parameter.name);
                 }
                 let mut wrong = map.clone();
                 wrong.insert(parameter.name.to_owned(), json!({"not": "this"}));
-                prop_assert!(kind.read(&wrong).is_err(), "{} with a wrong {}", kind.spec.name, parameter.name);
+                prop_assert!(kind.read(&wrong).is_err(), "{} with a wrong {}", kind.spec.name(), parameter.name);
             }
         }
     }

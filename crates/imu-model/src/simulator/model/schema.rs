@@ -3,7 +3,7 @@
 use super::read::RATES_HZ;
 use super::uncertainty::ENTRY_KEYS;
 use super::{CHANNEL_KEYS, EFFECTS, FORMAT, TRIADS, UNCERTAIN_KEYS};
-use crate::effects::{Kind, LARGEST, registry};
+use crate::effects::{CHANNEL, Definition, LARGEST, TRIAD};
 use imu_core::sample::Channel;
 use serde_json::{Map, Value, json};
 
@@ -37,7 +37,7 @@ pub fn schema() -> Value {
                 "bias" => {
                     json!({"type": "number", "minimum": -LARGEST, "maximum": LARGEST, "description": "a constant, U"})
                 }
-                "effects" => json!({"type": "array", "items": {"oneOf": kinds(&registry::CHANNEL)}}),
+                "effects" => json!({"type": "array", "items": {"oneOf": kinds(&CHANNEL)}}),
                 _ => uncertainty.clone(),
             };
             ((*key).to_owned(), schema)
@@ -54,7 +54,7 @@ pub fn schema() -> Value {
         .collect();
     let triads: Map<String, Value> =
         TRIADS.iter().map(|triad| (triad.name().to_owned(), json!({"$ref": "#/$defs/triad"}))).collect();
-    let effects = json!({"type": "array", "items": {"oneOf": kinds(&registry::TRIAD)}});
+    let effects = json!({"type": "array", "items": {"oneOf": kinds(&TRIAD)}});
     let mut channels = object(channels, &[]);
     channels["minProperties"] = json!(1);
     json!({
@@ -116,6 +116,6 @@ fn entry_properties() -> Map<String, Value> {
     ENTRY_KEYS.iter().map(|key| ((*key).to_owned(), schema(key))).collect()
 }
 
-fn kinds<E: ?Sized>(kinds: &[&Kind<E>]) -> Vec<Value> {
-    kinds.iter().map(|kind| kind.spec.schema()).collect()
+fn kinds<E: ?Sized>(kinds: &[&Definition<E>]) -> Vec<Value> {
+    kinds.iter().map(|of| of.spec.schema()).collect()
 }
