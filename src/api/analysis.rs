@@ -6,7 +6,7 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
-use crate::jobs::{JobError, JobKind, SoFar, StatisticsReport};
+use crate::jobs::{Documents, JobError, JobKind, SoFar, StatisticsReport};
 use crate::store::{JobRow, JobState, Reader, ResultRow, SOFTWARE, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -248,8 +248,8 @@ async fn document<T: Serialize + Send + 'static>(
 
 /// What a picture is drawn of.
 pub(super) enum Drawn {
-    /// The analysis' JSON, and the result that it is of, which never changes; none of a capture that runs.
-    Document(String, Option<i64>),
+    /// The analysis, and the result that it is of, which never changes; none of a capture that runs.
+    Documents(Box<Documents>, Option<i64>),
     /// It is being worked on: the answer that says so.
     Later(Response),
 }
@@ -257,21 +257,21 @@ pub(super) enum Drawn {
 /// The document of a kind with the usual parameters; of a capture that runs of what there is so far.
 pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result<Drawn, ApiError> {
     let (wished, name) = (jobs::parameters(kind, &Value::Null)?, name.to_owned());
-    let found = state.read(move |reader| find(reader, kind, &name, None, &wished)).await?;
+    let found = state.read(move |reader| {
+        let found = find(reader, kind, &name, None, &wished)?;
+        let documents = match &found {
+            Found::Result(result) => Documents::read(kind, &result.body)?,
+            _ => Documents::default(),
+        };
+        Ok((found, documents))
+    });
+    let (found, documents) = found.await?;
     Ok(match found {
+        Found::Result(result) => Drawn::Documents(Box::new(documents), Some(result.id)),
         Found::Open(id) => {
-            let so_far = move |reader: &Reader, parts: &ApiParts| {
-                let live = &parts.live;
-                let document = match kind {
-                    JobKind::Statistics => serde_json::to_string(&live.statistics(reader, id)?),
-                    JobKind::Noise => serde_json::to_string(&live.noise(reader, id)?),
-                    _ => serde_json::to_string(&live.allan(reader, id)?),
-                };
-                document.map_err(JobError::from)
-            };
-            Drawn::Document(state.compute(so_far).await?, None)
+            let so_far = move |reader: &Reader, parts: &ApiParts| parts.live.documents(reader, kind, id);
+            Drawn::Documents(Box::new(state.compute(so_far).await?), None)
         }
-        Found::Result(result) => Drawn::Document(result.body, Some(result.id)),
         Found::Job(row) => Drawn::Later(unfinished(row)?),
         Found::Nothing(id) => Drawn::Later(unfinished(jobs::submit_wish(state, kind, id, Value::Null).await?)?),
     })

@@ -5,7 +5,7 @@ use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use super::{aside, conditional, jobs, page};
-use crate::jobs::{DiagnosisDocument, JobKind, WishBody};
+use crate::jobs::{DiagnosisDocument, JobKind, WishBody, read_diagnosis};
 use crate::page as pages;
 use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
 use axum::extract::{Request, State};
@@ -211,14 +211,14 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
         Some(result) => {
             state
                 .compute(move |_, _| {
-                    let document = DiagnosisDocument::read(&result.body)?;
+                    let (report, drawings) = read_diagnosis(&result.body)?;
                     let links = [
                         ("as JSON", format!("/v1/diagnoses/{}", job.id)),
                         ("corrected model", format!("/v1/diagnoses/{}/model", job.id)),
                         ("the capture", format!("/captures/{}", job.capture)),
                         ("its other diagnoses", format!("/v1/diagnoses?capture={}", job.capture)),
                     ];
-                    Ok(pages::diagnosis(document.report.get(), &result.body, &links)?)
+                    Ok(pages::diagnosis(&report, &drawings, &links))
                 })
                 .await?
         }

@@ -1,12 +1,10 @@
 //! Latest: the newest rows for the first page, read once a second however many look at it, and never waited for long: a
 //! disk that hangs holds one query.
 
-use super::diagnoses::DiagnosisEntry;
-use super::jobs::Job;
 use super::problem::ApiError;
 use super::state::ApiState;
-use crate::gallery;
-use crate::store::{CaptureFilter, JobState, PageRequest};
+use crate::page::Stored;
+use crate::store::{CaptureFilter, JobRow, JobState, PageRequest};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,22 +17,13 @@ const PATIENCE: Duration = Duration::from_millis(150);
 /// Rows older than this are none: the database does not answer.
 const STALE: Duration = Duration::from_secs(10);
 
-/// Lists as JSON.
-#[derive(Debug, Clone)]
-pub(super) struct Rows {
-    pub(super) captures: String,
-    pub(super) jobs: String,
-    pub(super) diagnoses: String,
-    pub(super) causes: String,
-}
-
 /// The rows and who reads them.
 #[derive(Debug, Default)]
 pub(super) struct Latest(Mutex<Kept>);
 
 #[derive(Debug, Default)]
 struct Kept {
-    rows: Option<(Instant, Arc<Rows>)>,
+    rows: Option<(Instant, Arc<Stored>)>,
     /// Somebody is reading.
     reading: bool,
 }
@@ -44,13 +33,13 @@ impl Latest {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn not_older_than(&self, age: Duration) -> Option<Arc<Rows>> {
+    fn not_older_than(&self, age: Duration) -> Option<Arc<Stored>> {
         self.kept().rows.as_ref().filter(|(at, _)| at.elapsed() < age).map(|(_, rows)| Arc::clone(rows))
     }
 }
 
 /// The newest rows; None where the database does not answer.
-pub(super) async fn rows(state: &ApiState) -> Option<Arc<Rows>> {
+pub(super) async fn rows(state: &ApiState) -> Option<Arc<Stored>> {
     if let Some(rows) = state.latest.not_older_than(FRESH) {
         return Some(rows);
     }
@@ -78,30 +67,23 @@ pub(super) async fn rows(state: &ApiState) -> Option<Arc<Rows>> {
     state.latest.not_older_than(STALE)
 }
 
-async fn read(state: &ApiState) -> Result<Rows, ApiError> {
+async fn read(state: &ApiState) -> Result<Stored, ApiError> {
     let running = state.status().capture.map(|capture| capture.id);
     state
         .read(move |reader| {
             let some = PageRequest { limit: Some(ROWS), cursor: None };
             // What runs first, then what waits, then what was said last of those that failed.
-            let mut jobs: Vec<Job> = Vec::new();
+            let mut jobs: Vec<JobRow> = Vec::new();
             for kind in [JobState::Running, JobState::Queued, JobState::Failed] {
-                jobs.extend(reader.jobs(None, Some(kind), &some)?.rows.into_iter().map(Job::from));
+                jobs.extend(reader.jobs(None, Some(kind), &some)?.rows);
             }
             jobs.truncate(ROWS as usize);
-            let diagnoses: Vec<DiagnosisEntry> =
-                reader.diagnoses(None, &some)?.rows.into_iter().map(DiagnosisEntry::from).collect();
-            Ok(Rows {
-                captures: json(&reader.captures(&CaptureFilter::default(), &some)?.rows),
-                jobs: json(&jobs),
-                diagnoses: json(&diagnoses),
-                causes: gallery::causes(reader, running)?,
+            Ok(Stored {
+                captures: reader.captures(&CaptureFilter::default(), &some)?.rows,
+                jobs,
+                diagnoses: reader.diagnoses(None, &some)?.rows,
+                causes: running.map(|id| reader.missing_by_cause(id)).transpose()?.unwrap_or_default(),
             })
         })
         .await
-}
-
-/// Rows are numbers and texts, which JSON has.
-fn json(rows: &impl serde::Serialize) -> String {
-    serde_json::to_string(rows).unwrap_or_else(|_| "[]".to_owned())
 }

@@ -2,24 +2,19 @@
 
 use super::analysis::{self, Drawn};
 use super::conditional;
-use super::diagnoses::DiagnosisEntry;
 use super::extract::{P, P2, Q};
 use super::latest;
 use super::problem::{ApiError, ProblemType};
 use super::samples;
 use super::state::ApiState;
-use super::status::StatusBody;
-use crate::gallery::{Documents, Facts, Picture};
-use crate::jobs::{JobError, JobKind};
-use crate::observe::Trace;
-use crate::page::{self, CaptureView, DashboardView, Figure, Minute, SeriesView, Stored};
+use crate::gallery::{self, Picture};
+use crate::jobs::{Documents, JobKind};
+use crate::page::{self, CaptureView, DashboardView, Figure, SeriesView};
 use crate::store::{JobRow, JobState, PageRequest, SOFTWARE, SampleRange};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
 use imu_core::units::format_duration;
-use imu_files::export::paste::NoiseDocument;
-use imu_noise::NoiseReport;
 use serde::Deserialize;
 
 /// Nothing from elsewhere, and no script but the daemon's own file.
@@ -59,19 +54,15 @@ pub(super) async fn dashboard(
     State(state): State<ApiState>,
     Q(query): Q<DashboardQuery>,
 ) -> Result<Response, ApiError> {
-    let status = serde_json::to_string(&StatusBody::of(&state)).map_err(JobError::from)?;
-    let traces = state.parts.recent.traces(state.parts.clock.mono_ns());
-    let minute: Vec<Minute<'_>> = traces.iter().map(minute_of).collect();
     let rows = latest::rows(&state).await;
-    let stored = rows.as_deref().map(|rows| Stored {
-        captures: &rows.captures,
-        jobs: &rows.jobs,
-        diagnoses: &rows.diagnoses,
-        causes: &rows.causes,
-    });
-    let duration = format_duration(state.parts.default_duration);
-    let token = state.parts.token.is_some();
-    let view = DashboardView { status: &status, minute: &minute, stored, duration: &duration, token };
+    let view = DashboardView {
+        status: &state.status(),
+        uptime_s: state.started.elapsed().as_secs_f64(),
+        minute: &state.parts.recent.traces(state.parts.clock.mono_ns()),
+        stored: rows.as_deref(),
+        duration: &format_duration(state.parts.default_duration),
+        token: state.parts.token.is_some(),
+    };
     let page = match query.part.as_deref() {
         None => page::dashboard(&view),
         Some("live") => page::live(&view),
@@ -80,11 +71,7 @@ pub(super) async fn dashboard(
             return Err(ApiError::bad_request(format!("`part` is `{found}`: allowed is live")));
         }
     };
-    Ok(html(page.map_err(JobError::from)?))
-}
-
-fn minute_of(trace: &Trace) -> Minute<'_> {
-    Minute { channel: (trace.channel.name(), trace.channel.unit()), points: trace.points.clone(), last: trace.last }
+    Ok(html(page))
 }
 
 /// A capture: what it got, the numbers, the pictures.
@@ -94,63 +81,44 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
             let id = reader.resolve(&name)?;
             let all = PageRequest::first();
             Ok((
-                Facts::read(reader, id)?,
+                gallery::facts(reader, id)?,
                 reader.diagnoses(Some(id), &all)?.rows,
                 reader.jobs(Some(id), None, &all)?.rows,
             ))
         })
         .await?;
     let id = facts.row.id.to_string();
-    let open = facts.row.state.is_open();
-    let mut remarks = Vec::new();
-    let mut waits = false;
-    let mut document = async |kind: JobKind| match analysis::drawn(&state, kind, &id).await {
-        Ok(Drawn::Document(document, _)) => Some(document),
-        Ok(Drawn::Later(_)) => {
-            waits = true;
-            remarks.push(under_way(kind, &jobs));
-            None
+    let (mut documents, mut remarks, mut waits) = (Documents::default(), Vec::new(), false);
+    for kind in [JobKind::Statistics, JobKind::Noise, JobKind::Allan] {
+        match analysis::drawn(&state, kind, &id).await {
+            Ok(Drawn::Documents(found, _)) => documents.extend(*found),
+            Ok(Drawn::Later(_)) => {
+                waits = true;
+                remarks.push(under_way(kind, &jobs));
+            }
+            Err(error) if error.kind() == ProblemType::AnalysisFailed => {
+                remarks.push(format!("There is no {}: {error}.", kind.gives()));
+            }
+            // Too much is asked at once, or the disk is slow: it is asked again.
+            Err(error) => {
+                waits = true;
+                remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
+            }
         }
-        Err(error) if error.kind() == ProblemType::AnalysisFailed => {
-            remarks.push(format!("There is no {}: {error}.", kind.gives()));
-            None
-        }
-        // Too much is asked at once, or the disk is slow: it is asked again.
-        Err(error) => {
-            waits = true;
-            remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
-            None
-        }
-    };
-    let statistics = document(JobKind::Statistics).await;
-    let noise = document(JobKind::Noise).await;
-    let allan = document(JobKind::Allan).await;
-    let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose().map_err(JobError::from)?;
-    let report = report.map(|report| NoiseDocument::from(facts.compared(report)));
-    let noise = report.as_ref().map(serde_json::to_string).transpose().map_err(JobError::from)?;
-    let documents = Documents { statistics, allan, noise };
-    let pictures = facts.pictures(&documents, report.as_ref().map(|of| &of.report));
-    let figures = pictures.into_iter().map(|picture| (picture.name(), linked(&id, picture))).collect();
-    let diagnoses: Vec<DiagnosisEntry> = diagnoses.into_iter().map(DiagnosisEntry::from).collect();
-    let diagnoses = serde_json::to_string(&diagnoses).map_err(JobError::from)?;
-    if open {
-        remarks.push("It still runs: this is what there is so far.".to_owned());
     }
-    let page = page::capture(&CaptureView {
-        capture: &facts.capture,
-        statistics: documents.statistics.as_deref(),
-        noise: documents.noise.as_deref(),
+    remarks.extend(facts.remark());
+    let pictures = gallery::pictures(&facts, &documents).into_iter();
+    Ok(html(page::capture(&CaptureView {
+        facts: &facts,
+        is_kept: true,
+        documents: &documents,
         remarks: &remarks,
         waits,
-        gaps: &facts.gaps,
-        causes: &facts.causes,
-        events: &facts.events,
         diagnoses: &diagnoses,
-        figures: &figures,
+        figures: &pictures.map(|picture| (picture.name(), linked(&id, picture))).collect(),
         served: Some(state.parts.token.is_some()),
         enclosed: &[],
-    });
-    Ok(html(page.map_err(JobError::from)?))
+    })))
 }
 
 fn linked(id: &str, picture: Picture) -> Figure {

@@ -6,9 +6,8 @@ use super::extract::{P2, Q};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::samples;
 use super::state::ApiState;
-use crate::gallery::{self, Documents, GalleryError, Needs, Picture, Window};
-use crate::jobs::{JobError, JobKind, Place};
-use crate::plot;
+use crate::gallery::{self, Form, Picture, Window};
+use crate::jobs::{Documents, JobError, JobKind, Place};
 use crate::store::SOFTWARE;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
@@ -45,8 +44,7 @@ pub(super) async fn plot(
     Q(query): Q<PlotQuery>,
 ) -> Result<Response, ApiError> {
     let (stem, form) = file.rsplit_once('.').unwrap_or((file.as_str(), ""));
-    let form = [Form::Svg, Form::Png].into_iter().find(|known| known.suffix() == form);
-    let picture = form.zip(Picture::from_name(stem)).ok_or_else(|| {
+    let picture = Form::from_suffix(form).zip(Picture::from_name(stem)).ok_or_else(|| {
         let found: String = file.chars().take(60).collect();
         ApiError::new(
             ProblemType::NotFound,
@@ -69,10 +67,19 @@ pub(super) async fn plot(
         return Err(ApiError::new(ProblemType::NotFound, message));
     }
     let id = row.id.to_string();
-    let (documents, results) = match material(&state, picture.needs(), &id).await? {
-        Material::There(documents, results) => (documents, results),
-        Material::Later(answer) => return Ok(answer),
-    };
+    let (mut documents, mut results) = (Documents::default(), Vec::new());
+    for kind in picture.needs() {
+        match analysis::drawn(&state, *kind, &id).await {
+            Ok(Drawn::Documents(found, result)) => {
+                documents.extend(*found);
+                results.push(result);
+            }
+            Ok(Drawn::Later(answer)) => return Ok(answer),
+            // Lines that there will never be are left out; those that there may be in a moment are not.
+            Err(error) if *kind == JobKind::Noise && error.kind() == ProblemType::AnalysisFailed => results.push(None),
+            Err(error) => return Err(error),
+        }
+    }
     // An analysis may be done again: what is drawn of it is another picture then.
     let tag = format!(
         "\"{id}-{}-{}-{}-{}\"",
@@ -87,22 +94,10 @@ pub(super) async fn plot(
     }
     let image = state
         .compute(move |reader, parts| {
-            let svg = gallery::svg(reader, &id, picture, window, &documents).map_err(|error| match error {
-                GalleryError::Store(error) => JobError::from(error),
-                GalleryError::Document(error) => JobError::from(error),
-            })?;
-            if svg.is_empty() {
-                let reason = format!("there is not enough data for {}", picture.name());
-                return Err(JobError::InsufficientData { reason });
-            }
-            match form {
-                Form::Svg => Ok(plot::alone(&svg).into_bytes()),
-                Form::Png if parts.jobs.place() == Place::Apart => {
-                    gallery::apart::png(&svg).map_err(|reason| JobError::Died { reason })
-                }
-                Form::Png => plot::raster::png(&svg, plot::raster::SCALE)
-                    .map_err(|error| JobError::InsufficientData { reason: error.to_string() }),
-            }
+            let is_apart = parts.jobs.place() == Place::Apart;
+            let file = gallery::file(reader, &id, (picture, window), &documents, form, is_apart)?;
+            let reason = || format!("there is not enough data for {}", picture.name());
+            file.ok_or_else(|| JobError::InsufficientData { reason: reason() })
         })
         .await?;
     let image = (
@@ -119,57 +114,4 @@ pub(super) async fn plot(
         true => ([(header::CACHE_CONTROL, "no-store")], image).into_response(),
         false => conditional::answer(&headers, &tag, image),
     })
-}
-
-/// What a picture is drawn of.
-enum Material {
-    /// Documents, and the results that they are of.
-    There(Documents, Vec<Option<i64>>),
-    /// One is being worked on: the answer that says so.
-    Later(Response),
-}
-
-async fn material(state: &ApiState, needs: Needs, id: &str) -> Result<Material, ApiError> {
-    let mut documents = Documents::default();
-    let mut results = Vec::new();
-    let wanted = [
-        (needs.statistics, JobKind::Statistics, &mut documents.statistics),
-        (needs.allan, JobKind::Allan, &mut documents.allan),
-        (needs.noise, JobKind::Noise, &mut documents.noise),
-    ];
-    for (_, kind, document) in wanted.into_iter().filter(|(wanted, ..)| *wanted) {
-        match analysis::drawn(state, kind, id).await {
-            Ok(Drawn::Document(text, result)) => {
-                *document = Some(text);
-                results.push(result);
-            }
-            Ok(Drawn::Later(answer)) => return Ok(Material::Later(answer)),
-            // Lines that there will never be are left out; those that there may be in a moment are not.
-            Err(error) if kind == JobKind::Noise && error.kind() == ProblemType::AnalysisFailed => results.push(None),
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(Material::There(documents, results))
-}
-
-/// What a picture is sent as.
-#[derive(Debug, Clone, Copy)]
-enum Form {
-    Svg,
-    Png,
-}
-
-impl Form {
-    fn suffix(self) -> &'static str {
-        match self {
-            Self::Svg => "svg",
-            Self::Png => "png",
-        }
-    }
-    fn media_type(self) -> &'static str {
-        match self {
-            Self::Svg => "image/svg+xml",
-            Self::Png => "image/png",
-        }
-    }
 }

@@ -48,7 +48,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options);
     let mut outcome = outcome?;
     if let Some(path) = &args.reference {
-        outcome.diagnosis.inputs.insert("reference", path.display().to_string());
+        outcome.diagnosis.inputs.insert("reference".into(), path.display().to_string());
     }
     gridded.tell(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
@@ -57,8 +57,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     }
     if let Some(output) = html {
         let drawings = Drawings::new(&gridded.recording, gridded.from_s, &sim, &outcome);
-        let (report, drawings) = (serde_json::to_string(&outcome.diagnosis)?, serde_json::to_string(&drawings)?);
-        output.put(page::diagnosis(&report, &drawings, &[])?.as_bytes())?;
+        output.put(page::diagnosis(&outcome.diagnosis, &drawings, &[]).as_bytes())?;
     }
     if context.json {
         print_json(&outcome.diagnosis)?
@@ -146,7 +145,7 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
                 band,
                 format!("{from_s:.0} … {to_s:.0}"),
                 format!("{:.0} %", 100.0 * share),
-                (*sign).to_owned(),
+                sign.to_string(),
             ]);
         }
         writeln!(out, "\n{rows}")?;
@@ -156,7 +155,7 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         for one in &of.parameters {
             let ratio = one.ratio.map_or_else(|| "–".to_owned(), |ratio| format!("{ratio:.3}"));
             let (model, capture) = (format!("{:.3e}", one.model), format!("{:.3e}", one.capture));
-            rows.add_row([one.channel.clone(), one.parameter.to_owned(), model, capture, ratio]);
+            rows.add_row([one.channel.clone(), one.parameter.to_string(), model, capture, ratio]);
         }
         writeln!(out, "\n{rows}")?;
     }
@@ -215,7 +214,7 @@ fn parameters(cause: &Cause, all: &BTreeMap<String, Value>) -> String {
         other => one(other),
     };
     // In the order of the channels' column.
-    let of_triad = cause.triad.and_then(|triad| all.get(triad)).into_iter();
+    let of_triad = cause.triad.as_ref().and_then(|triad| all.get(&**triad)).into_iter();
     let rows = cause.channels.iter().filter_map(|channel| all.get(channel)).chain(of_triad).map(of_channel);
     rows.collect::<Vec<_>>().join("\n")
 }

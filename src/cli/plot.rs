@@ -5,9 +5,8 @@ use super::output::Output;
 use super::source::file;
 use super::subject::{Stop, Subject};
 use super::{Context, Outcome, failed, print_json, usage};
-use crate::gallery::{self, Documents, Picture, Window};
-use crate::jobs::{JobError, JobKind};
-use crate::plot;
+use crate::gallery::{self, Form, Picture, Window};
+use crate::jobs::{Documents, JobError, JobKind};
 use std::io::Write as _;
 use std::path::Path;
 
@@ -19,13 +18,6 @@ struct Report<'a> {
     capture: Option<i64>,
     out: &'a Path,
     bytes: usize,
-}
-
-/// What a picture is written as.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Form {
-    Svg,
-    Png,
 }
 
 /// Draws the picture.
@@ -64,11 +56,10 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
 /// The form that a file's name ends with.
 fn form(path: &Path) -> anyhow::Result<Form> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
-    match ending.as_deref() {
-        Some("svg") => Ok(Form::Svg),
-        Some("png") => Ok(Form::Png),
-        _ => Err(usage(format!("--out {}: expected a name that ends with .svg or .png", path.display()))),
-    }
+    ending
+        .as_deref()
+        .and_then(Form::from_suffix)
+        .ok_or_else(|| usage(format!("--out {}: expected a name that ends with .svg or .png", path.display())))
 }
 
 fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> anyhow::Result<Vec<u8>> {
@@ -82,29 +73,17 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
             there.join(", ")
         )));
     }
-    let needs = picture.needs();
     let mut documents = Documents::default();
-    if needs.statistics {
-        documents.statistics = Some(subject.document(JobKind::Statistics)?);
-    }
-    if needs.allan {
-        documents.allan = Some(subject.document(JobKind::Allan)?);
-    }
-    if needs.noise {
-        documents.noise = match subject.document(JobKind::Noise) {
-            Err(error @ JobError::Store(_)) => return Err(error.into()),
+    for kind in picture.needs() {
+        match subject.document(*kind) {
+            Ok(found) => documents.extend(found),
             // Lines that there will never be are left out.
-            noise => noise.ok(),
-        };
+            Err(error) if *kind == JobKind::Noise && !matches!(error, JobError::Store(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
     }
-    let svg = gallery::svg(&subject.reader, &row.id.to_string(), picture, window, &documents)?;
-    if svg.is_empty() {
-        return Err(failed(format!("{} has not enough data for {}", row.name, picture.name())));
-    }
-    Ok(match form {
-        Form::Svg => plot::alone(&svg).into_bytes(),
-        Form::Png => plot::raster::png(&svg, plot::raster::SCALE)?,
-    })
+    let file = gallery::file(&subject.reader, &row.id.to_string(), (picture, window), &documents, form, false)?;
+    file.ok_or_else(|| failed(format!("{} has not enough data for {}", row.name, picture.name())))
 }
 
 #[cfg(test)]

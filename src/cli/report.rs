@@ -6,13 +6,10 @@ use super::progress::bar;
 use super::source::file;
 use super::subject::{Stop, Subject};
 use super::{Context, Outcome, print_json, usage};
-use crate::gallery::{self, Documents, Facts, Window};
-use crate::jobs::{DiagnosisDocument, JobError, JobKind};
+use crate::gallery::{self, Window};
+use crate::jobs::{Documents, JobError, JobKind, read_diagnosis};
 use crate::page::{self, CaptureView, Figure};
 use crate::store::{DiagnosisRow, PageRequest};
-use imu_files::export::paste::NoiseDocument;
-use imu_noise::NoiseReport;
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
@@ -91,28 +88,19 @@ struct Made {
 
 impl Made {
     fn of(subject: &Subject, stop: &Stop) -> anyhow::Result<Self> {
-        let facts = Facts::read(&subject.reader, subject.row.id)?;
-        let mut remarks = subject.remarks.clone();
+        let facts = gallery::facts(&subject.reader, subject.row.id)?;
+        let (mut documents, mut remarks) = (Documents::default(), subject.remarks.clone());
         let bar = bar("{bar:30} {pos} of {len} · {msg}", 0);
-        let mut document = |kind: JobKind| {
+        for kind in [JobKind::Statistics, JobKind::Noise, JobKind::Allan] {
             bar.set_message(kind.gives());
-            stop.unless(match subject.document(kind) {
-                Ok(document) => Ok(Some(document)),
-                Err(error @ JobError::Store(_)) => Err(error.into()),
-                Err(error) => {
-                    remarks.push(format!("There is no {}: {error}.", kind.gives()));
-                    Ok(None)
-                }
-            })
-        };
-        let statistics = document(JobKind::Statistics)?;
-        let noise = document(JobKind::Noise)?;
-        let allan = document(JobKind::Allan)?;
-        let report = noise.as_deref().map(serde_json::from_str::<NoiseReport>).transpose()?;
-        let report = report.map(|report| NoiseDocument::from(facts.compared(report)));
-        let noise = report.as_ref().map(serde_json::to_string).transpose()?;
-        let documents = Documents { statistics, allan, noise };
-        let pictures = facts.pictures(&documents, report.as_ref().map(|of| &of.report));
+            match subject.document(kind) {
+                Ok(found) => documents.extend(found),
+                Err(error @ JobError::Store(_)) => stop.unless(Err(error.into()))?,
+                Err(error) => remarks.push(format!("There is no {}: {error}.", kind.gives())),
+            }
+            stop.unless(Ok(()))?;
+        }
+        let pictures = gallery::pictures(&facts, &documents);
         bar.set_length(pictures.len() as u64);
         let (id, mut figures) = (subject.row.id.to_string(), BTreeMap::new());
         for picture in pictures {
@@ -125,28 +113,19 @@ impl Made {
             bar.inc(1);
         }
         bar.finish_and_clear();
-        if subject.row.state.is_open() {
-            remarks.push("It still runs: this is what there is so far.".to_owned());
-        }
+        remarks.extend(facts.remark());
         let diagnosed = Diagnosed::of(subject)?;
-        let mut capture: Value = serde_json::from_str(&facts.capture)?;
-        if subject.of_file {
-            capture["id"] = Value::Null;
-        }
         let page = page::capture(&CaptureView {
-            capture: &capture.to_string(),
-            statistics: documents.statistics.as_deref(),
-            noise: documents.noise.as_deref(),
+            facts: &facts,
+            is_kept: !subject.of_file,
+            documents: &documents,
             remarks: &remarks,
             waits: false,
-            gaps: &facts.gaps,
-            causes: &facts.causes,
-            events: &facts.events,
-            diagnoses: &Value::Array(diagnosed.others).to_string(),
+            diagnoses: &diagnosed.others,
             figures: &figures,
             served: None,
             enclosed: &diagnosed.enclosed,
-        })?;
+        });
         Ok(Self { page, plots: figures.into_keys().collect(), diagnoses: diagnosed.ids, remarks })
     }
 }
@@ -158,28 +137,29 @@ struct Diagnosed {
     ids: Vec<i64>,
     /// What stands in their pages.
     enclosed: Vec<String>,
-    /// The others: id, state and a sentence.
-    others: Vec<Value>,
+    /// The others, with a sentence.
+    others: Vec<DiagnosisRow>,
 }
 
 impl Diagnosed {
     fn of(subject: &Subject) -> anyhow::Result<Self> {
         let (reader, mut own) = (&subject.reader, Self::default());
-        for DiagnosisRow { job, summary, .. } in reader.diagnoses(Some(subject.row.id), &PageRequest::first())?.rows {
+        for mut row in reader.diagnoses(Some(subject.row.id), &PageRequest::first())?.rows {
+            let job = &row.job;
             let result = job.result_id.filter(|_| own.ids.len() < ENCLOSED);
             match result.map(|id| reader.result(id)).transpose()?.flatten() {
                 Some(result) => {
-                    let document = DiagnosisDocument::read(&result.body)?;
-                    let body = page::diagnosis_body(document.report.get(), &result.body, &[])?.1;
+                    let (report, drawings) = read_diagnosis(&result.body)?;
+                    let body = page::diagnosis_body(&report, &drawings, &[]);
                     // On paper nothing opens.
                     own.enclosed.push(body.replace("<details>", "<details open>"));
                     own.ids.push(job.id);
                 }
                 None => {
-                    let state = job.state.name();
-                    let why = job.error.map_or_else(String::new, |why| format!(": {why}"));
-                    let told = summary.unwrap_or_else(|| format!("diagnosis {}, {state}{why}", job.id));
-                    own.others.push(json!({ "id": job.id, "state": state, "summary": told }));
+                    let why = job.error.as_ref().map_or_else(String::new, |why| format!(": {why}"));
+                    let told = || format!("diagnosis {}, {}{why}", job.id, job.state.name());
+                    row.summary = Some(row.summary.take().unwrap_or_else(told));
+                    own.others.push(row);
                 }
             }
         }
@@ -194,6 +174,7 @@ mod tests {
     use crate::clock::SystemClock;
     use crate::daemon::import::{Source, import};
     use crate::store::{NewJob, Store, StoreOptions};
+    use serde_json::json;
 
     #[test]
     fn what_a_simulator_lacks_is_enclosed_and_a_diagnosis_that_failed_is_named() {
@@ -211,10 +192,11 @@ mod tests {
         let failed = submit(0);
         store.fail_job(failed, "<too short>").unwrap();
         for number in 1..=ENCLOSED + 1 {
-            let discrepancy =
-                json!({"unit": "nats/sample", "before": 1.0, "after_parameters": 1.0, "after": 1.0, "floor": 1.0});
-            let report =
-                json!({"verdict": "effects", "summary": format!("a <tone> {number}"), "discrepancy": discrepancy});
+            let discrepancy = json!({"unit": "nats/sample", "before": 1.0, "after_parameters": 1.0, "after": 1.0, "floor": 1.0,
+                "p_value_after": 0.5, "closed": null, "closed_ci95": null, "measured_on": "all of it"});
+            let report = json!({"format": "vn100d-diagnosis-1", "verdict": "effects", "summary": format!("a <tone> {number}"),
+                "discrepancy": discrepancy, "where": [], "parameters": [], "causes": [], "alternatives": [], "per_channel": {},
+                "notes": [], "software": "", "inputs": {}});
             let body = json!({"report": report, "model": {}, "spectra": []});
             store.finish_job(submit(number), body.to_string()).unwrap();
         }

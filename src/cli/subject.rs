@@ -7,7 +7,7 @@ use super::source::{file, tell_rate, tell_time};
 use super::{Context, failed};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
-use crate::jobs::{JobError, JobKind, Plan, StatedSampling, direct};
+use crate::jobs::{Documents, JobError, JobKind, Plan, StatedSampling, direct};
 use crate::store::{CaptureRow, Reader, Store, StoreOptions};
 use anyhow::Context as _;
 use imu_core::sample::Channel;
@@ -150,7 +150,7 @@ impl Subject {
     ///
     /// # Errors
     /// As there; what is said of a recording names it.
-    pub(super) fn document(&self, kind: JobKind) -> Result<String, JobError> {
+    pub(super) fn document(&self, kind: JobKind) -> Result<Documents, JobError> {
         direct::document(&self.reader, &self.row, kind, self.told).map_err(|error| match error {
             JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
                 reason: reason.replace(&format!("capture {}", self.row.id), &self.row.name),

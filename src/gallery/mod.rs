@@ -1,18 +1,19 @@
 //! Gallery: the pictures of a capture, by name, each made from the store on request.
 //!
-//! In: a picture's name, a reader of the store, and the documents of the required analyses. Out: SVG ([`crate::plot`]).
+//! In: a picture's name, a reader of the store, and the required analyses. Out: SVG ([`crate::plot`]) or PNG.
 //! Memory is that of one chunk of samples and of the drawn points, however long the capture is.
 
 pub mod apart;
 mod facts;
 mod samples;
 
-pub use facts::{Facts, causes};
+pub use facts::{facts, pictures};
 
-use crate::plot::{self, Deviations};
+use crate::jobs::{Documents, JobError, JobKind};
+use crate::plot::{self, NamedLine, raster};
 use crate::store::{Moment, Reader, StoreError};
 use imu_core::sample::{Channel, Triad};
-use serde_json::Value;
+use imu_noise::NoiseReport;
 
 /// Triads that have pictures.
 const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
@@ -54,17 +55,7 @@ impl Picture {
 
     /// The picture with that name.
     pub fn from_name(name: &str) -> Option<Self> {
-        let triad = |of: &str| TRIADS.into_iter().find(|triad| triad.name() == of);
-        let analysed = |of: &str| Channel::from_name(of).filter(|channel| Channel::ANALYSED.contains(channel));
-        match name.split_once('-') {
-            None => (name == "gaps").then_some(Self::Gaps),
-            Some(("timeseries", of)) => Channel::from_name(of).map(Self::Timeseries),
-            Some(("histogram", of)) => Channel::from_name(of).map(Self::Histogram),
-            Some(("allan", of)) => triad(of).map(Self::Allan).or_else(|| analysed(of).map(Self::AllanOfOne)),
-            Some(("hourly", of)) => analysed(of).map(Self::Hourly),
-            Some(("psd", of)) => triad(of).map(Self::Psd),
-            Some(_) => None,
-        }
+        Self::all(&Channel::ALL).into_iter().find(|picture| picture.name() == name)
     }
 
     /// Its name.
@@ -92,14 +83,14 @@ impl Picture {
         }
     }
 
-    /// The analyses that it requires.
-    pub fn needs(self) -> Needs {
+    /// The analyses that it requires. Noise parameters may be absent.
+    pub fn needs(self) -> &'static [JobKind] {
         match self {
-            Self::Timeseries(_) | Self::Gaps => Needs::default(),
-            Self::Histogram(_) => Needs { statistics: true, ..Needs::default() },
-            Self::Allan(_) | Self::AllanOfOne(_) => Needs { allan: true, noise: true, ..Needs::default() },
+            Self::Timeseries(_) | Self::Gaps => &[],
+            Self::Histogram(_) => &[JobKind::Statistics],
+            Self::Allan(_) | Self::AllanOfOne(_) => &[JobKind::Allan, JobKind::Noise],
             // A spectrum can also be drawn without the names of lines.
-            Self::Hourly(_) | Self::Psd(_) => Needs { noise: true, ..Needs::default() },
+            Self::Hourly(_) | Self::Psd(_) => &[JobKind::Noise],
         }
     }
 
@@ -137,28 +128,6 @@ impl Picture {
     }
 }
 
-/// The analyses that a picture requires.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Needs {
-    /// `vn100d-statistics-1`.
-    pub statistics: bool,
-    /// `vn100d-allan-1`.
-    pub allan: bool,
-    /// `vn100d-noise-1`, if there is one.
-    pub noise: bool,
-}
-
-/// Documents of a capture's analyses, as JSON; `None` if there is none.
-#[derive(Debug, Clone, Default)]
-pub struct Documents {
-    /// `vn100d-statistics-1`.
-    pub statistics: Option<String>,
-    /// `vn100d-allan-1`.
-    pub allan: Option<String>,
-    /// `vn100d-noise-1`.
-    pub noise: Option<String>,
-}
-
 /// The part of a capture for a time series: all of it if both ends are `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Window {
@@ -168,67 +137,96 @@ pub struct Window {
     pub to: Option<Moment>,
 }
 
-/// The reasons why there is no picture.
-#[derive(Debug, thiserror::Error)]
-pub enum GalleryError {
-    /// The error that the database reports.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// An invalid document.
-    #[error("an analysis cannot be read: {0}")]
-    Document(#[from] serde_json::Error),
+/// What a picture is written as.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    /// SVG, with its style.
+    Svg,
+    /// PNG.
+    Png,
+}
+
+impl Form {
+    /// The form of files whose name ends with this.
+    pub fn from_suffix(suffix: &str) -> Option<Self> {
+        match suffix {
+            "svg" => Some(Self::Svg),
+            "png" => Some(Self::Png),
+            _ => None,
+        }
+    }
+    /// The media type.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Svg => "image/svg+xml",
+            Self::Png => "image/png",
+        }
+    }
+}
+
+/// The content of a picture's file; `None` if there is nothing to draw, or a required document is missing. A PNG is made
+/// in a separate process if `is_apart`.
+///
+/// # Errors
+/// The error that the database reports, or the reason why there is no PNG.
+pub fn file(
+    reader: &Reader,
+    capture: &str,
+    (picture, window): (Picture, Window),
+    documents: &Documents,
+    form: Form,
+    is_apart: bool,
+) -> Result<Option<Vec<u8>>, JobError> {
+    let svg = svg(reader, capture, picture, window, documents)?;
+    Ok(match form {
+        _ if svg.is_empty() => None,
+        Form::Svg => Some(plot::alone(&svg).into_bytes()),
+        Form::Png if is_apart => Some(apart::png(&svg).map_err(|reason| JobError::Died { reason })?),
+        Form::Png => {
+            let refused = |error: raster::RasterError| JobError::InsufficientData { reason: error.to_string() };
+            Some(raster::png(&svg, raster::SCALE).map_err(refused)?)
+        }
+    })
 }
 
 /// The picture as SVG; empty if there is nothing to draw, or a required document is missing.
 ///
 /// # Errors
-/// [`GalleryError`]: the error that the database reports, or an invalid document.
+/// The error that the database reports.
 pub fn svg(
     reader: &Reader,
     capture: &str,
     picture: Picture,
     window: Window,
     documents: &Documents,
-) -> Result<String, GalleryError> {
-    let noise = documents.noise.as_deref();
-    Ok(match picture {
-        Picture::Timeseries(channel) => samples::course(reader, capture, channel, window)?,
-        Picture::Gaps => samples::gaps(reader, capture)?,
-        Picture::Psd(triad) => samples::density(reader, capture, triad, &plot::lines(noise)?)?,
-        Picture::Histogram(channel) => match &documents.statistics {
-            Some(statistics) => histogram(channel, statistics)?,
-            None => String::new(),
-        },
-        Picture::Hourly(channel) => match noise {
-            Some(noise) => plot::hourly(channel.name(), channel.unit(), noise)?,
-            None => String::new(),
-        },
-        Picture::Allan(_) | Picture::AllanOfOne(_) => match &documents.allan {
-            Some(allan) => deviation(picture, allan, noise)?,
-            None => String::new(),
-        },
-    })
-}
-
-/// The picture from `vn100d-allan-1` and, if it exists, `vn100d-noise-1`; empty if the document lacks the channels.
-fn deviation(picture: Picture, allan: &str, noise: Option<&str>) -> Result<String, serde_json::Error> {
-    let of = Deviations::read(allan, noise)?;
-    let channels = picture.channels();
-    let names: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
-    let title = match picture {
-        Picture::Allan(triad) => format!("Allan deviation, {}", triad.name()),
-        _ => format!("Allan deviation, {}", names.join(", ")),
+) -> Result<String, StoreError> {
+    let Documents { statistics, allan, noise } = documents;
+    let deviation = |of: &str| {
+        let title = format!("Allan deviation, {of}");
+        Some(plot::deviation(&title, &picture.channels(), allan.as_ref()?, noise.as_ref()))
     };
-    Ok(of.svg(&title, &names))
+    let drawn = match picture {
+        Picture::Timeseries(channel) => Some(samples::course(reader, capture, channel, window)?),
+        Picture::Gaps => Some(samples::gaps(reader, capture)?),
+        Picture::Psd(triad) => Some(samples::density(reader, capture, triad, &lines(noise.as_ref()))?),
+        Picture::Histogram(channel) => statistics
+            .as_ref()
+            .and_then(|report| report.channels.get(&channel))
+            .map(|of| plot::histogram(channel.name(), of)),
+        Picture::Hourly(channel) => noise
+            .as_ref()
+            .and_then(|report| report.disturbances.get(&channel)?.dynamic.as_ref())
+            .map(|of| plot::hourly(channel.name(), channel.unit(), of)),
+        Picture::Allan(triad) => deviation(triad.name()),
+        Picture::AllanOfOne(channel) => deviation(channel.name()),
+    };
+    Ok(drawn.unwrap_or_default())
 }
 
-/// The picture of a channel in `vn100d-statistics-1`; empty if the document lacks it.
-fn histogram(channel: Channel, statistics: &str) -> Result<String, serde_json::Error> {
-    let document: Value = serde_json::from_str(statistics)?;
-    match document["channels"].get(channel.name()) {
-        Some(of) => plot::histogram(channel.name(), &of.to_string()),
-        None => Ok(String::new()),
-    }
+/// The lines of all channels.
+fn lines(noise: Option<&NoiseReport>) -> Vec<NamedLine<'_>> {
+    let disturbances = noise.into_iter().flat_map(|report| &report.disturbances);
+    disturbances.flat_map(|(channel, found)| found.lines.iter().map(|line| (*channel, line))).collect()
 }
 
 #[cfg(test)]

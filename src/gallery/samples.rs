@@ -33,7 +33,7 @@ fn all_gaps(reader: &Reader, range: &SampleRange, within_s: [f64; 2]) -> Result<
     let of = |row: GapRow| Gap {
         within_s: [row.from.0, row.to.0].map(|utc_ns| (utc_ns - range.axis.origin_ns()) as f64 / 1e9),
         missing: row.missing,
-        cause: row.cause.name().to_owned(),
+        cause: row.cause,
     };
     loop {
         let page = reader.gaps(range.capture.id, &PageRequest { limit: None, cursor })?;
@@ -76,8 +76,6 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
     take(&mut bucket);
     let ends_s = range.ends_s(reader)?;
     let gaps = all_gaps(reader, range, ends_s)?;
-    let told = |gap: Gap| (gap.within_s, format!("{} missing, {}", gap.missing, gap.cause));
-    let gaps = gaps.into_iter().map(told).collect();
     Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
 }
 
@@ -87,7 +85,12 @@ pub(super) fn stretches(reader: &Reader, capture: i64) -> Result<Vec<u64>, Store
 }
 
 /// The picture of a triad's power spectra, with `lines` of its channels by name.
-pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[NamedLine]) -> Result<String, StoreError> {
+pub(super) fn density(
+    reader: &Reader,
+    capture: &str,
+    triad: Triad,
+    lines: &[NamedLine<'_>],
+) -> Result<String, StoreError> {
     let range = &SampleRange::read(reader, capture, None, None)?;
     let Some(rate_hz) = range.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0) else { return Ok(String::new()) };
     let there = |channel: &Channel| range.capture.channels.contains(channel);
@@ -122,7 +125,7 @@ pub(super) fn density(reader: &Reader, capture: &str, triad: Triad, lines: &[Nam
         frequency_hz = hz;
         // Two-sided, as N is: white noise has the value N.
         let two_sided = density.into_iter().map(|one_sided| one_sided / std::f64::consts::SQRT_2);
-        drawn.push((channel.name(), two_sided.collect()));
+        drawn.push((*channel, two_sided.collect()));
     }
     let title = format!("Power spectrum, {}", triad.name());
     let unit = triad.channels()[0].unit();

@@ -139,7 +139,7 @@ pub struct DiagnosisDocument<'a> {
 }
 
 impl<'a> DiagnosisDocument<'a> {
-    /// Splits a result's text. The data from which its page is drawn is separate, and the page extracts it itself.
+    /// Splits a result's text.
     ///
     /// # Errors
     /// [`JobError::Json`] if the text is no such result.
@@ -148,13 +148,22 @@ impl<'a> DiagnosisDocument<'a> {
     }
 }
 
+/// What the page of a result shows: the report, and the data of its pictures.
+///
+/// # Errors
+/// [`JobError::Json`] if the text is no such result.
+pub fn read_diagnosis(body: &str) -> Result<(Diagnosis, Drawings), JobError> {
+    let report = DiagnosisDocument::read(body)?.report;
+    Ok((serde_json::from_str(report.get())?, serde_json::from_str(body)?))
+}
+
 /// The same for writing.
 #[derive(Serialize)]
 struct Written<'a> {
     report: &'a Diagnosis,
     model: &'a SensorModel,
     #[serde(flatten)]
-    drawings: Drawings<'a>,
+    drawings: Drawings,
 }
 
 /// Stores the progress of the work; returns `false` if the job is no longer wanted.

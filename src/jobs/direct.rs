@@ -8,7 +8,7 @@ use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{JobError, JobKind, JobParameters, Plan, SampleSource, StatedSampling, StatisticsReport};
+use super::{Documents, JobError, JobKind, JobParameters, Plan, SampleSource, StatedSampling, StatisticsReport};
 use crate::store::{CaptureRow, JobState, Reader};
 use imu_core::sample::Channel;
 use imu_noise::NoiseReport;
@@ -81,7 +81,7 @@ pub fn document(
     capture: &CaptureRow,
     kind: JobKind,
     told: Option<StatedSampling>,
-) -> Result<String, JobError> {
+) -> Result<Documents, JobError> {
     let parameters = kind.parameters(&Value::Null)?;
     if !capture.state.is_open() && told.is_none() {
         let usual = serde_json::to_value(&parameters)?;
@@ -89,7 +89,7 @@ pub fn document(
         let finished = jobs.into_iter().find(|job| job.state == JobState::Done && !job.stale && job.params == usual);
         let result = finished.and_then(|job| job.result_id).map(|id| reader.result(id)).transpose()?.flatten();
         if let Some(result) = result {
-            return Ok(result.body);
+            return Ok(Documents::read(kind, &result.body)?);
         }
     }
     let plan = || {
@@ -97,16 +97,17 @@ pub fn document(
         told.map_or(Ok(()), |told| plan.sampled(told))?;
         Ok::<_, JobError>(plan)
     };
-    let text = match kind {
-        JobKind::Statistics => serde_json::to_string(&statistics(reader, capture.id)?),
-        JobKind::Noise => serde_json::to_string(&noise(reader, plan()?)?),
-        JobKind::Allan => serde_json::to_string(&allan(reader, plan()?, &parameters)?),
+    let mut own = Documents::default();
+    match kind {
+        JobKind::Statistics => own.statistics = Some(statistics(reader, capture.id)?),
+        JobKind::Noise => own.noise = Some(noise(reader, plan()?)?),
+        JobKind::Allan => own.allan = Some(allan(reader, plan()?, &parameters)?),
         JobKind::Diagnosis => {
             let reason = "it needs a simulator to compare with".to_owned();
             return Err(JobError::Parameters { kind: kind.name(), reason });
         }
-    };
-    Ok(text?)
+    }
+    Ok(own)
 }
 
 /// Passes all samples to `pass`, pass by pass.

@@ -3,10 +3,10 @@
 //! It pulls. Whenever a client requests it (or the daemon's tick calls [`Live::catch_up`]) it takes in the samples
 //! committed since, at most [`CATCH_UP`] per call, and returns the result for those it has.
 
-use super::JobError;
 use super::distribution::Distribution;
 use super::report::{self, Extent, StatisticsReport};
 use super::sampling::of_configuration;
+use super::{Documents, JobError, JobKind};
 use crate::store::Reader;
 use imu_core::sample::Channel;
 use imu_noise::NoiseReport;
@@ -246,6 +246,21 @@ impl Live {
         let channels = channels.map(|pyramids| pyramids.distribution.statistics()).unwrap_or_default();
         let report = report::statistics(channels, extent);
         Ok(SoFar { report, caught_up: Some(points.caught_up) })
+    }
+
+    /// The document of a kind.
+    ///
+    /// # Errors
+    /// As the function of that kind.
+    pub fn documents(&self, reader: &Reader, kind: JobKind, capture_id: i64) -> Result<Documents, JobError> {
+        let mut own = Documents::default();
+        match kind {
+            JobKind::Statistics => own.statistics = Some(self.statistics(reader, capture_id)?.report),
+            JobKind::Noise => own.noise = Some(self.noise(reader, capture_id)?.report),
+            JobKind::Allan => own.allan = Some(self.allan(reader, capture_id)?.report),
+            JobKind::Diagnosis => {}
+        }
+        Ok(own)
     }
 }
 

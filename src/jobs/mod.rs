@@ -18,6 +18,7 @@ mod curves;
 mod diagnosis;
 pub mod direct;
 mod distribution;
+mod document;
 mod error;
 mod examine;
 mod fold;
@@ -43,7 +44,8 @@ mod wish;
 mod worker;
 
 pub use apart::{JOB_MEMORY_BYTES, JOB_PROCESSOR_S, answer};
-pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator};
+pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator, read_diagnosis};
+pub use document::Documents;
 pub use error::JobError;
 pub use gridded::{Gridded, gridded};
 pub use kind::{JobKind, JobParameters};

@@ -211,20 +211,8 @@ impl Metrics {
 }
 
 fn sensor(registry: &mut Registry, status: &Status) {
-    const STATES: [(SensorState, &str); 11] = [
-        (SensorState::Absent, "absent"),
-        (SensorState::Opening, "opening"),
-        (SensorState::Probing, "probing"),
-        (SensorState::Streaming, "streaming"),
-        (SensorState::Stalled, "stalled"),
-        (SensorState::NoValidFrames, "no_valid_frames"),
-        (SensorState::UnexpectedFormat, "unexpected_format"),
-        (SensorState::PortBusy, "port_busy"),
-        (SensorState::NoPermission, "no_permission"),
-        (SensorState::WrongUnit, "wrong_unit"),
-        (SensorState::Backoff, "backoff"),
-    ];
-    states(registry, "sensor_state", "1 for the state the sensor's connection is in", STATES, status.sensor.state);
+    let names = SensorState::NAMES;
+    states(registry, "sensor_state", "1 for the state the sensor's connection is in", names, status.sensor.state);
     if let Some(rate_hz) = status.sensor.rate_hz {
         gauge(registry, "sensor_rate_hertz", "Output rate of the sensor", rate_hz);
     }

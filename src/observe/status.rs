@@ -36,6 +36,28 @@ pub enum SensorState {
     Backoff,
 }
 
+impl SensorState {
+    /// All states and their names in JSON.
+    pub(super) const NAMES: [(Self, &str); 11] = [
+        (Self::Absent, "absent"),
+        (Self::Opening, "opening"),
+        (Self::Probing, "probing"),
+        (Self::Streaming, "streaming"),
+        (Self::Stalled, "stalled"),
+        (Self::NoValidFrames, "no_valid_frames"),
+        (Self::UnexpectedFormat, "unexpected_format"),
+        (Self::PortBusy, "port_busy"),
+        (Self::NoPermission, "no_permission"),
+        (Self::WrongUnit, "wrong_unit"),
+        (Self::Backoff, "backoff"),
+    ];
+
+    /// The name in JSON.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(state, _)| *state == self).map_or("", |(_, name)| name)
+    }
+}
+
 /// The sensor as the daemon sees it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SensorStatus {

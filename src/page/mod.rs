@@ -1,18 +1,19 @@
 //! Pages: documents of the interfaces as HTML for users. Pure.
 //!
-//! In: a document's JSON text, as any program receives it, of this version or another. Out: one HTML file without
-//! external resources, readable on dark and on light, on paper and on a phone. It needs no scripts: [`SCRIPT`] only
-//! updates it. Guarantee: no text of a document becomes markup.
+//! In: documents. Out: one HTML file without external resources, readable on dark and on light, on paper and on a phone.
+//! It needs no scripts: [`SCRIPT`] only updates it. Guarantee: no text of a document becomes markup.
 
 mod capture;
 mod dashboard;
 mod diagnosis;
 mod figure;
+#[cfg(test)]
+mod rows;
 mod series;
 mod waiting;
 
-pub use capture::{CaptureView, Figure, capture};
-pub use dashboard::{DashboardView, Minute, Stored, dashboard, live};
+pub use capture::{CaptureView, Facts, Figure, capture};
+pub use dashboard::{DashboardView, Stored, dashboard, live};
 pub use diagnosis::{Links, diagnosis, diagnosis_body};
 pub use series::{SeriesView, series};
 pub use waiting::waiting;

@@ -4,6 +4,8 @@
 use super::drawing::escaped_title;
 use super::escaped;
 use super::number::{plain, rounded};
+use imu_diagnosis::report::ChannelGap;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// The picture's width in its own units, room for names and numbers, the height of a row.
@@ -15,26 +17,14 @@ const ROW: f64 = 26.0;
 /// The scale reaches at least to this multiple of the floor: if there is no gap, the bars are short.
 const LEAST: f64 = 100.0;
 
-/// One channel's gap, in any unit.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Bar<'a> {
-    /// The channel.
-    pub channel: &'a str,
-    /// The gap of the original model.
-    pub before: f64,
-    /// The gap with the findings.
-    pub after: f64,
-    /// The gap of a true model.
-    pub floor: f64,
-}
-
 /// The picture, on a logarithmic scale in multiples of each channel's own floor; empty if there is no bar to draw.
-pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
-    let drawn: Vec<&Bar<'_>> = bars.iter().filter(|bar| bar.floor > 0.0 && bar.before.is_finite()).collect();
+pub fn closing(bars: &BTreeMap<String, ChannelGap>, unit: &str) -> String {
+    let drawn: Vec<(&String, &ChannelGap)> =
+        bars.iter().filter(|(_, bar)| bar.floor > 0.0 && bar.before.is_finite()).collect();
     if drawn.is_empty() {
         return String::new();
     }
-    let most = drawn.iter().flat_map(|bar| [bar.before / bar.floor, bar.after / bar.floor]);
+    let most = drawn.iter().flat_map(|(_, bar)| [bar.before / bar.floor, bar.after / bar.floor]);
     let decades = most.filter(|times| times.is_finite()).fold(LEAST, f64::max).log10().ceil();
     let length = WIDTH - LEFT - RIGHT;
     // At the floor and below it there is no bar.
@@ -58,7 +48,7 @@ pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
             bottom + 18.0
         );
     }
-    for (row, bar) in drawn.iter().enumerate() {
+    for (row, (channel, bar)) in drawn.iter().enumerate() {
         let y = TOP + ROW * row as f64;
         let [before, after] = [bar.before, bar.after].map(|value| at(value / bar.floor));
         let _ = write!(
@@ -69,7 +59,7 @@ pub fn closing(bars: &[Bar<'_>], unit: &str) -> String {
              <text x=\"{}\" y=\"{}\">{} → {}</text>",
             LEFT - 7.0,
             y + 17.0,
-            escaped(bar.channel),
+            escaped(channel),
             y + 4.0,
             (if bar.after.is_finite() { after - LEFT } else { before - LEFT }).max(1.0),
             y + 4.0,
@@ -95,8 +85,8 @@ mod tests {
 
     #[test]
     fn a_bar_reaches_from_what_is_left_to_what_was_there() {
-        let bar = |channel, before, after| Bar { channel, before, after, floor: 1e-6 };
-        let bars = [bar("<z>", 1e-2, 1e-6), bar("gyro_x", 1e-6, -1e-7), bar("gyro_y", 1e-5, 1e-3)];
+        let bar = |channel: &str, before, after| (channel.to_owned(), ChannelGap { before, after, floor: 1e-6 });
+        let bars = [bar("<z>", 1e-2, 1e-6), bar("gyro_x", 1e-6, -1e-7), bar("gyro_y", 1e-5, 1e-3)].into();
         let svg = closing(&bars, "nats/sample");
         assert_eq!((svg.matches("class=\"closed\"").count(), svg.matches("class=\"left\"").count()), (3, 3));
         // Four decades over 310 units: the first gap is closed completely, the second never existed.
@@ -104,8 +94,8 @@ mod tests {
             svg.contains("x=\"84.0\" y=\"38\" width=\"310.0\"") && svg.contains("x=\"84.0\" y=\"64\" width=\"0.0\"")
         );
         assert!(svg.contains("floor") && svg.contains("nats/sample") && !svg.contains("<z>") && !svg.contains("NaN"));
-        assert_eq!(closing(&[Bar { floor: 0.0, ..bar("x", 1.0, 1.0) }], "nats"), "");
-        let unknown = closing(&[bar("x", 1e-3, f64::NAN)], "nats");
+        assert_eq!(closing(&[("x".to_owned(), ChannelGap { before: 1.0, after: 1.0, floor: 0.0 })].into(), "nats"), "");
+        let unknown = closing(&[bar("x", 1e-3, f64::NAN)].into(), "nats");
         assert!(unknown.contains("→ –") && !unknown.contains("NaN"), "{unknown}");
     }
 }

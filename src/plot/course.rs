@@ -2,6 +2,7 @@
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
+use super::gaps::Gap;
 
 /// Values over time.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -13,8 +14,8 @@ pub struct Course<'a> {
     /// Time in s, least and greatest value of each stretch; both the same for single samples. A value that is not
     /// finite interrupts the curve.
     pub points: Vec<(f64, f64, f64)>,
-    /// The intervals of missing samples, s, and their causes.
-    pub gaps: Vec<([f64; 2], String)>,
+    /// Its gaps.
+    pub gaps: Vec<Gap>,
 }
 
 /// The factor from seconds to the unit shown, and its name, by the length of the interval.
@@ -39,8 +40,8 @@ impl Course<'_> {
         let y = format!("{} in {}", self.channel, self.unit);
         let frame = Frame { title: &title, x: &x, y: &y, height: 280.0 };
         let mut drawing = Drawing::new(frame, Axis::between(from_s / unit_s, to_s / unit_s), up);
-        for ([from, to], cause) in &self.gaps {
-            drawing.stretch("mark", [from / unit_s, to / unit_s], Some(cause));
+        for gap in &self.gaps {
+            drawing.stretch("mark", gap.within_s.map(|at| at / unit_s), Some(&gap.told()));
         }
         let points = self.parted();
         let points: Vec<(f64, f64, f64)> =
@@ -58,7 +59,7 @@ impl Course<'_> {
         let mut points = self.points.clone();
         let ends = points.first().zip(points.last()).map_or(0.0, |(first, last)| last.0 - first.0);
         let apart_s = ends / points.len().max(1) as f64;
-        let long = self.gaps.iter().map(|(within, _)| *within).filter(|[from, to]| to - from > apart_s);
+        let long = self.gaps.iter().map(|gap| gap.within_s).filter(|[from, to]| to - from > apart_s);
         points.extend(long.map(|[from, to]| (0.5 * (from + to), f64::NAN, f64::NAN)));
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         points
@@ -68,21 +69,22 @@ impl Course<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use imu_core::sample::GapCause;
 
     #[test]
     fn ranges_are_a_surface_and_gaps_are_marked() {
         let points = (0..40).map(|t| (f64::from(t) * 600.0, -1.0, 1.0 + f64::from(t))).collect();
-        let of =
-            Course {
-                channel: "accel_z", unit: "m/s²", points, gaps: vec![([7200.0, 7210.0], "unplugged".to_owned())]
-            };
+        let gap = |within_s| vec![Gap { within_s, missing: 3, cause: GapCause::Unplugged }];
+        let of = Course { channel: "accel_z", unit: "m/s²", points, gaps: gap([7200.0, 7210.0]) };
         let svg = of.svg();
         assert!(
-            svg.contains("time in h") && svg.contains("accel_z in m/s²") && svg.contains("<title>unplugged</title>")
+            svg.contains("time in h")
+                && svg.contains("accel_z in m/s²")
+                && svg.contains("<title>3 missing, unplugged</title>")
         );
         assert_eq!((svg.matches("surface range").count(), svg.matches("class=\"mark\"").count()), (1, 1));
         // Nothing is drawn across a missing hour.
-        let cut = Course { gaps: vec![([6000.5, 9599.5], "unplugged".to_owned())], ..of.clone() }.svg();
+        let cut = Course { gaps: gap([6000.5, 9599.5]), ..of.clone() }.svg();
         assert_eq!((cut.matches("surface range").count(), cut.matches('M').count() - svg.matches('M').count()), (2, 2));
         let single = Course { points: vec![(0.0, 1.0, 1.0), (1.0, f64::NAN, f64::NAN), (2.0, 2.0, 2.0)], ..of.clone() };
         assert!(!single.svg().contains("surface") && !single.svg().contains("NaN"));

@@ -5,6 +5,7 @@ use super::deviation::class;
 use super::drawing::{Drawing, Frame};
 use super::lines::{NamedLine, joined};
 use super::number::rounded;
+use imu_core::sample::Channel;
 
 /// The number of lines labelled with their frequency: the strongest.
 const LABELS: usize = 10;
@@ -18,11 +19,11 @@ pub struct Density<'a> {
     pub unit: &'a str,
     /// Hz, ascending, above 0.
     pub frequency_hz: Vec<f64>,
-    /// For each channel its name and the root of its two-sided power density, U/√Hz: white noise has the value of its
+    /// For each channel the root of its two-sided power density, U/√Hz: white noise has the value of its
     /// N.
-    pub channels: Vec<(&'a str, Vec<f64>)>,
+    pub channels: Vec<(Channel, Vec<f64>)>,
     /// Detected lines; those of other channels are not drawn.
-    pub lines: &'a [NamedLine],
+    pub lines: &'a [NamedLine<'a>],
 }
 
 impl Density<'_> {
@@ -34,8 +35,8 @@ impl Density<'_> {
         let y = format!("density in {}/√Hz", self.unit);
         let frame = Frame { title: self.title, x: "frequency in Hz", y: &y, height: 340.0 };
         let mut drawing = Drawing::new(frame, across, up);
-        let names: Vec<&str> = self.channels.iter().map(|(name, _)| *name).collect();
-        let mut lines = joined(self.lines, &names, self.unit);
+        let channels: Vec<Channel> = self.channels.iter().map(|(channel, _)| *channel).collect();
+        let mut lines = joined(self.lines, &channels, self.unit);
         lines.sort_by(|a, b| b.1.total_cmp(&a.1));
         for (place, (frequency_hz, _, what)) in lines.iter().enumerate() {
             drawing.stretch("mark", [*frequency_hz; 2], Some(what));
@@ -44,10 +45,10 @@ impl Density<'_> {
             }
         }
         let mut key = Vec::new();
-        for (name, values) in &self.channels {
-            let class = class(name, self.channels.len());
+        for (channel, values) in &self.channels {
+            let class = class(channel.name(), self.channels.len());
             drawing.curve(class, self.frequency_hz.iter().copied().zip(values.iter().copied()));
-            key.push((class, *name));
+            key.push((class, channel.name()));
         }
         drawing.key(&key);
         drawing.done()
@@ -57,18 +58,21 @@ impl Density<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use imu_noise::robust::Line;
 
     #[test]
     fn each_channel_has_a_curve_and_each_line_a_mark() {
-        let channels = vec![("gyro_x", vec![1e-3, 1e-4]), ("gyro_y", vec![0.0, 2e-4])];
-        let line = |channel: &str| NamedLine {
-            channel: channel.to_owned(),
+        let channels = vec![(Channel::GyroX, vec![1e-3, 1e-4]), (Channel::GyroY, vec![0.0, 2e-4])];
+        let line = Line {
             frequency_hz: 11.4,
+            band_hz: [11.3, 11.5],
             amplitude: 1e-3,
+            ratio: 9.0,
+            persistent: true,
             broad: false,
             may_be_mains_hz: Vec::new(),
         };
-        let (title, lines) = ("Power spectrum, gyro", [line("gyro_x"), line("accel_x")]);
+        let (title, lines) = ("Power spectrum, gyro", [(Channel::GyroX, &line), (Channel::AccelX, &line)]);
         let of = Density { title, unit: "rad/s", frequency_hz: vec![0.1, 20.0], channels, lines: &lines };
         let svg = of.svg();
         assert_eq!((svg.matches("class=\"line x").count(), svg.matches("class=\"mark\"").count()), (2, 1), "{svg}");

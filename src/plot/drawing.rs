@@ -148,34 +148,24 @@ impl Drawing {
     /// The key under the title's right end: it shows which curve is which.
     pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
         let right = WIDTH - MARGIN[1];
-        for (place, (class, text)) in entries.iter().enumerate() {
-            let y = MARGIN[2] + 16.0 + 18.0 * place as f64;
-            let _ = write!(
-                self.out,
-                "<path class=\"line {class}\" d=\"M{} {y}L{} {y}\"/><text x=\"{}\" y=\"{}\" text-anchor=\"end\">{}</text>",
-                right - 26.0,
-                right - 4.0,
-                right - 32.0,
-                y + 5.0,
-                escaped(text)
-            );
-        }
+        let at = [right - 26.0, right - 4.0, right - 32.0];
+        self.entries(entries, MARGIN[2] + 16.0, at, " text-anchor=\"end\"");
     }
 
     /// The same at the bottom on the left: falling curves leave room there.
     pub(super) fn key_below(&mut self, entries: &[(&str, &str)]) {
-        let top = self.bottom - 14.0 - 18.0 * entries.len().saturating_sub(1) as f64;
-        let left = MARGIN[0];
+        let (left, below) = (MARGIN[0], 18.0 * entries.len().saturating_sub(1) as f64);
+        self.entries(entries, self.bottom - 14.0 - below, [left + 6.0, left + 28.0, left + 34.0], "");
+    }
+
+    /// Entries of a key below each other, each a line from one x to the other, and a text.
+    fn entries(&mut self, entries: &[(&str, &str)], top: f64, [from, to, beside]: [f64; 3], anchor: &str) {
         for (place, (class, text)) in entries.iter().enumerate() {
-            let y = top + 18.0 * place as f64;
+            let (y, text) = (top + 18.0 * place as f64, escaped(text));
             let _ = write!(
                 self.out,
-                "<path class=\"line {class}\" d=\"M{} {y}L{} {y}\"/><text x=\"{}\" y=\"{}\">{}</text>",
-                left + 6.0,
-                left + 28.0,
-                left + 34.0,
-                y + 5.0,
-                escaped(text)
+                "<path class=\"line {class}\" d=\"M{from} {y}L{to} {y}\"/><text x=\"{beside}\" y=\"{}\"{anchor}>{text}</text>",
+                y + 5.0
             );
         }
     }

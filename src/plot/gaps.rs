@@ -3,6 +3,7 @@
 use super::axis::Axis;
 use super::course::told;
 use super::drawing::{Drawing, Frame};
+use imu_core::sample::GapCause;
 use std::collections::BTreeMap;
 
 /// A gap in the samples.
@@ -13,7 +14,14 @@ pub struct Gap {
     /// The number of missing samples.
     pub missing: u64,
     /// The cause.
-    pub cause: String,
+    pub cause: GapCause,
+}
+
+impl Gap {
+    /// Its description.
+    pub(super) fn told(&self) -> String {
+        format!("{} missing, {}", self.missing, self.cause.name())
+    }
 }
 
 /// All gaps of a capture.
@@ -56,8 +64,7 @@ impl Gaps {
         let mut drawing = Drawing::new(frame, across, Axis::bare());
         drawing.stretch("there", [0.0, self.length_s / unit_s], None);
         for gap in &self.gaps {
-            let told = format!("{} missing, {}", gap.missing, gap.cause);
-            drawing.stretch("gap", gap.within_s.map(|at| at / unit_s), Some(&told));
+            drawing.stretch("gap", gap.within_s.map(|at| at / unit_s), Some(&gap.told()));
         }
         drawing.done()
     }
@@ -69,9 +76,9 @@ mod tests {
 
     #[test]
     fn gaps_are_counted_by_cause_and_shown_however_short() {
-        let gap =
-            |from: f64, missing, cause: &str| Gap { within_s: [from, from + 0.1], missing, cause: cause.to_owned() };
-        let gaps = vec![gap(10.0, 4, "host_stall"), gap(60.0, 2, "unplugged"), gap(90.0, 3, "unplugged")];
+        let gap = |from: f64, missing, cause| Gap { within_s: [from, from + 0.1], missing, cause };
+        let unplugged = GapCause::Unplugged;
+        let gaps = vec![gap(10.0, 4, GapCause::HostStall), gap(60.0, 2, unplugged), gap(90.0, 3, unplugged)];
         let causes = BTreeMap::from([("host_stall".to_owned(), 4), ("unplugged".to_owned(), 5)]);
         let of = Gaps { length_s: 18_000.0, samples: 720_000, count: 3, causes, gaps };
         let svg = of.svg();

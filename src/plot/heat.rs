@@ -3,7 +3,7 @@
 use super::drawing::escaped_title;
 use super::escaped;
 use super::number::rounded;
-use super::spectra::Spectra;
+use imu_diagnosis::ChannelSpectra;
 use std::fmt::Write as _;
 
 /// Bands across, of equal width in the logarithm of the frequency.
@@ -25,8 +25,8 @@ const PALEST: f64 = 0.15;
 const NONE_DB: f64 = 0.5;
 
 /// The maps, before and after; none if no channel's model is known.
-pub fn heat(spectra: &[Spectra]) -> Vec<String> {
-    let known: Vec<&Spectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
+pub fn heat(spectra: &[ChannelSpectra]) -> Vec<String> {
+    let known: Vec<&ChannelSpectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
     let ends = known.iter().flat_map(|of| &of.frequency_hz).filter(|hz| **hz > 0.0 && hz.is_finite());
     let (low, high) = ends.fold((f64::INFINITY, 0.0f64), |(low, high), hz| (low.min(*hz), high.max(*hz)));
     if !(low.is_finite() && high > low) {
@@ -50,10 +50,17 @@ struct Row<'a> {
     bands: [Option<Difference>; BANDS],
 }
 
-fn row<'a>(of: &'a Spectra, which: usize, scale: &Scale) -> Row<'a> {
-    let ratios = of.over_model(which);
+fn row<'a>(of: &'a ChannelSpectra, which: usize, scale: &Scale) -> Row<'a> {
+    let ratios = over_model(of, which);
     let bands = ratios.map_or([None; BANDS], |ratios| differences(of, &ratios, of.simulated[which], scale));
-    Row { channel: of.channel(), bands }
+    Row { channel: &of.channel, bands }
+}
+
+/// The record's power over the model's in each bin, before (0) or after (1).
+fn over_model(of: &ChannelSpectra, which: usize) -> Option<Vec<f64>> {
+    let model = [&of.before, &of.after][which].as_ref()?;
+    let ratios = || of.real.iter().zip(model).map(|(real, model)| (real / model).powi(2)).collect();
+    Some(of.ratios[which].clone().unwrap_or_else(ratios))
 }
 
 /// The position of a frequency.
@@ -157,7 +164,7 @@ struct Sum {
 /// the number of coefficients, divided by `scatter` because their chance is greater by that factor. For a simulation,
 /// whose powers are subject to chance as well, it is the likelihood ratio of two samples of equal size, Σ w(ln((1 +
 /// r)/2) − ½ ln r). `None` if there is no frequency or no power.
-fn differences(of: &Spectra, ratios: &[f64], simulated: bool, scale: &Scale) -> [Option<Difference>; BANDS] {
+fn differences(of: &ChannelSpectra, ratios: &[f64], simulated: bool, scale: &Scale) -> [Option<Difference>; BANDS] {
     let mut sums = [Sum::default(); BANDS];
     for (bin, (hz, ratio)) in of.frequency_hz.iter().zip(ratios.iter().copied()).enumerate() {
         if *hz > 0.0 && ratio > 0.0 && ratio.is_finite() {
@@ -192,7 +199,7 @@ mod tests {
     fn a_band_that_is_off_has_colour_before_and_none_after() {
         let hz: Vec<f64> = (1..=200).map(|bin| 0.1 * f64::from(bin)).collect();
         let real: Vec<f64> = hz.iter().map(|hz| if (10.0..11.0).contains(hz) { 10.0 } else { 1.0 }).collect();
-        let of: Spectra =
+        let of: ChannelSpectra =
             serde_json::from_value(json!({"channel": "<x>", "unit": "rad/s", "frequency_hz": hz, "real": real,
             "before": vec![1.0; 200], "after": real}))
             .unwrap();

@@ -1,8 +1,7 @@
 //! Plots: the interfaces' documents as SVG. Pure.
 //!
-//! In: documents as any program receives them (JSON, of this version or another), or plain numbers. Out: one `<svg>`,
-//! coloured by the style of the page that contains it, or [`alone`] with a separate style for light, dark and paper.
-//! Guarantees: no text of a document becomes markup, nothing that is not finite is drawn, and every axis has its unit.
+//! In: documents, or plain numbers. Out: one `<svg>`, coloured by the style of the page that contains it, or [`alone`]
+//! with a separate style for light, dark and paper. Guarantees: no text of a document becomes markup, nothing that is not finite is drawn, and every axis has its unit.
 
 mod axis;
 mod closing;
@@ -14,7 +13,6 @@ mod gaps;
 mod heat;
 mod histogram;
 mod hourly;
-pub mod json;
 mod lines;
 pub mod number;
 pub mod raster;
@@ -23,19 +21,19 @@ mod spark;
 mod spectra;
 mod timeline;
 
-pub use closing::{Bar, closing};
+pub use closing::closing;
 pub use course::Course;
 pub use density::Density;
-pub use deviation::Deviations;
+pub use deviation::deviation;
 pub use gaps::{Gap, Gaps};
 pub use heat::heat;
 pub use histogram::histogram;
 pub use hourly::hourly;
-pub use lines::{NamedLine, lines};
-pub use residuals::Residuals;
+pub use lines::NamedLine;
+pub use residuals::residuals;
 pub use spark::spark;
-pub use spectra::Spectra;
-pub use timeline::Timeline;
+pub use spectra::spectra;
+pub use timeline::{level, spread};
 
 const STYLE: &str = include_str!("style.css");
 

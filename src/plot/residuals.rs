@@ -2,79 +2,47 @@
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
-use super::json::numbers;
-use serde::Deserialize;
+use imu_diagnosis::Residuals;
 
-/// Means of one channel against one quantity, as [`imu_diagnosis::Residuals`] has them.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct Residuals {
-    channel: String,
-    unit: String,
-    against: String,
-    axis: Option<String>,
-    at_unit: String,
-    #[serde(deserialize_with = "numbers")]
-    at: Vec<f64>,
-    #[serde(deserialize_with = "numbers")]
-    before: Vec<f64>,
-    #[serde(deserialize_with = "numbers")]
-    after: Vec<f64>,
-}
-
-impl Residuals {
-    /// The channel.
-    pub fn channel(&self) -> &str {
-        &self.channel
+/// The picture; empty if there is nothing to draw.
+pub fn residuals(of: &Residuals) -> String {
+    let against = match (&*of.against, of.axis.as_deref()) {
+        ("rate", Some(axis)) => format!("the rate about {axis}"),
+        (other, Some(axis)) => format!("the {other} along {axis}"),
+        (other, None) => other.to_owned(),
+    };
+    let across = Axis::straight(of.at.iter().copied());
+    let up = Axis::straight(of.before.iter().chain(&of.after).copied().chain([0.0]));
+    let (Some(across), Some(up)) = (across.filter(|_| !of.at.is_empty()), up) else { return String::new() };
+    let (title, x) = (format!("{} against {against}", of.channel), format!("{against} in {}", of.at_unit));
+    let y = format!("beyond the model, {}", of.unit);
+    let mut drawing = Drawing::new(Frame { title: &title, x: &x, y: &y, height: 260.0 }, across, up);
+    for (class, values) in [("before", &of.before), ("after", &of.after)] {
+        drawing.curve(class, of.at.iter().copied().zip(values.iter().copied()));
     }
-
-    /// "accel_x against the rate about y".
-    pub fn title(&self) -> String {
-        format!("{} against {}", self.channel, self.quantity())
-    }
-
-    fn quantity(&self) -> String {
-        match (self.against.as_str(), self.axis.as_deref()) {
-            ("rate", Some(axis)) => format!("the rate about {axis}"),
-            (other, Some(axis)) => format!("the {other} along {axis}"),
-            (other, None) => other.to_owned(),
-        }
-    }
-
-    /// The picture; empty if there is nothing to draw.
-    pub fn svg(&self) -> String {
-        let across = Axis::straight(self.at.iter().copied());
-        let up = Axis::straight(self.before.iter().chain(&self.after).copied().chain([0.0]));
-        let (Some(across), Some(up)) = (across.filter(|_| !self.at.is_empty()), up) else { return String::new() };
-        let (title, x) = (self.title(), format!("{} in {}", self.quantity(), self.at_unit));
-        let y = format!("beyond the model, {}", self.unit);
-        let mut drawing = Drawing::new(Frame { title: &title, x: &x, y: &y, height: 260.0 }, across, up);
-        for (class, values) in [("before", &self.before), ("after", &self.after)] {
-            drawing.curve(class, self.at.iter().copied().zip(values.iter().copied()));
-        }
-        drawing.done()
-    }
+    drawing.done()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn of(at: Vec<f64>, before: Vec<f64>, after: Vec<f64>) -> Residuals {
-        Residuals {
-            channel: "gyro_<z>".to_owned(),
-            unit: "rad/s".to_owned(),
-            against: "rate".to_owned(),
-            axis: Some("z".to_owned()),
-            at_unit: "rad/s".to_owned(),
+    fn of(at: Vec<f64>, before: Vec<f64>, after: Vec<f64>) -> String {
+        residuals(&Residuals {
+            channel: "gyro_<z>".into(),
+            unit: "rad/s".into(),
+            against: "rate".into(),
+            axis: Some("z".into()),
+            at_unit: "rad/s".into(),
             at,
             before,
             after,
-        }
+        })
     }
 
     #[test]
     fn both_curves_are_inside_and_axes_have_units() {
-        let svg = of(vec![-2.0, 0.0, 2.0], vec![-0.004, 0.0, 0.004], vec![1e-5, f64::NAN, -1e-5]).svg();
+        let svg = of(vec![-2.0, 0.0, 2.0], vec![-0.004, 0.0, 0.004], vec![1e-5, f64::NAN, -1e-5]);
         assert_eq!((svg.matches("<path class=\"line").count(), svg.matches("<svg").count()), (2, 1));
         assert!(
             svg.contains("gyro_&lt;z&gt; against the rate about z") && svg.contains("the rate about z in rad/s"),
@@ -85,8 +53,8 @@ mod tests {
 
     #[test]
     fn nothing_is_drawn_of_nothing_and_a_flat_curve_has_room() {
-        assert_eq!(of(vec![], vec![], vec![]).svg(), "");
-        let flat = of(vec![1.0], vec![0.0], vec![0.0]).svg();
+        assert_eq!(of(vec![], vec![], vec![]), "");
+        let flat = of(vec![1.0], vec![0.0], vec![0.0]);
         assert!(flat.contains("<svg") && !flat.contains("NaN") && !flat.contains("inf"), "{flat}");
     }
 }

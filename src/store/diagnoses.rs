@@ -18,6 +18,14 @@ pub struct DiagnosisRow {
     pub summary: Option<String>,
 }
 
+impl DiagnosisRow {
+    /// One sentence: the summary, or the state of the job.
+    pub fn told(&self) -> String {
+        let state = || format!("diagnosis {}: {}", self.job.id, self.job.state.name());
+        self.summary.clone().unwrap_or_else(state)
+    }
+}
+
 impl Reader {
     /// The id of the diagnosis that was requested last.
     ///

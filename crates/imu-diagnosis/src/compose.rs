@@ -80,7 +80,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let offsets = hints::offsets(found, sim);
     let hints = hints::hints(found, sim, &parameters, &offsets);
     let mut diagnosis = Diagnosis {
-        format: FORMAT,
+        format: FORMAT.into(),
         verdict,
         summary: String::new(),
         discrepancy,
@@ -94,7 +94,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         per_channel: per_channel.collect(),
         notes,
         software: options.software.to_owned(),
-        inputs: [("real", options.real.to_owned()), ("sim", options.sim.to_owned())].into(),
+        inputs: [("real".into(), options.real.to_owned()), ("sim".into(), options.sim.to_owned())].into(),
     };
     diagnosis.summary = super::sentence::summary(&diagnosis);
     Outcome { diagnosis, augmented, residuals: Vec::new() }
@@ -319,6 +319,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
                 let ratio = (told > 0.0 && capture > 0.0).then(|| capture / told);
                 let channel = of.prepared.channel.name().to_owned();
                 let nats = of.held[level];
+                let parameter = parameter.into();
                 off.push(Parameter { channel, parameter, model: told, capture, ratio, nats, ci95: Some([low, high]) });
             }
         }
@@ -327,7 +328,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     if (rate_hz / sim.rate_hz - 1.0).abs() > RATE_OFF {
         off.push(Parameter {
             channel: "sensor".to_owned(),
-            parameter: "rate_hz",
+            parameter: "rate_hz".into(),
             model: sim.rate_hz,
             capture: rate_hz,
             ratio: Some(rate_hz / sim.rate_hz),

@@ -58,7 +58,7 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
         [quantile(low, 0.025), quantile(high, 0.975)]
     });
     Discrepancy {
-        unit: "nats/sample",
+        unit: "nats/sample".into(),
         before: per_sample(gap(&declared, &one)),
         after_parameters: per_sample(before),
         after: per_sample(gap(&effects, &one)),

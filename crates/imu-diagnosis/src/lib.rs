@@ -103,6 +103,7 @@ pub mod tiles;
 pub mod transform;
 pub mod translate;
 mod variances;
+mod written;
 mod zero_rows;
 
 use imu_model::effects::{CHANNEL, EffectKind};

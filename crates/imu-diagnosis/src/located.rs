@@ -60,7 +60,7 @@ fn what_the_model_has_elsewhere_has_both_its_places() {
     let outcome = found(Some(&tone(3.3)), Some(&tone(14.1)), 5);
     let of = |band_hz: [f64; 2]| {
         let own = outcome.diagnosis.r#where.iter().filter(|place| is_about(place, band_hz, [0.0, LENGTH_S]));
-        own.map(|place| (place.channel.as_str(), place.sign)).collect::<Vec<_>>()
+        own.map(|place| (place.channel.as_str(), &*place.sign)).collect::<Vec<_>>()
     };
     assert_eq!(of([3.29, 3.31]), [("accel_x", "real noisier"), ("accel_z", "real noisier")]);
     assert_eq!(of([14.09, 14.11]), [("accel_x", "real quieter"), ("accel_z", "real quieter")]);
@@ -81,7 +81,7 @@ fn a_parameter_that_is_off_has_its_place_and_noise_has_none() {
     drop(channels);
     let places = diagnose(&real, &off, &Options::default()).unwrap().diagnosis.r#where;
     let brief: Vec<(&str, Of, &str)> =
-        places.iter().map(|place| (place.channel.as_str(), place.of, place.sign)).collect();
+        places.iter().map(|place| (place.channel.as_str(), place.of, &*place.sign)).collect();
     let quieter = |channel| (channel, Of::Parameters, "real quieter");
     assert_eq!(brief, [quieter("accel_x"), quieter("accel_y")], "{places:#?}");
     assert!(places[0].band_hz[1] > 15.0 && places[1].band_hz[1] < 1.0, "{places:#?}");

@@ -87,7 +87,7 @@ fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &R
         share: 0.0,
         nats,
         p_value,
-        sign: if spot.is_louder { "real noisier" } else { "real quieter" },
+        sign: if spot.is_louder { "real noisier" } else { "real quieter" }.into(),
     }
 }
 

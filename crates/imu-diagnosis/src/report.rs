@@ -1,15 +1,17 @@
 //! The report: the result of a diagnosis, in the form of docs/formats.md.
 
+use super::written::numbers;
 use imu_model::effects::EffectKind;
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize, de};
 use serde_json::{Map, Value};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 /// The format's name.
 pub const FORMAT: &str = "vn100d-diagnosis-1";
 
 /// The overall result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// No difference beyond chance.
@@ -23,19 +25,24 @@ pub enum Verdict {
 }
 
 /// The discrepancy in nats of log density of the real samples per sample, a mean over the channels.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Discrepancy {
     /// Always `nats/sample`.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// Under the model as it came.
+    #[serde(deserialize_with = "numbers")]
     pub before: f64,
     /// With its parameters corrected.
+    #[serde(deserialize_with = "numbers")]
     pub after_parameters: f64,
     /// With the effects found as well.
+    #[serde(deserialize_with = "numbers")]
     pub after: f64,
     /// The discrepancy of a true model.
+    #[serde(deserialize_with = "numbers")]
     pub floor: f64,
     /// Chance that a true model shows as much as is left.
+    #[serde(deserialize_with = "numbers")]
     pub p_value_after: f64,
     /// (after_parameters − after)/(after_parameters − floor); none if no effect was added or if there was no gap to close.
     pub closed: Option<f64>,
@@ -66,20 +73,42 @@ impl Serialize for Of {
     }
 }
 
+impl<'de> Deserialize<'de> for Of {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        let text = Cow::<str>::deserialize(from)?;
+        match (text.strip_prefix("cause:").and_then(|index| index.parse().ok()), &*text) {
+            (Some(index), _) => Ok(Self::Cause(index)),
+            (None, "parameters") => Ok(Self::Parameters),
+            (None, "remainder") => Ok(Self::Remainder),
+            (None, other) => Err(de::Error::custom(format_args!("`{other}` lies in no place"))),
+        }
+    }
+}
+
+/// Reports of earlier versions do not state what lies in a place: no cause has this number.
+fn untold() -> Of {
+    Of::Cause(usize::MAX)
+}
+
 /// A place where real and simulated samples differ.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
     /// What lies in it.
+    #[serde(default = "untold")]
     pub of: Of,
     /// The channel.
     pub channel: String,
     /// Frequencies.
+    #[serde(deserialize_with = "numbers")]
     pub band_hz: [f64; 2],
     /// Averaging times that see them.
+    #[serde(deserialize_with = "numbers")]
     pub tau_s: [f64; 2],
     /// Begin, s after that of what was compared, or of the capture ([`Diagnosis::begins_at`]).
+    #[serde(deserialize_with = "numbers")]
     pub from_s: f64,
     /// End, s.
+    #[serde(deserialize_with = "numbers")]
     pub to_s: f64,
     /// Temperatures, where the discrepancy depends on them.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -88,13 +117,16 @@ pub struct Place {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Driver>,
     /// Part of the nats of all places.
+    #[serde(deserialize_with = "numbers")]
     pub share: f64,
     /// Nats that lie in it.
+    #[serde(default, deserialize_with = "numbers")]
     pub nats: f64,
     /// Chance that noise alone makes one as heavy anywhere in the record.
+    #[serde(default, deserialize_with = "numbers")]
     pub p_value: f64,
     /// `real noisier` or `real quieter`; of what a motion drives `real higher` or `real lower`.
-    pub sign: &'static str,
+    pub sign: Cow<'static, str>,
 }
 
 #[cfg(test)]
@@ -113,21 +145,22 @@ impl Place {
             share,
             nats: 1000.0 * share,
             p_value: 1e-9,
-            sign: "real noisier",
+            sign: "real noisier".into(),
         }
     }
 }
 
 /// The part of a motion's range in which a discrepancy lies.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Driver {
     /// `rate` or `acceleration` (specific force).
-    pub quantity: &'static str,
+    pub quantity: Cow<'static, str>,
     /// x, y or z of the sensor.
-    pub axis: &'static str,
+    pub axis: Cow<'static, str>,
     /// Its unit.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// From and to.
+    #[serde(deserialize_with = "numbers")]
     pub range: [f64; 2],
     /// The pose at rest, such as `z down`, where it lies in one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -135,19 +168,22 @@ pub struct Driver {
 }
 
 /// A parameter that is merely off.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     /// The channel; `sensor` for what belongs to all.
     pub channel: String,
     /// N, B, K, bias, rate_hz.
-    pub parameter: &'static str,
+    pub parameter: Cow<'static, str>,
     /// The model's value.
+    #[serde(deserialize_with = "numbers")]
     pub model: f64,
     /// The capture's; 0 if it shows none of it, below the upper end of its interval.
+    #[serde(deserialize_with = "numbers")]
     pub capture: f64,
     /// The second over the first; none if one of them is 0.
     pub ratio: Option<f64>,
     /// Nats that the model's value loses against the best one; 0 if they are not measured.
+    #[serde(default, deserialize_with = "numbers")]
     pub nats: f64,
     /// 95 % interval of the capture's value.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -155,20 +191,23 @@ pub struct Parameter {
 }
 
 /// A mean of the capture that is another than the model states, beyond turn-on bias and pose.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// The channel.
     pub channel: String,
     /// The model's `bias`, U.
+    #[serde(deserialize_with = "numbers")]
     pub model: f64,
     /// The capture's mean without what is explained of it, U.
+    #[serde(deserialize_with = "numbers")]
     pub capture: f64,
     /// The part that turn-on bias explains, U.
+    #[serde(deserialize_with = "numbers")]
     pub explained: f64,
 }
 
 /// The possible meaning of the size of a difference.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HintKind {
     /// The root of the rate is in it once too often or too rarely.
@@ -184,7 +223,7 @@ pub enum HintKind {
 }
 
 /// A difference whose size has a meaning.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hint {
     /// The quantity that differs, such as `accel_x N`.
     pub about: String,
@@ -195,10 +234,11 @@ pub struct Hint {
 }
 
 /// On which side an effect is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sense {
     /// The sensor has it, the model lacks it.
+    #[default]
     Missing,
     /// The model has it, the sensor lacks it.
     Superfluous,
@@ -207,35 +247,37 @@ pub enum Sense {
 }
 
 /// An effect in which sensor and model differ.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cause {
     /// Which.
     pub effect: EffectKind,
     /// Who has it.
+    #[serde(default)]
     pub sense: Sense,
     /// The triad that it belongs to as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub triad: Option<&'static str>,
+    pub triad: Option<Cow<'static, str>>,
     /// The channels it is on.
     pub channels: Vec<String>,
     /// Chance that it is this one.
+    #[serde(deserialize_with = "numbers")]
     pub confidence: f64,
     /// The part of the gap that it closes; none if nothing could be measured.
     pub closes: Option<f64>,
     /// By channel (or triad): the sensor's parameters, a list if there are several.
     pub parameters: BTreeMap<String, Value>,
     /// The model's in the same form, where it has the effect.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub model: BTreeMap<String, Value>,
     /// 95 % intervals in the same form, if they are known.
-    #[serde(skip_serializing_if = "Map::is_empty")]
+    #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub uncertainty: Map<String, Value>,
     /// Sentences with figures.
     pub evidence: Vec<String>,
 }
 
 /// An effect that was weighed and not named.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alternative {
     /// Which.
     pub effect: EffectKind,
@@ -248,22 +290,26 @@ pub struct Alternative {
 }
 
 /// One channel's discrepancy, nats per sample.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ChannelGap {
     /// Under the model as it came.
+    #[serde(deserialize_with = "numbers")]
     pub before: f64,
     /// With all effects that were found.
+    #[serde(deserialize_with = "numbers")]
     pub after: f64,
     /// The discrepancy of a true model.
+    #[serde(deserialize_with = "numbers")]
     pub floor: f64,
 }
 
 /// The part that no known effect explains.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Remainder {
     /// Part of the nats of all places.
     pub share: f64,
     /// Nats per sample.
+    #[serde(deserialize_with = "numbers")]
     pub nats: f64,
     /// The channels it is on.
     pub channels: Vec<String>,
@@ -272,10 +318,10 @@ pub struct Remainder {
 }
 
 /// The result of a diagnosis.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Diagnosis {
     /// [`FORMAT`].
-    pub format: &'static str,
+    pub format: Cow<'static, str>,
     /// In all.
     pub verdict: Verdict,
     /// One sentence for a person.
@@ -287,8 +333,10 @@ pub struct Diagnosis {
     /// The parameters that are merely off.
     pub parameters: Vec<Parameter>,
     /// Means that differ from those that the model states.
+    #[serde(default)]
     pub offsets: Vec<Offset>,
     /// The possible meanings of the sizes of these differences.
+    #[serde(default)]
     pub hints: Vec<Hint>,
     /// Effects in which sensor and model differ, strongest first.
     pub causes: Vec<Cause>,
@@ -304,7 +352,7 @@ pub struct Diagnosis {
     /// The program.
     pub software: String,
     /// The inputs that were compared.
-    pub inputs: BTreeMap<&'static str, String>,
+    pub inputs: BTreeMap<Cow<'static, str>, String>,
 }
 
 impl Diagnosis {
@@ -320,5 +368,20 @@ impl Diagnosis {
             own.for_each(|of| cause.effect.spec().move_times(of, from_s));
         }
         self.summary = super::sentence::summary(self);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_read_as_it_was_written() {
+        for of in [Of::Cause(3), Of::Parameters, Of::Remainder] {
+            let place = Place::in_tests(of, 0.5);
+            let read: Place = serde_json::from_value(serde_json::to_value(&place).unwrap()).unwrap();
+            assert_eq!(read, place);
+        }
+        assert!(serde_json::from_value::<Of>("cause:x".into()).is_err());
     }
 }

@@ -1,17 +1,19 @@
 //! The origin of the data: the sensor, its configuration, and the program.
 
-use super::{Capture, CaptureView, escaped, opened, wide};
+use super::{CaptureView, escaped, opened, wide};
 use serde_json::Value;
 use std::fmt::Write as _;
 
 /// The table.
-pub(super) fn section(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
+pub(super) fn section(out: &mut String, view: &CaptureView<'_>) {
+    let of = &view.facts.row;
+    let channels: Vec<&str> = of.channels.iter().map(|channel| channel.name()).collect();
     *out += "<h2>What made it</h2>";
     *out += &wide("what made it");
     *out += "<table>";
     row(out, "source", &of.source);
     row(out, "software", &of.software);
-    row(out, "channels", &of.channels.join(", "));
+    row(out, "channels", &channels.join(", "));
     for part in [&of.sensor, &of.configuration] {
         for (key, value) in part.as_object().into_iter().flatten() {
             match value {

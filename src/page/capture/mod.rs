@@ -6,8 +6,10 @@ mod statistics;
 
 use super::figure::{clock, percent, span};
 use super::{Kind, escaped, framed, wide};
-use serde::Deserialize;
-use serde_json::Value;
+use crate::jobs::Documents;
+use crate::store::{CaptureRow, DiagnosisRow, EventRow, GapRow};
+use imu_core::sample::audit::Report;
+use imu_core::sample::{Channel, Triad};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -27,27 +29,45 @@ pub enum Figure {
     Drawn(String),
 }
 
-/// The facts about a capture. Documents are JSON texts.
+/// What the database has of a capture, apart from its analyses.
+#[derive(Debug, Clone)]
+pub struct Facts {
+    /// Its row.
+    pub row: CaptureRow,
+    /// Whether its numbers agree.
+    pub accounting: Report,
+    /// Its gaps; the first ones of many.
+    pub gaps: Vec<GapRow>,
+    /// The number of missing samples by cause.
+    pub causes: BTreeMap<String, u64>,
+    /// Its events; the first ones of many.
+    pub events: Vec<EventRow>,
+    /// Samples of its longest segment.
+    pub longest: u64,
+}
+
+impl Facts {
+    /// A remark, if samples may still arrive.
+    pub fn remark(&self) -> Option<String> {
+        self.row.state.is_open().then(|| "It still runs: this is what there is so far.".to_owned())
+    }
+}
+
+/// The content of the page.
 #[derive(Debug, Clone, Copy)]
 pub struct CaptureView<'a> {
-    /// `GET /v1/captures/{id}`.
-    pub capture: &'a str,
-    /// `vn100d-statistics-1`.
-    pub statistics: Option<&'a str>,
-    /// `vn100d-noise-1`, with its comparison with a datasheet.
-    pub noise: Option<&'a str>,
+    /// What the database has.
+    pub facts: &'a Facts,
+    /// Whether it is in a database, where others know its id.
+    pub is_kept: bool,
+    /// Its analyses.
+    pub documents: &'a Documents,
     /// The computations in progress, or the reasons why something is missing: sentences.
     pub remarks: &'a [String],
     /// Whether the page will show something that is being computed.
     pub waits: bool,
-    /// Gaps, a list; the first ones of many.
-    pub gaps: &'a str,
-    /// The number of missing samples by cause, an object.
-    pub causes: &'a str,
-    /// Events, a list.
-    pub events: &'a str,
-    /// Diagnoses, a list; without the enclosed ones.
-    pub diagnoses: &'a str,
+    /// Diagnoses; without the enclosed ones.
+    pub diagnoses: &'a [DiagnosisRow],
     /// Pictures by name, such as `allan-gyro`; missing ones are not shown.
     pub figures: &'a BTreeMap<String, Figure>,
     /// Whether it is a page of the daemon, with links to the rest, and if so whether requests need a token.
@@ -57,105 +77,37 @@ pub struct CaptureView<'a> {
     pub enclosed: &'a [String],
 }
 
-/// The parts of a capture that are shown.
-#[derive(Debug, Deserialize)]
-struct Capture {
-    /// `None` for a recording that is in no database.
-    id: Option<i64>,
-    name: String,
-    state: String,
-    source: String,
-    started_at: Option<String>,
-    ended_at: Option<String>,
-    #[serde(default)]
-    duration_s: f64,
-    planned_duration_s: Option<f64>,
-    #[serde(default)]
-    samples: u64,
-    #[serde(default)]
-    missing: u64,
-    #[serde(default)]
-    gaps: u64,
-    #[serde(default)]
-    segments: u64,
-    rate_hz: Option<f64>,
-    #[serde(default)]
-    rate_assumed: bool,
-    #[serde(default)]
-    pinned: bool,
-    #[serde(default)]
-    software: String,
-    #[serde(default)]
-    channels: Vec<String>,
-    #[serde(default)]
-    rejected: BTreeMap<String, u64>,
-    #[serde(default)]
-    sensor: Value,
-    #[serde(default)]
-    configuration: Value,
-    #[serde(default)]
-    accounting: Option<Accounting>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Accounting {
-    holds: bool,
-    #[serde(default)]
-    violations: Vec<String>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Gap {
-    from: String,
-    to: String,
-    missing: u64,
-    #[serde(default)]
-    missing_exact: bool,
-    cause: String,
-}
-
-#[derive(Debug, Deserialize)]
-struct Event {
-    at: String,
-    kind: String,
-    message: String,
-}
-
-#[derive(Debug, Deserialize)]
-struct Diagnosis {
-    id: i64,
-    state: String,
-    summary: Option<String>,
+impl CaptureView<'_> {
+    /// The id for links: on a page of the daemon.
+    fn link(&self) -> Option<i64> {
+        self.served.map(|_| self.facts.row.id)
+    }
 }
 
 /// The maximum number of gaps and events listed; the interface returns all of them.
 const LISTED: usize = 50;
 /// Headings of a page, and their replacements in a section of another one.
 const HEADINGS: [(&str, &str); 4] = [("<h2>", "<h4>"), ("</h2>", "</h4>"), ("<h1>", "<h3>"), ("</h1>", "</h3>")];
-/// Triads and the letters of their axes.
-const TRIADS: [&str; 3] = ["gyro", "accel", "mag"];
+/// Triads that have pictures.
+const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 
 /// The page.
-///
-/// # Errors
-/// What is missing in a text that is none of these documents.
-pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
-    let of: Capture = serde_json::from_str(view.capture)?;
+pub fn capture(view: &CaptureView<'_>) -> String {
     let mut out = String::new();
-    head(&mut out, &of, view);
-    gaps(&mut out, &of, serde_json::from_str(view.gaps)?, serde_json::from_str(view.causes)?, view);
-    if let Some(document) = view.noise {
-        noise::section(&mut out, document, &of, view)?;
+    head(&mut out, view);
+    gaps(&mut out, view);
+    if let Some(report) = &view.documents.noise {
+        noise::section(&mut out, report, view);
     }
     spectra(&mut out, view);
-    if let Some(document) = view.statistics {
-        statistics::section(&mut out, document)?;
+    if let Some(report) = &view.documents.statistics {
+        statistics::section(&mut out, &report.channels);
     }
-    courses(&mut out, &of, view);
-    diagnoses(&mut out, serde_json::from_str(view.diagnoses)?, view);
-    events(&mut out, serde_json::from_str(view.events)?);
-    about::section(&mut out, &of, view);
-    foot(&mut out, &of, view);
+    courses(&mut out, view);
+    diagnoses(&mut out, view);
+    events(&mut out, &view.facts.events);
+    about::section(&mut out, view);
+    foot(&mut out, view);
     let kind = match view.served {
         None => Kind::File,
         Some(_) if view.waits => Kind::Waiting(3),
@@ -163,7 +115,14 @@ pub fn capture(view: &CaptureView<'_>) -> Result<String, serde_json::Error> {
         // in use.
         Some(_) => Kind::Served,
     };
-    Ok(framed(&of.name, kind, &out))
+    framed(&view.facts.row.name, kind, &out)
+}
+
+/// Entries in the order of the channels' names.
+fn by_name<T>(channels: &BTreeMap<Channel, T>) -> Vec<(&'static str, &T)> {
+    let mut entries: Vec<_> = channels.iter().map(|(channel, of)| (channel.name(), of)).collect();
+    entries.sort_by_key(|(name, _)| *name);
+    entries
 }
 
 /// The attribute of parts that can be closed: a file may be printed, and a closed part is lost on paper.
@@ -190,32 +149,31 @@ fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
     true
 }
 
-fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
-    let begun = of.started_at.as_deref().map_or_else(|| "not begun".to_owned(), clock);
+fn head(out: &mut String, view: &CaptureView<'_>) {
+    let of = &view.facts.row;
+    let begun = of.started_at.map_or_else(|| "not begun".to_owned(), |at| clock(&at.to_string()));
     let sensor = ["model", "serial_number"].map(|key| of.sensor[key].as_str().unwrap_or_default());
     let sensor = sensor.join(" ").trim().to_owned();
     let _ = write!(
         out,
         "<p class=\"soft\">{}{}, from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
-        of.id.map_or_else(String::new, |id| format!("capture {id}, ")),
-        escaped(&of.state.replace('_', " ")),
+        if view.is_kept { format!("capture {}, ", of.id) } else { String::new() },
+        of.state.name(),
         escaped(if sensor.is_empty() { &of.source } else { &sensor }),
         if of.pinned { ", kept from deletion" } else { "" },
         escaped(&of.name),
         escaped(&sentence(of))
     );
     let ended = match &of.ended_at {
-        Some(ended) => format!(" to {}", clock(ended)),
+        Some(ended) => format!(" to {}", clock(&ended.to_string())),
         // On paper "now" has no meaning.
-        None if is_open(of) && view.served.is_some() => " to now".to_owned(),
+        None if of.state.is_open() && view.served.is_some() => " to now".to_owned(),
         None => String::new(),
     };
-    let _ = write!(out, "<p class=\"soft\">{}{} UTC</p>", escaped(&begun), escaped(&ended));
-    if let Some(accounting) = &of.accounting
-        && !accounting.holds
-    {
+    let _ = write!(out, "<p class=\"soft\">{}{} UTC</p>", begun, ended);
+    if !view.facts.accounting.holds {
         *out += "<p class=\"alarm\">The accounting does not agree:</p><ul>";
-        for violation in &accounting.violations {
+        for violation in &view.facts.accounting.violations {
             let _ = write!(out, "<li>{}</li>", escaped(violation));
         }
         *out += "</ul>";
@@ -223,18 +181,13 @@ fn head(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
     for remark in view.remarks {
         let _ = write!(out, "<p class=\"remark\">{}</p>", escaped(remark));
     }
-    if let (Some(token), Some(id)) = (view.served, of.id) {
-        wishes(out, of, id, token);
+    if let Some(token) = view.served {
+        wishes(out, of, token);
     }
 }
 
-/// Whether samples may still arrive.
-fn is_open(of: &Capture) -> bool {
-    matches!(of.state.as_str(), "capturing" | "waiting")
-}
-
 /// The contents of the capture in one sentence.
-fn sentence(of: &Capture) -> String {
+fn sentence(of: &CaptureRow) -> String {
     let assumed = if of.rate_assumed { " (assumed)" } else { "" };
     let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz{assumed}", super::figure::plain(rate)));
     let planned = match of.planned_duration_s {
@@ -253,9 +206,10 @@ fn sentence(of: &Capture) -> String {
 }
 
 /// The requests that the page offers; users without scripts have curl.
-fn wishes(out: &mut String, of: &Capture, id: i64, token: bool) {
+fn wishes(out: &mut String, of: &CaptureRow, token: bool) {
+    let id = of.id;
     let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");
-    if is_open(of) {
+    if of.state.is_open() {
         let _ = write!(
             out,
             "<form data-post=\"/v1/captures/{id}/stop\" data-ask=\"Stop this capture?\"><button>stop</button></form>"
@@ -275,7 +229,8 @@ fn wishes(out: &mut String, of: &Capture, id: i64, token: bool) {
     *out += "<p class=\"said\" role=\"status\"></p></section>";
 }
 
-fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, causes: BTreeMap<String, u64>, view: &CaptureView<'_>) {
+fn gaps(out: &mut String, view: &CaptureView<'_>) {
+    let (of, gaps) = (&view.facts.row, &view.facts.gaps);
     *out += "<h2>Samples and gaps</h2><div class=\"slim\">";
     figure(out, view, "gaps");
     *out += "</div>";
@@ -288,8 +243,11 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, causes: BTreeMap<String,
         );
     }
     if !gaps.is_empty() {
-        let by_cause =
-            causes.iter().map(|(cause, missing)| format!("{}: {missing} missing", escaped(&cause.replace('_', " "))));
+        let by_cause = view
+            .facts
+            .causes
+            .iter()
+            .map(|(cause, missing)| format!("{}: {missing} missing", escaped(&cause.replace('_', " "))));
         let by_cause: Vec<String> = by_cause.collect();
         let _ = write!(
             out,
@@ -303,11 +261,11 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, causes: BTreeMap<String,
             let _ = write!(
                 out,
                 "<tr><td>{}</td><td>{}</td><td class=\"number\">{}{}</td><td>{}</td></tr>",
-                escaped(&clock(&gap.from)),
-                escaped(&clock(&gap.to)),
+                clock(&gap.from.to_string()),
+                clock(&gap.to.to_string()),
                 if gap.missing_exact { "" } else { "about " },
                 gap.missing,
-                escaped(&gap.cause.replace('_', " "))
+                gap.cause.name().replace('_', " ")
             );
         }
         *out += "</table></div>";
@@ -328,7 +286,7 @@ fn gaps(out: &mut String, of: &Capture, gaps: Vec<Gap>, causes: BTreeMap<String,
 }
 
 fn spectra(out: &mut String, view: &CaptureView<'_>) {
-    let names: Vec<String> = TRIADS.iter().map(|triad| format!("psd-{triad}")).collect();
+    let names = TRIADS.map(|triad| format!("psd-{}", triad.name()));
     if !names.iter().any(|name| view.figures.contains_key(name)) {
         return;
     }
@@ -340,45 +298,44 @@ fn spectra(out: &mut String, view: &CaptureView<'_>) {
     *out += "</div>";
 }
 
-fn courses(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
-    let there = |channel: &&String| {
+fn courses(out: &mut String, view: &CaptureView<'_>) {
+    let there = |channel: &&Channel| {
         view.figures.contains_key(&format!("timeseries-{channel}"))
             || view.figures.contains_key(&format!("histogram-{channel}"))
     };
-    let channels: Vec<&String> = of.channels.iter().filter(there).collect();
+    let mut channels: Vec<&Channel> = view.facts.row.channels.iter().filter(there).collect();
     if channels.is_empty() {
         return;
     }
     *out += "<h2>Channel by channel</h2>";
     // The temperature explains the others.
-    let mut channels = channels;
-    channels.sort_by_key(|channel| channel.as_str() != "temperature");
+    channels.sort_by_key(|channel| **channel != Channel::Temperature);
     for (place, channel) in channels.into_iter().enumerate() {
-        let name = escaped(channel);
+        let name = channel.name();
         let open = if place == 0 { " open" } else { opened(view) };
         let _ = write!(out, "<details{open}><summary>{name}</summary><div class=\"figures\">");
         figure(out, view, &format!("timeseries-{channel}"));
         figure(out, view, &format!("histogram-{channel}"));
         *out += "</div>";
-        if let Some(id) = view.served.and(of.id) {
+        if let Some(id) = view.link() {
             let _ = write!(out, "<p><a href=\"/captures/{id}/series/{name}\">look closer at {name}</a></p>");
         }
         *out += "</details>";
     }
 }
 
-fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>) {
-    if diagnoses.is_empty() && view.enclosed.is_empty() {
+fn diagnoses(out: &mut String, view: &CaptureView<'_>) {
+    if view.diagnoses.is_empty() && view.enclosed.is_empty() {
         return;
     }
     *out += "<h2>Compared with a simulator</h2>";
-    if !diagnoses.is_empty() {
+    if !view.diagnoses.is_empty() {
         *out += "<ul>";
-        for one in &diagnoses {
-            let told = one.summary.clone().unwrap_or_else(|| format!("diagnosis {}: {}", one.id, one.state));
+        for one in view.diagnoses {
+            let told = escaped(&one.told());
             let _ = match view.served {
-                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", one.id, escaped(&told)),
-                None => write!(out, "<li>{}</li>", escaped(&told)),
+                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{told}</a></li>", one.job.id),
+                None => write!(out, "<li>{told}</li>"),
             };
         }
         *out += "</ul>";
@@ -390,7 +347,7 @@ fn diagnoses(out: &mut String, diagnoses: Vec<Diagnosis>, view: &CaptureView<'_>
     }
 }
 
-fn events(out: &mut String, events: Vec<Event>) {
+fn events(out: &mut String, events: &[EventRow]) {
     if events.is_empty() {
         return;
     }
@@ -401,7 +358,7 @@ fn events(out: &mut String, events: Vec<Event>) {
         let _ = write!(
             out,
             "<tr><td>{}</td><td title=\"{}\">{}</td></tr>",
-            escaped(&clock(&event.at)),
+            clock(&event.at.to_string()),
             escaped(&event.kind),
             escaped(&event.message)
         );
@@ -412,9 +369,10 @@ fn events(out: &mut String, events: Vec<Event>) {
     }
 }
 
-fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
-    let Some(id) = view.served.and(of.id) else {
-        let _ = write!(out, "<footer>{}</footer>", escaped(&of.software));
+fn foot(out: &mut String, view: &CaptureView<'_>) {
+    let software = escaped(&view.facts.row.software);
+    let Some(id) = view.link() else {
+        let _ = write!(out, "<footer>{software}</footer>");
         return;
     };
     let links = [
@@ -427,7 +385,7 @@ fn foot(out: &mut String, of: &Capture, view: &CaptureView<'_>) {
         ("samples as CSV", "/samples?format=csv"),
     ];
     let links = links.map(|(label, path)| format!("<a href=\"/v1/captures/{id}{path}\">{label}</a>"));
-    let _ = write!(out, "<footer>{} · {}</footer>", escaped(&of.software), links.join(" · "));
+    let _ = write!(out, "<footer>{software} · {}</footer>", links.join(" · "));
 }
 
 #[cfg(test)]

@@ -1,73 +1,26 @@
 //! Noise parameters: the table in both unit systems, the Allan deviations, hour by hour, and the datasheet beside them.
 
-use super::{Capture, CaptureView, TRIADS, escaped, figure, opened, wide};
+use super::{CaptureView, TRIADS, by_name, escaped, figure, opened, wide};
 use crate::page::figure::{parted, plain};
 use crate::plot::number::rounded;
+use crate::store::CaptureRow;
+use imu_core::sample::Channel;
 use imu_files::export::paste::Paste;
+use imu_noise::NoiseReport;
+use imu_noise::datasheet::{
+    BiasComparison, Comparison, Datasheet, DensityComparison, FilterWindows, Verdict, compare_report,
+};
 use imu_noise::fit::{Estimate, GaussMarkov, NoiseParameters};
-use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// The parts of `vn100d-noise-1` that are shown.
-#[derive(Debug, Deserialize)]
-struct Noise {
-    at_rest_s: Option<f64>,
-    moving_s: Option<f64>,
-    #[serde(default)]
-    channels: BTreeMap<String, NoiseParameters>,
-    datasheet: Option<Sheet>,
-    paste: Option<Paste>,
-}
+/// The datasheet that sensors are compared with, and the prefix of the models that it covers.
+const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 
-#[derive(Debug, Deserialize)]
-struct Sheet {
-    name: String,
-    source: String,
-    channels: BTreeMap<String, Compared>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Compared {
-    noise_density: Option<Density>,
-    bias_stability: Option<Bias>,
-    #[serde(default)]
-    verdict: String,
-}
-
-#[derive(Debug, Deserialize)]
-struct Density {
-    measured: f64,
-    datasheet: f64,
-    printed: String,
-    predicted: f64,
-    ratio_to_predicted: f64,
-    unit: String,
-    verdict: String,
-}
-
-#[derive(Debug, Deserialize)]
-struct Bias {
-    allan_minimum: f64,
-    tau_s: f64,
-    datasheet: f64,
-    printed: String,
-    ratio: f64,
-    unit: String,
-    verdict: String,
-    needed_s: Option<f64>,
-}
-
-/// The sections of `vn100d-noise-1` and of the pictures that belong to it.
-pub(super) fn section(
-    out: &mut String,
-    document: &str,
-    capture: &Capture,
-    view: &CaptureView<'_>,
-) -> Result<(), serde_json::Error> {
-    let of: Noise = serde_json::from_str(document)?;
+/// The sections of the noise parameters and of the pictures that belong to them.
+pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>) {
     if of.channels.is_empty() {
-        return Ok(());
+        return;
     }
     if let Some((at_rest_s, moving_s)) = of.at_rest_s.zip(of.moving_s).filter(|(_, moving_s)| *moving_s > 0.0) {
         // Writing to a text cannot fail.
@@ -77,53 +30,55 @@ pub(super) fn section(
         );
     }
     parameters(out, &of.channels);
-    if let Some(of) = &of.paste {
-        paste(out, of, view.served.and(capture.id));
-    }
+    paste(out, &Paste::of(of), view.link());
     *out += "<h2>Allan deviation</h2><p class=\"soft\">Overlapping estimator with its 68 % band; dashed what the parameters above \
              predict, dotted the lines of N, B and K.</p><div class=\"figures\">";
     for triad in TRIADS {
-        figure(out, view, &format!("allan-{triad}"));
+        figure(out, view, &format!("allan-{}", triad.name()));
     }
     *out += "</div>";
-    for channel in of.channels.keys() {
+    for (channel, _) in by_name(&of.channels) {
         let names = [format!("allan-{channel}"), format!("hourly-{channel}")];
         if !names.iter().any(|name| view.figures.contains_key(name)) {
             continue;
         }
         let open = opened(view);
         // Writing to a text cannot fail.
-        let _ = write!(
-            out,
-            "<details{open}><summary>{}: N, B, K and hour by hour</summary><div class=\"figures\">",
-            escaped(channel)
-        );
+        let _ =
+            write!(out, "<details{open}><summary>{channel}: N, B, K and hour by hour</summary><div class=\"figures\">");
         for name in &names {
             figure(out, view, name);
         }
         *out += "</div></details>";
     }
-    if let Some(sheet) = &of.datasheet {
-        datasheet(out, sheet, capture.sensor["model"].as_str().is_some_and(|model| !model.is_empty()));
+    let model = view.facts.row.sensor["model"].as_str().unwrap_or_default();
+    if let Some(sheet) = compared(of, model, &view.facts.row) {
+        datasheet(out, &sheet, !model.is_empty());
     }
-    Ok(())
 }
 
-fn parameters(out: &mut String, channels: &BTreeMap<String, NoiseParameters>) {
+/// The parameters beside the datasheet, unless the sensor is known to be another maker's.
+fn compared(report: &NoiseReport, model: &str, row: &CaptureRow) -> Option<Comparison> {
+    let (sheet, family) = DATASHEET;
+    let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family))?;
+    compare_report(&sheet, report, FilterWindows::of_configuration(&row.configuration)).ok()
+}
+
+fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>) {
     *out += "<h2>Noise parameters</h2><p class=\"soft\">With 95 % intervals. N: angle or velocity random walk; B: bias instability \
              (coefficient of the flicker noise); K: rate random walk. If the data does not support a value, it is below what is shown with \
              95 % confidence.</p>";
     *out += &wide("noise parameters");
     *out += "<table><tr><th scope=\"col\">channel</th><th scope=\"col\">N</th>\
              <th scope=\"col\">B</th><th scope=\"col\">K</th></tr>";
-    for (name, of) in channels {
+    for (name, of) in by_name(channels) {
         // Further remarks take a line below: in a separate column they would be out of sight.
         let more = more(of);
         let (class, rows) = if more.is_empty() { ("", 1) } else { (" class=\"noted\"", 2) };
         let _ = write!(
             out,
             "<tr{class}><th scope=\"row\" rowspan=\"{rows}\">{}</th><td>{}</td><td>{}</td><td>{}</td></tr>",
-            escaped(name),
+            name,
             cell(&of.n),
             cell(&of.b),
             cell(&of.k),
@@ -230,7 +185,7 @@ fn paste(out: &mut String, paste: &Paste, id: Option<i64>) {
     let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(&paste.note));
 }
 
-fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
+fn datasheet(out: &mut String, sheet: &Comparison, known: bool) {
     let _ = write!(
         out,
         "<h2>Beside the datasheet of the {}</h2><p class=\"soft\">{}. Expected is the datasheet's density as it shows at this output \
@@ -246,52 +201,49 @@ fn datasheet(out: &mut String, sheet: &Sheet, known: bool) {
     let mut row = |channel: &str,
                    figure: &str,
                    [measured, sheet, expected, ratio]: [Option<f64>; 4],
-                   told: [&str; 3],
+                   [printed, unit]: [&str; 2],
+                   verdict: Verdict,
                    needed: &str| {
         let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| rounded(value, 3));
-        let [printed, unit, verdict] = told;
-        let class = match verdict {
-            "within" | "explained_by_sampling" => "good",
+        let (class, verdict) = match verdict {
+            Verdict::Within => ("good", "within"),
+            Verdict::ExplainedBySampling => ("good", "explained by sampling"),
             // This is no verdict on the sensor.
-            "too_short" | "not_at_rest" => "soft",
-            _ => "bad",
+            Verdict::TooShort => ("soft", "too short"),
+            Verdict::NotAtRest => ("soft", "not at rest"),
+            Verdict::Above => ("bad", "above"),
         };
         let _ = write!(
             out,
             "<tr><th scope=\"row\">{}</th><td>{figure}</td><td class=\"number\">{}</td><td class=\"number\" title=\"{}\">{}</td>\
              <td class=\"number\">{}</td><td>{}</td><td class=\"number\">{}</td><td><span class=\"{class}\">{}</span></td></tr>",
-            escaped(channel),
+            channel,
             number(measured),
             escaped(printed),
             number(sheet),
             number(expected),
             escaped(unit),
             number(ratio),
-            escaped(&format!("{}{needed}", verdict.replace('_', " ")))
+            format_args!("{verdict}{needed}")
         );
     };
-    for (name, of) in &sheet.channels {
-        if of.verdict == "not_at_rest" {
-            row(name, "", [None; 4], ["", "", &of.verdict], "");
+    for (name, of) in by_name(&sheet.channels) {
+        if of.verdict == Verdict::NotAtRest {
+            row(name, "", [None; 4], ["", ""], of.verdict, "");
         }
         if let Some(density) = &of.noise_density {
-            let Density { measured, datasheet, printed, predicted, ratio_to_predicted, unit, verdict } = density;
-            row(
-                name,
-                "noise density",
-                [measured, datasheet, predicted, ratio_to_predicted].map(|v| Some(*v)),
-                [printed, unit, verdict],
-                "",
-            );
+            let DensityComparison { measured, datasheet, predicted, ratio_to_predicted, .. } = density;
+            let numbers = [measured, datasheet, predicted, ratio_to_predicted].map(|number| Some(*number));
+            row(name, "noise density", numbers, [&density.printed, &density.unit], density.verdict, "");
         }
         if let Some(bias) = &of.bias_stability {
-            let Bias { allan_minimum, tau_s, datasheet, printed, ratio, unit, verdict, needed_s } = bias;
+            let BiasComparison { allan_minimum, tau_s, datasheet, ratio, needed_s, .. } = bias;
             let figure = format!("Allan minimum, at {} s", rounded(*tau_s, 2));
             let needed = needed_s.map_or_else(String::new, |needed_s| {
                 format!(" to tell: {:.0} min of recording at rest would do", needed_s / 60.0)
             });
             let numbers = [Some(*allan_minimum), Some(*datasheet), None, Some(*ratio)];
-            row(name, &figure, numbers, [printed, unit, verdict], &needed);
+            row(name, &figure, numbers, [&bias.printed, &bias.unit], bias.verdict, &needed);
         }
     }
     *out += "</table></div>";

@@ -1,44 +1,20 @@
 //! Statistics: one row per channel.
 
-use super::{escaped, wide};
+use super::{by_name, escaped, wide};
 use crate::page::figure::plain;
 use crate::plot::number::rounded;
-use serde::Deserialize;
+use imu_core::sample::Channel;
+use imu_noise::Statistics;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-
-#[derive(Debug, Deserialize)]
-struct Statistics {
-    #[serde(default)]
-    channels: BTreeMap<String, Moments>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Moments {
-    unit: String,
-    mean: Option<f64>,
-    std: Option<f64>,
-    min: Option<f64>,
-    max: Option<f64>,
-    skewness: Option<f64>,
-    kurtosis: Option<f64>,
-    normality: Option<Normality>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Normality {
-    p_value: f64,
-    verdict: String,
-}
 
 /// Channels in the order of the sensor's manual.
 const ORDER: [&str; 5] = ["yaw", "pitch", "roll", "gyro", "accel"];
 
-/// The table of `vn100d-statistics-1`.
-pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json::Error> {
-    let of: Statistics = serde_json::from_str(document)?;
-    if of.channels.is_empty() {
-        return Ok(());
+/// The table.
+pub(super) fn section(out: &mut String, channels: &BTreeMap<Channel, Statistics>) {
+    if channels.is_empty() {
+        return;
     }
     *out += "<h2>Statistics</h2><p class=\"soft\">Kurtosis is that in excess of a normal distribution's.</p>";
     *out += &wide("statistics");
@@ -49,10 +25,10 @@ pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json
     }
     *out += "<th scope=\"col\">normal?</th></tr>";
     let place = |name: &str| ORDER.iter().position(|prefix| name.starts_with(prefix)).unwrap_or(ORDER.len());
-    let mut channels: Vec<(&String, &Moments)> = of.channels.iter().collect();
+    let mut channels = by_name(channels);
     channels.sort_by_key(|(name, _)| place(name));
     for (name, own) in channels {
-        let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td>", escaped(name), escaped(&own.unit));
+        let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td>", name, escaped(&own.unit));
         // A level of 9.8 with noise of a thousandth needs its digits.
         let digits = |value: f64| rounded(value, 6);
         let cells = [
@@ -73,5 +49,4 @@ pub(super) fn section(out: &mut String, document: &str) -> Result<(), serde_json
         let _ = write!(out, "<td>{normal}</td></tr>");
     }
     *out += "</table></div>";
-    Ok(())
 }

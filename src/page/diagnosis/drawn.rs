@@ -1,23 +1,12 @@
 //! The drawings: the heat map, the course of a motion, the time, the spectra.
 
 use super::super::escaped;
-use super::{Report, named};
-use crate::plot::{self, Residuals, Spectra, Timeline};
-use serde::Deserialize;
+use super::named;
+use crate::plot;
+use imu_diagnosis::{ChannelSpectra, Diagnosis, Drawings};
 use std::fmt::Write as _;
 
-/// The parts of [`imu_diagnosis::Drawings`] that are shown; results of earlier versions have fewer.
-#[derive(Debug, Deserialize)]
-pub(super) struct Drawn {
-    #[serde(default)]
-    spectra: Vec<Spectra>,
-    #[serde(default)]
-    timelines: Vec<Timeline>,
-    #[serde(default)]
-    residuals: Vec<Residuals>,
-}
-
-pub(super) fn heat(out: &mut String, drawn: &Drawn) {
+pub(super) fn heat(out: &mut String, drawn: &Drawings) {
     let maps = plot::heat(&drawn.spectra);
     // The spectra of a record of a motion are the motion's.
     if !maps.is_empty() && drawn.residuals.is_empty() {
@@ -31,8 +20,8 @@ pub(super) fn heat(out: &mut String, drawn: &Drawn) {
     }
 }
 
-pub(super) fn timelines(out: &mut String, drawn: &Drawn) {
-    let of = drawn.timelines.iter().flat_map(|of| [of.level(), of.spread()]);
+pub(super) fn timelines(out: &mut String, drawn: &Drawings) {
+    let of = drawn.timelines.iter().flat_map(|of| [plot::level(of), plot::spread(of)]);
     let drawn: Vec<String> = of.filter(|svg| !svg.is_empty()).collect();
     if drawn.is_empty() {
         return;
@@ -44,7 +33,7 @@ pub(super) fn timelines(out: &mut String, drawn: &Drawn) {
     let _ = write!(out, "<div class=\"figures\"><figure>{}</figure></div>", drawn.join("</figure><figure>"));
 }
 
-pub(super) fn motion(out: &mut String, report: &Report, drawn: &Drawn) {
+pub(super) fn motion(out: &mut String, report: &Diagnosis, drawn: &Drawings) {
     let residuals = &drawn.residuals;
     if residuals.is_empty() {
         return;
@@ -52,10 +41,10 @@ pub(super) fn motion(out: &mut String, report: &Report, drawn: &Drawn) {
     *out += "<h2>Beyond the motion</h2><p class=\"soft\">The recording less what a simulator shows of the motion, means: \
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. Rate and \
              specific force are those of the reference.</p>";
-    named_first(out, report, residuals.iter().map(|of| (of.channel(), of.svg())));
+    named_first(out, report, residuals.iter().map(|of| (&*of.channel, plot::residuals(of))));
 }
 
-pub(super) fn spectra(out: &mut String, report: &Report, drawn: &Drawn) {
+pub(super) fn spectra(out: &mut String, report: &Diagnosis, drawn: &Drawings) {
     let spectra = &drawn.spectra;
     if spectra.is_empty() {
         return;
@@ -63,17 +52,17 @@ pub(super) fn spectra(out: &mut String, report: &Report, drawn: &Drawn) {
     *out += "<h2>Spectra</h2><p class=\"soft\"><span class=\"key real\"></span>recording\
              <span class=\"key before\"></span>the model as it is<span class=\"key after\"></span>the corrected model. \
              White noise stands at its N. Where a spectrum is not the model's parameters alone, one of a simulation is drawn.</p>";
-    let picture = |of: &'_ Spectra| {
+    let picture = |of: &ChannelSpectra| {
         // The effects of a motion have no separate band.
-        let places = report.r#where.iter().filter(|place| place.channel == of.channel() && place.at.is_none());
+        let places = report.r#where.iter().filter(|place| place.channel == of.channel && place.at.is_none());
         let bands: Vec<[f64; 2]> = places.map(|place| place.band_hz).collect();
-        of.svg(&bands)
+        plot::spectra(of, &bands)
     };
-    named_first(out, report, spectra.iter().map(|of| (of.channel(), picture(of))));
+    named_first(out, report, spectra.iter().map(|of| (&*of.channel, picture(of))));
 }
 
 /// Pictures of channels with a finding, then the others, which are shown on request.
-fn named_first<'a>(out: &mut String, report: &Report, pictures: impl Iterator<Item = (&'a str, String)>) {
+fn named_first<'a>(out: &mut String, report: &Diagnosis, pictures: impl Iterator<Item = (&'a str, String)>) {
     let (found, others): (Vec<_>, Vec<_>) = pictures.partition(|(channel, _)| named(report, channel));
     let all = |of: &[(&str, String)]| {
         let figures: String = of.iter().map(|(_, svg)| format!("<figure>{svg}</figure>")).collect();

@@ -3,8 +3,9 @@
 
 use super::super::figure::{percent, plain, second, with_interval};
 use super::super::{escaped, wide};
-use super::{Cause, Driver, Hint, Offset, Parameter, Place, Remainder, Report, Sense};
 use imu_core::sample::Channel;
+use imu_diagnosis::Diagnosis;
+use imu_diagnosis::report::{Cause, Driver, Hint, Of, Offset, Parameter, Place, Remainder, Sense};
 use serde::Deserialize as _;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ const ENTRIES: usize = 6;
 /// The maximum length of a parameter that is no number, in characters.
 const LONGEST: usize = 60;
 
-pub(super) fn causes(out: &mut String, report: &Report) {
+pub(super) fn causes(out: &mut String, report: &Diagnosis) {
     if report.causes.is_empty() {
         return;
     }
@@ -33,7 +34,7 @@ pub(super) fn causes(out: &mut String, report: &Report) {
         let _ = write!(
             out,
             "<tr><td><b>{}</b>{}</td><td>{}</td><td>{}</td><td class=\"number\">{sure}</td><td class=\"number\">{}</td></tr>",
-            escaped(&cause.effect.replace('_', " ")),
+            escaped(&cause.effect.name().replace('_', " ")),
             match cause.sense {
                 Sense::Missing => "",
                 Sense::Superfluous => "<br>the sensor lacks it",
@@ -67,7 +68,7 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
         for (index, entry) in entries.iter().take(ENTRIES).enumerate() {
             let intervals = known.get(index).copied();
             let told = entry.as_object().into_iter().flatten().map(|(key, value)| {
-                let unit = Channel::from_name(place).map(|channel| unit(key, channel)).unwrap_or_default();
+                let unit = unit(cause, place, key, value).unwrap_or_default();
                 format!("<code>{}</code> {}{unit}", escaped(key), figure(value, intervals.and_then(|of| of.get(key))))
             });
             let told: Vec<String> = told.collect();
@@ -78,6 +79,22 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
         }
     }
     out + "</ul>"
+}
+
+/// The unit of an effect's parameter on a channel, if it follows the channel's; other parameters have it in their names.
+fn unit(cause: &Cause, place: &str, parameter: &str, value: &Value) -> Option<String> {
+    let unit = Channel::from_name(place)?.unit();
+    let of = cause.effect.spec().parameters.iter().find(|of| of.name == parameter)?.unit;
+    let has_pairs = value.as_array().is_some_and(|list| list.iter().any(Value::is_array));
+    if has_pairs || !of.contains('U') {
+        return None;
+    }
+    Some(match of.strip_prefix("U/") {
+        Some("√Hz") => format!(" {unit}/√Hz"),
+        Some(rest) => format!(" {unit} per {rest}"),
+        None if of == "U" => format!(" {unit}"),
+        None => format!(" {}", of.replace('U', &format!("({unit})"))),
+    })
 }
 
 /// One value, or a list of several.
@@ -98,17 +115,6 @@ fn figure(value: &Value, interval: Option<&Value>) -> String {
             let short: String = text.chars().take(LONGEST).collect();
             escaped(&if short.len() < text.len() { format!("{short}…") } else { short })
         }
-    }
-}
-
-/// The unit of an effect's parameter that follows the channel's; other parameters have it in their names.
-fn unit(parameter: &str, channel: Channel) -> String {
-    let unit = channel.unit();
-    match parameter {
-        "amplitude" | "sigma" | "size" | "step" | "low" | "high" => format!(" {unit}"),
-        "per_c" => format!(" {unit} per °C"),
-        "R" => format!(" {unit} per s"),
-        _ => String::new(),
     }
 }
 
@@ -165,7 +171,7 @@ pub(super) fn hints(out: &mut String, hints: &[Hint]) {
 }
 
 pub(super) fn remainder(out: &mut String, of: Option<&Remainder>) {
-    let Some(Remainder { share, channels, what }) = of else { return };
+    let Some(Remainder { share, channels, what, .. }) = of else { return };
     let on = escaped(&channels.join(", "));
     let _ = write!(out, "<h2>Without a name</h2><p>{:.2} % of the gap, on {on}</p><ul>", 100.0 * share);
     for one in what {
@@ -174,7 +180,7 @@ pub(super) fn remainder(out: &mut String, of: Option<&Remainder>) {
     *out += "</ul>";
 }
 
-pub(super) fn places(out: &mut String, report: &Report) {
+pub(super) fn places(out: &mut String, report: &Diagnosis) {
     if report.r#where.is_empty() {
         return;
     }
@@ -215,14 +221,14 @@ fn driver(of: &Driver) -> String {
     }
 }
 
-pub(super) fn alternatives(out: &mut String, report: &Report) {
+pub(super) fn alternatives(out: &mut String, report: &Diagnosis) {
     if !report.alternatives.is_empty() {
         *out += "<h2>What was weighed and not named</h2><ul>";
         for of in &report.alternatives {
             let _ = write!(
                 out,
                 "<li>{} on {}: {}</li>",
-                escaped(&of.effect.replace('_', " ")),
+                escaped(&of.effect.name().replace('_', " ")),
                 escaped(&of.channels.join(", ")),
                 escaped(&of.why_not)
             );
@@ -232,12 +238,10 @@ pub(super) fn alternatives(out: &mut String, report: &Report) {
 }
 
 /// The content of a place: the name of its effect, or another description.
-fn what<'a>(report: &'a Report, place: &Place) -> &'a str {
-    let index = place.of.strip_prefix("cause:").and_then(|index| index.parse::<usize>().ok());
-    match (index.and_then(|index| report.causes.get(index)), place.of.as_str()) {
-        (Some(cause), _) => &cause.effect,
-        (None, "parameters") => "a parameter",
-        (None, "remainder") => "nothing known",
-        _ => "–",
+fn what<'a>(report: &'a Diagnosis, place: &Place) -> &'a str {
+    match place.of {
+        Of::Cause(index) => report.causes.get(index).map_or("–", |cause| cause.effect.name()),
+        Of::Parameters => "a parameter",
+        Of::Remainder => "nothing known",
     }
 }

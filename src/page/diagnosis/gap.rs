@@ -2,8 +2,9 @@
 
 use super::super::escaped;
 use super::super::figure::{percent, plain};
-use super::{Discrepancy, Report};
-use crate::plot::{Bar, closing};
+use crate::plot::closing;
+use imu_diagnosis::Diagnosis;
+use imu_diagnosis::report::Discrepancy;
 use std::fmt::Write as _;
 
 /// The bars' minimum scale, as a multiple of what a true model shows.
@@ -41,18 +42,16 @@ pub(super) fn section(out: &mut String, gap: &Discrepancy) {
             .map_or_else(String::new, |[low, high]| format!(" (95 % interval {} to {})", percent(low), percent(high)));
         let _ = write!(out, "<p>{} of the gap is closed{interval}.</p>", percent(closed));
     }
-    let chance = gap
-        .p_value_after
-        .map_or_else(String::new, |p| format!(" Chance that a true model leaves as much: {}.", plain(p)));
+    let chance = match gap.p_value_after {
+        known if known.is_finite() => format!(" Chance that a true model leaves as much: {}.", plain(known)),
+        _ => String::new(),
+    };
     let _ = write!(out, "<p class=\"soft\">Measured on the {}.{chance}</p>", escaped(&gap.measured_on));
 }
 
 /// One bar per channel.
-pub(super) fn by_channel(out: &mut String, report: &Report) {
-    let bars = report.per_channel.iter();
-    let bars: Vec<Bar<'_>> =
-        bars.map(|(channel, gap)| Bar { channel, before: gap.before, after: gap.after, floor: gap.floor }).collect();
-    let picture = closing(&bars, &report.discrepancy.unit);
+pub(super) fn by_channel(out: &mut String, report: &Diagnosis) {
+    let picture = closing(&report.per_channel, &report.discrepancy.unit);
     if !picture.is_empty() {
         let _ = write!(
             out,

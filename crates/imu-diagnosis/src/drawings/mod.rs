@@ -11,26 +11,27 @@ use super::motion::Residuals;
 use super::{Diagnosis, Outcome, Recording};
 use imu_core::sample::Channel;
 use imu_model::simulator::SensorModel;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use simulated::simulated;
 use spectra::Bins;
 
-/// The data that is drawn, as `page::diagnosis` of `vn100d` takes it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Drawings<'a> {
+/// The data that is drawn, as `page::diagnosis` of `vn100d` takes it. Results of earlier versions have less of it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Drawings {
     /// The spectra of every channel that was compared.
     pub spectra: Vec<ChannelSpectra>,
     /// The channels with findings, in a record at rest.
     pub timelines: Vec<ChannelTimeline>,
     /// The residuals of a record of a motion.
-    pub residuals: &'a [Residuals],
+    pub residuals: Vec<Residuals>,
 }
 
-impl<'a> Drawings<'a> {
+impl Drawings {
     /// Drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after the origin of its
     /// times. Memory is that of three channels: the channels are simulated one after the other.
-    pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &'a Outcome) -> Self {
-        let residuals = outcome.residuals.as_slice();
+    pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &Outcome) -> Self {
+        let residuals = outcome.residuals.clone();
         // A simulation without the motion does not show the course of a record with one.
         let at_rest = residuals.is_empty();
         let found = found(&outcome.diagnosis);

@@ -1,12 +1,14 @@
 //! Spectra: a record's beside those of the model as it came and of the corrected one, for a picture of the gap.
 
 use super::super::transform::Cosines;
+use super::super::written::numbers;
 use super::Recording;
 use imu_core::sample::Channel;
 use imu_model::effects::Record;
 use imu_model::simulator::SensorModel;
 use imu_model::simulator::spectrum::Spectrum;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Ratio of a bin's end to its begin, coefficients in it at least, and bins over the whole band.
 const RATIO: f64 = 1.09;
@@ -16,29 +18,42 @@ const BAND: usize = 240;
 const NARROW: usize = 64;
 
 /// Amplitude densities of one channel in U/√Hz (the root of the two-sided density, so that white noise stands at N).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChannelSpectra {
     /// The channel.
-    pub channel: &'static str,
+    pub channel: Cow<'static, str>,
     /// U.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// Centres of the bins.
+    #[serde(deserialize_with = "numbers")]
     pub frequency_hz: Vec<f64>,
     /// The number of independent coefficients in each bin, given the samples that are there. It distinguishes chance
     /// from a difference.
+    #[serde(default)]
     pub coefficients: Vec<f64>,
     /// The record's: root of the mean of the squares in the bin.
+    #[serde(deserialize_with = "numbers")]
     pub real: Vec<f64>,
     /// The model's as it came; none if it is neither its parameters' alone nor could be simulated.
+    #[serde(default, deserialize_with = "numbers")]
     pub before: Option<Vec<f64>>,
     /// The corrected model's.
+    #[serde(default, deserialize_with = "numbers")]
     pub after: Option<Vec<f64>>,
     /// Means over each bin of the record's power over the model's, before and after.
+    #[serde(default, deserialize_with = "numbers")]
     pub ratios: [Option<Vec<f64>>; 2],
     /// Which of the two models' powers are a simulation's, with as much chance as the record's.
+    #[serde(default)]
     pub simulated: [bool; 2],
     /// By how much the variance of a power exceeds that of normal stationary noise: where few samples carry it, it is greater.
+    #[serde(default = "usual")]
     pub scatter: f64,
+}
+
+/// The scatter of normal stationary noise, which results of earlier versions assume.
+fn usual() -> f64 {
+    1.0
 }
 
 impl ChannelSpectra {
@@ -68,8 +83,8 @@ impl ChannelSpectra {
         });
         let [(before, ratios_before, simulated_before), (after, ratios_after, simulated_after)] = models;
         Self {
-            channel: channel.name(),
-            unit: channel.unit(),
+            channel: channel.name().into(),
+            unit: channel.unit().into(),
             frequency_hz: bins.ends_hz.iter().map(|(from, to)| short((from * to).sqrt())).collect(),
             coefficients: bins.edges.windows(2).map(|of| short(bins.there * (of[1] - of[0]) as f64)).collect(),
             real: roots(&real),

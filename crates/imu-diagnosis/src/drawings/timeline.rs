@@ -1,9 +1,11 @@
 //! Timelines: level and spread over time of a record, of a simulation of the model as it came, and of one of the corrected
 //! model, for a picture of what happens when.
 
+use super::super::written::numbers;
 use super::Recording;
 use imu_core::sample::Channel;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Stretches over the record, and samples in one at least.
 const STRETCHES: usize = 240;
@@ -12,7 +14,7 @@ const LEAST: usize = 16;
 const SHORTEST: usize = 4 * LEAST;
 
 /// Over time, in U: one value per stretch; None if more than half of a stretch is missing.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stretches {
     /// Means, less the mean of all.
     pub level: Vec<Option<f64>>,
@@ -21,15 +23,17 @@ pub struct Stretches {
 }
 
 /// One channel's.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChannelTimeline {
     /// The channel.
-    pub channel: &'static str,
+    pub channel: Cow<'static, str>,
     /// U.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// The stretches' middles, s since the capture's first sample.
+    #[serde(deserialize_with = "numbers")]
     pub time_s: Vec<f64>,
     /// How long a stretch is, s.
+    #[serde(deserialize_with = "numbers")]
     pub stretch_s: f64,
     /// The record's.
     pub real: Stretches,
@@ -56,8 +60,8 @@ impl ChannelTimeline {
         let of = |values: &[f64]| stretches(values, real, length);
         let [before, after] = simulations.each_ref().map(|values| values.as_deref().map(of));
         Some(Self {
-            channel: channel.name(),
-            unit: channel.unit(),
+            channel: channel.name().into(),
+            unit: channel.unit().into(),
             time_s: (0..real.len() / length).map(middle).collect(),
             stretch_s: length as f64 / real.rate_hz,
             real: of(values),

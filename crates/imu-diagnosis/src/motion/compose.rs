@@ -99,7 +99,7 @@ pub(super) fn outcome(
     diagnosis.notes = outside.into_iter().chain(of_clock(found, aligned, real, part)).collect();
     diagnosis.notes.extend(left_open(found));
     diagnosis.notes.extend(notes);
-    diagnosis.inputs.insert("reference", "a motion".to_owned());
+    diagnosis.inputs.insert("reference".into(), "a motion".to_owned());
     diagnosis.summary = crate::sentence::summary(&diagnosis);
     let mut augmented = found.rest.augmented.clone();
     augmented.triads = together::corrected(sim, &driven);

@@ -5,6 +5,7 @@ use crate::report::{Driver, Of, Place};
 use crate::response;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::Motion;
+use std::borrow::Cow;
 
 /// Bins of a motion's range.
 const BINS: usize = 16;
@@ -65,7 +66,7 @@ pub(super) fn places(
             share: 0.0,
             nats: totals[axis],
             p_value: (-totals[axis]).exp(),
-            sign: if rising >= 0.0 { "real higher" } else { "real lower" },
+            sign: if rising >= 0.0 { "real higher" } else { "real lower" }.into(),
         });
     }
     places
@@ -138,7 +139,8 @@ fn driver(values: &[f64], motions: &[Motion]) -> Option<Driver> {
             let range = [edge(from), edge(to)];
             if best.as_ref().is_none_or(|(most, _)| part > *most) {
                 let pose = (quantity == "acceleration").then(|| pose(name, range)).flatten();
-                best = Some((part, Driver { quantity, axis: name, unit, range, pose }));
+                let [quantity, axis, unit] = [quantity, name, unit].map(Cow::from);
+                best = Some((part, Driver { quantity, axis, unit, range, pose }));
             }
         }
     }
@@ -165,7 +167,7 @@ mod tests {
             (0..3000).map(|t| Motion { gyro_rad_s: [0.0, rate(t), 0.0], ..Motion::default() }).collect();
         let values: Vec<f64> = motions.iter().map(|of| if of.gyro_rad_s[1] > 2.0 { 1.0 } else { 0.01 }).collect();
         let found = driver(&values, &motions).unwrap();
-        assert_eq!((found.quantity, found.axis), ("rate", "y"));
+        assert_eq!((&*found.quantity, &*found.axis), ("rate", "y"));
         assert!(found.range[0] > 1.0 && (found.range[1] - 3.0).abs() < 1e-9, "{:?}", found.range);
         assert_eq!(driver(&vec![1.0; 3000], &motions), None);
         assert_eq!(narrowest(&[0.0, 1.0, 5.0, 4.0, 0.1], 8.0), [2, 4]);

@@ -3,9 +3,11 @@
 
 use super::settle::Settled;
 use crate::response;
+use crate::written::numbers;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::{Motion, SensorModel};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Points of a picture against time, and against what drives.
 const POINTS: [usize; 2] = [120, 40];
@@ -13,24 +15,27 @@ const POINTS: [usize; 2] = [120, 40];
 const LEAST: usize = 10;
 
 /// Means of the residuals of one channel over the range of what they are held against.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Residuals {
     /// The channel.
-    pub channel: &'static str,
+    pub channel: Cow<'static, str>,
     /// Its unit.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// `time`, `rate` or `specific force`.
-    pub against: &'static str,
+    pub against: Cow<'static, str>,
     /// About or along which axis: the one by which the residuals differ most.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub axis: Option<&'static str>,
+    pub axis: Option<Cow<'static, str>>,
     /// Unit of [`Self::at`]: s after the record's first sample, rad/s, m/s².
-    pub at_unit: &'static str,
+    pub at_unit: Cow<'static, str>,
     /// The position of each mean, in order.
+    #[serde(deserialize_with = "numbers")]
     pub at: Vec<f64>,
     /// Samples less the model's response to the motion.
+    #[serde(deserialize_with = "numbers")]
     pub before: Vec<f64>,
     /// Samples less the corrected model's response to the motion.
+    #[serde(deserialize_with = "numbers")]
     pub after: Vec<f64>,
 }
 
@@ -57,16 +62,17 @@ pub(super) fn residuals(
     for (axis, channel) in of.triad.channels().into_iter().enumerate() {
         let before: Vec<f64> = sent[axis].iter().zip(&shown[axis]).map(|(sent, shown)| sent - shown).collect();
         let after = &of.rest[axis];
-        let of_means = |against, axis, at_unit, means: Means| Residuals {
-            channel: channel.name(),
-            unit: channel.unit(),
-            against,
-            axis,
-            at_unit,
-            at: means.at,
-            before: means.before,
-            after: means.after,
-        };
+        let of_means =
+            |against: &'static str, axis: Option<&'static str>, at_unit: &'static str, means: Means| Residuals {
+                channel: channel.name().into(),
+                unit: channel.unit().into(),
+                against: against.into(),
+                axis: axis.map(Cow::from),
+                at_unit: at_unit.into(),
+                at: means.at,
+                before: means.before,
+                after: means.after,
+            };
         all.push(of_means("time", None, "s", Means::of(&time_s, &before, after, POINTS[0])));
         for (against, unit, values) in &drivers {
             let along = (0..3).map(|axis| (axis, Means::of(&values[axis], &before, after, POINTS[1])));

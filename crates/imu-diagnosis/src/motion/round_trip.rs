@@ -1,7 +1,7 @@
 //! Round trips: the simulator knows all of a sensor's parameters, and the diagnosis receives some of them.
 
 use super::*;
-use crate::report::Verdict;
+use crate::report::{Cause, Verdict};
 use imu_model::motion::{Course, Kind, Site};
 use imu_model::simulator::{Motion, Simulator};
 use serde_json::{Value, json};
@@ -48,11 +48,10 @@ fn recorded(model: &SensorModel, kind: Kind, samples: usize, seed: u64) -> Recor
     Recording { rate_hz: RATE_HZ, channels, ..Recording::default() }
 }
 
-fn named(outcome: &Outcome) -> Vec<(String, &'static str)> {
+fn named(outcome: &Outcome) -> Vec<(String, &str)> {
     let causes = outcome.diagnosis.causes.iter();
-    causes
-        .map(|cause| (cause.triad.map_or_else(|| cause.channels.join(" "), str::to_owned), cause.effect.name()))
-        .collect()
+    let on = |cause: &Cause| cause.triad.as_deref().map_or_else(|| cause.channels.join(" "), str::to_owned);
+    causes.map(|cause| (on(cause), cause.effect.name())).collect()
 }
 
 const SAMPLES: usize = 16_384;

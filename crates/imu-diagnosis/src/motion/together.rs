@@ -44,7 +44,7 @@ impl Driven {
         let cause = Cause {
             effect: effect.kind(),
             sense: Sense::Missing,
-            triad: Some(triad.name()),
+            triad: Some(triad.name().into()),
             channels,
             confidence,
             closes: None,
@@ -95,7 +95,8 @@ pub(super) fn join(
     shares.chain(diagnosis.remainder.iter_mut().map(|of| &mut of.share)).for_each(|share| *share *= rest_nats / total);
     let causes = &diagnosis.causes;
     let same = |one: &Cause, other: &Cause| {
-        (one.effect, one.sense, one.triad, &one.channels) == (other.effect, other.sense, other.triad, &other.channels)
+        (&one.effect, one.sense, &one.triad, &one.channels)
+            == (&other.effect, other.sense, &other.triad, &other.channels)
     };
     for place in &mut diagnosis.r#where {
         if let Of::Cause(index) = &mut place.of {

@@ -310,16 +310,16 @@ fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
         to_s: within.end as f64 / rate_hz,
         temperature_c: None,
         at: Some(Driver {
-            quantity: "acceleration",
-            axis: name,
-            unit: "m/s²",
+            quantity: "acceleration".into(),
+            axis: name.into(),
+            unit: "m/s²".into(),
             range: [force[axis], force[axis]],
             pose: Some(pose),
         }),
         share: of.before[worst].powi(2) / squares.max(f64::MIN_POSITIVE),
         nats: 0.0,
         p_value: (-of.choice.gain).exp(),
-        sign: if of.before[worst] > 0.0 { "real higher" } else { "real lower" },
+        sign: if of.before[worst] > 0.0 { "real higher" } else { "real lower" }.into(),
     })
 }
 

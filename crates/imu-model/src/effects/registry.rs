@@ -72,6 +72,13 @@ impl serde::Serialize for EffectKind {
     }
 }
 
+impl<'de> serde::Deserialize<'de> for EffectKind {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = std::borrow::Cow::<str>::deserialize(deserializer)?;
+        Self::from_name(&name).ok_or_else(|| serde::de::Error::custom(format_args!("`{name}` is not an effect")))
+    }
+}
+
 /// The definition of that name.
 pub fn find<E: ?Sized>(all: &'static [&'static Definition<E>], name: &str) -> Option<&'static Definition<E>> {
     all.iter().find(|of| of.spec.name() == name).copied()
