@@ -12,7 +12,7 @@ use imu_core::sample::Channel;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-use vn100d::jobs::{JobKind, Jobs, JobsOptions};
+use vn100d::jobs::{AnalysisRequest, JobKind, Jobs, JobsOptions};
 use vn100d::store::{CaptureState, JobState, NewCapture, Store, StoreOptions};
 
 fn main() {
@@ -47,7 +47,7 @@ fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds:
         reset_peak();
         let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
         let begun = Instant::now();
-        let job = jobs.submit(JobKind::Noise, id, &serde_json::json!({})).unwrap().0.id;
+        let job = jobs.submit(id, AnalysisRequest::usual(JobKind::Noise).unwrap()).unwrap().0.id;
         while reader.job(job).unwrap().state != JobState::Done {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -6,7 +6,7 @@
 
 use imu_core::sample::{Channel, Record, Sample, Segment, Timebase};
 use std::time::{Duration, Instant};
-use vn100d::jobs::{JobKind, Jobs, JobsOptions};
+use vn100d::jobs::{AnalysisRequest, JobKind, JobParameters, Jobs, JobsOptions};
 use vn100d::store::{CaptureState, JobState, NewCapture, Reader, Store, StoreOptions};
 
 const PERIOD_NS: u64 = 1_250_000;
@@ -103,14 +103,15 @@ fn analyse(path: &std::path::Path, samples: u64) {
     println!("import: {:>8.0} samples/s", samples as f64 / took);
     let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
     let reader = store.reader().unwrap();
-    for (kind, what, parameters) in [
-        (JobKind::Allan, "one channel", serde_json::json!({"channels": ["gyro_x"]})),
-        (JobKind::Allan, "nine channels", serde_json::json!({})),
-        (JobKind::Noise, "nine channels", serde_json::json!({})),
-        (JobKind::Statistics, "fourteen channels", serde_json::json!({})),
+    for (kind, what, channels) in [
+        (JobKind::Allan, "one channel", Some(vec![Channel::GyroX])),
+        (JobKind::Allan, "nine channels", None),
+        (JobKind::Noise, "nine channels", None),
+        (JobKind::Statistics, "fourteen channels", None),
     ] {
         let begun = Instant::now();
-        let job = jobs.submit(kind, id, &parameters).unwrap().0.id;
+        let request = AnalysisRequest::new(kind, JobParameters { channels, ..JobParameters::default() }).unwrap();
+        let job = jobs.submit(id, request).unwrap().0.id;
         while reader.job(job).unwrap().state != JobState::Done {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -6,18 +6,18 @@ use super::extract::{P, Q};
 use super::jobs::{self, Job};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::{ApiParts, ApiState};
-use crate::jobs::{Documents, JobError, JobKind, SoFar, StatisticsReport};
-use crate::store::{JobRow, JobState, Reader, ResultRow, SOFTWARE, StoreError};
+use crate::jobs::{AnalysisRequest, Documents, JobError, JobParameters, JobRequest, SoFar, StatisticsReport};
+use crate::store::{JobKind, JobRow, JobState, Reader, ResultRow, SOFTWARE, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use imu_core::sample::FilterWindows;
 use imu_files::export::Target;
 use imu_files::export::paste::NoiseDocument;
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanReport, Estimator, TauSpacing};
-use imu_noise::datasheet::{Datasheet, FilterWindows, compare_report};
+use imu_noise::datasheet::{Datasheet, compare_report};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 /// Names the program version that made a result, where it is not this one; `POST /v1/jobs` has it made anew.
 const STALE: HeaderName = HeaderName::from_static("vn100d-stale");
@@ -75,8 +75,6 @@ enum Found {
     Result(ResultRow),
     /// It is being worked on.
     Job(JobRow),
-    /// Nobody has asked for it yet.
-    Nothing(i64),
 }
 
 /// Moments, histogram and a test for normality of every channel. While the capture runs: of what there is so far.
@@ -95,7 +93,7 @@ pub(super) async fn statistics(
     Q(query): Q<ResultQuery>,
 ) -> Result<Response, ApiError> {
     let live = |reader: &Reader, parts: &ApiParts, id| parts.live.statistics(reader, id);
-    document(&state, &headers, JobKind::Statistics, Value::Null, capture, query, live).await
+    document(&state, &headers, AnalysisRequest::usual(JobKind::Statistics)?, capture, query, live).await
 }
 
 /// Deviation curves of every analysed channel. While the capture runs: overlapping Allan deviation of what there is so far.
@@ -116,12 +114,13 @@ pub(super) async fn allan(
     Q(query): Q<AllanQuery>,
 ) -> Result<Response, ApiError> {
     let estimator = query.estimator.unwrap_or_default();
-    let wish = serde_json::json!({ "estimator": estimator, "taus": query.taus.unwrap_or_default() });
+    let parameters = JobParameters { estimator, taus: query.taus.unwrap_or_default(), ..JobParameters::default() };
+    let request = AnalysisRequest::new(JobKind::Allan, parameters)?;
     let live = move |reader: &Reader, parts: &ApiParts, id| {
         if estimator == Estimator::Oadev { parts.live.allan(reader, id) } else { Err(still_runs(id, estimator)) }
     };
     let plain = ResultQuery { job: query.job, format: query.format };
-    document(&state, &headers, JobKind::Allan, wish, capture, plain, live).await
+    document(&state, &headers, request, capture, plain, live).await
 }
 
 fn still_runs(id: i64, estimator: Estimator) -> JobError {
@@ -168,9 +167,7 @@ pub(super) async fn noise(
             "`format` and `datasheet` do not go together: only the JSON document has a place for the comparison";
         return Err(ApiError::bad_request(reason));
     }
-    let usual = jobs::parameters(JobKind::Noise, &Value::Null)?;
-    let (name, job) = (capture.clone(), query.job);
-    let found = state.read(move |reader| find(reader, JobKind::Noise, &name, job, &usual)).await?;
+    let found = find(&state, AnalysisRequest::usual(JobKind::Noise)?, capture.clone(), query.job).await?;
     let (so_far, result): (SoFar<NoiseReport>, Option<ResultRow>) = match found {
         Found::Open(id) => (state.compute(move |reader, parts| parts.live.noise(reader, id)).await?, None),
         Found::Result(result) => {
@@ -178,7 +175,6 @@ pub(super) async fn noise(
             (SoFar { report, caught_up: None }, Some(result))
         }
         Found::Job(row) => return unfinished(row),
-        Found::Nothing(id) => return unfinished(jobs::submit_wish(&state, JobKind::Noise, id, Value::Null).await?),
     };
     let SoFar { mut report, caught_up } = so_far;
     if let Some(target) = target {
@@ -205,26 +201,25 @@ pub(super) async fn noise(
 
 /// The filter windows of the first of a result's captures that knows them.
 fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Option<FilterWindows>, StoreError> {
-    let with = match job {
-        Some(id) => reader.job(id)?.params["with"].as_array().cloned().unwrap_or_default(),
-        None => Vec::new(),
+    let request = job.map(|id| reader.job(id)).transpose()?.map(|row| JobRequest::of_row(&row));
+    let others = match &request {
+        Some(Ok(JobRequest::Analysis(request))) => request.parameters().with.as_slice(),
+        _ => &[],
     };
-    let others = with.iter().filter_map(Value::as_i64);
-    for id in std::iter::once(reader.resolve(name)?).chain(others) {
+    for id in std::iter::once(reader.resolve(name)?).chain(others.iter().copied()) {
         let row = reader.capture(id)?;
-        if let Some(windows) = FilterWindows::of_configuration(&row.configuration) {
+        if let Some(windows) = row.configuration.filter_windows() {
             return Ok(Some(windows));
         }
     }
     Ok(None)
 }
 
-/// The document of this kind: of the job asked for, or of the one with the parameters wished for.
+/// The document of an analysis: of the job asked for, or of the one with the requested parameters.
 async fn document<T: Serialize + Send + 'static>(
     state: &ApiState,
     headers: &HeaderMap,
-    kind: JobKind,
-    wish: Value,
+    request: AnalysisRequest,
     name: String,
     query: ResultQuery,
     live: impl FnOnce(&Reader, &ApiParts, i64) -> Result<T, JobError> + Send + 'static,
@@ -233,16 +228,13 @@ async fn document<T: Serialize + Send + 'static>(
         let found: String = format.chars().take(40).collect();
         return Err(ApiError::bad_request(format!("`format` is `{found}`: allowed is json")));
     }
-    let wished = jobs::parameters(kind, &wish)?;
-    let found = state.read(move |reader| find(reader, kind, &name, query.job, &wished)).await?;
-    match found {
+    match find(state, request, name, query.job).await? {
         Found::Open(id) => {
             let report = state.compute(move |reader, parts| live(reader, parts, id)).await?;
             Ok(([(header::CACHE_CONTROL, "no-store")], axum::Json(report)).into_response())
         }
         Found::Result(result) => Ok(answer(headers, result)),
         Found::Job(row) => unfinished(row),
-        Found::Nothing(id) => unfinished(jobs::submit_wish(state, kind, id, wish).await?),
     }
 }
 
@@ -256,50 +248,60 @@ pub(super) enum Drawn {
 
 /// The document of a kind with the usual parameters; of a capture that runs of what there is so far.
 pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result<Drawn, ApiError> {
-    let (wished, name) = (jobs::parameters(kind, &Value::Null)?, name.to_owned());
-    let found = state.read(move |reader| {
-        let found = find(reader, kind, &name, None, &wished)?;
-        let documents = match &found {
-            Found::Result(result) => Documents::read(kind, &result.body)?,
-            _ => Documents::default(),
-        };
-        Ok((found, documents))
-    });
-    let (found, documents) = found.await?;
-    Ok(match found {
-        Found::Result(result) => Drawn::Documents(Box::new(documents), Some(result.id)),
+    Ok(match find(state, AnalysisRequest::usual(kind)?, name.to_owned(), None).await? {
+        Found::Result(result) => {
+            let id = result.id;
+            let documents = state.read(move |_| Documents::read(kind, &result.body)).await?;
+            Drawn::Documents(Box::new(documents), Some(id))
+        }
         Found::Open(id) => {
             let so_far = move |reader: &Reader, parts: &ApiParts| parts.live.documents(reader, kind, id);
             Drawn::Documents(Box::new(state.compute(so_far).await?), None)
         }
         Found::Job(row) => Drawn::Later(unfinished(row)?),
-        Found::Nothing(id) => Drawn::Later(unfinished(jobs::submit_wish(state, kind, id, Value::Null).await?)?),
     })
 }
 
-fn find(reader: &Reader, kind: JobKind, name: &str, job: Option<i64>, wished: &Value) -> Result<Found, StoreError> {
+/// Finds the job asked for, or the one of this request; a job that does not exist yet is queued.
+async fn find(state: &ApiState, request: AnalysisRequest, name: String, job: Option<i64>) -> Result<Found, ApiError> {
+    let (kind, params) = (request.kind(), request.text()?);
+    let found = state.read(move |reader| find_stored(reader, kind, &params, &name, job)).await?;
+    match found {
+        Ok(found) => Ok(found),
+        Err(id) => Ok(Found::Job(state.change(move |parts| parts.jobs.submit(id, request)).await?.0)),
+    }
+}
+
+/// As [`find`]; `Err` is the id of a capture that has no such job.
+fn find_stored(
+    reader: &Reader,
+    kind: JobKind,
+    params: &str,
+    name: &str,
+    job: Option<i64>,
+) -> Result<Result<Found, i64>, StoreError> {
     let id = reader.resolve(name)?;
     if let Some(job_id) = job {
         let row = reader.job(job_id)?;
-        if row.capture != id || row.kind != kind.name() {
+        if row.capture != id || row.kind != kind {
             return Err(StoreError::NoSuchJob { id: job_id });
         }
-        return with_result(reader, row);
+        return with_result(reader, row).map(Ok);
     }
     let capture = reader.capture(id)?;
     if capture.state.is_open() {
-        return Ok(Found::Open(id));
+        return Ok(Ok(Found::Open(id)));
     }
-    let jobs = reader.jobs_over(id, kind.name(), capture.samples)?;
+    let jobs = reader.jobs_over(id, kind, capture.samples)?;
     // What another version of the program could not do, this one may.
-    let counts = |row: &JobRow| row.params == *wished && !(row.state == JobState::Failed && row.stale);
+    let counts = |row: &JobRow| row.params == params && !(row.state == JobState::Failed && row.stale);
     let such_jobs: Vec<JobRow> = jobs.into_iter().filter(counts).collect();
     for state in [JobState::Done, JobState::Running, JobState::Queued, JobState::Failed] {
         if let Some(row) = such_jobs.iter().find(|row| row.state == state) {
-            return with_result(reader, row.clone());
+            return with_result(reader, row.clone()).map(Ok);
         }
     }
-    Ok(Found::Nothing(id))
+    Ok(Err(id))
 }
 
 fn with_result(reader: &Reader, row: JobRow) -> Result<Found, StoreError> {

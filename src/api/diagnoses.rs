@@ -5,9 +5,9 @@ use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use super::{aside, conditional, jobs, page};
-use crate::jobs::{DiagnosisDocument, JobKind, WishBody, read_diagnosis};
+use crate::jobs::{DiagnosisBody as Body, DiagnosisDocument, read_diagnosis};
 use crate::page as pages;
-use crate::store::{DiagnosisRow, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
+use crate::store::{DiagnosisRow, JobKind, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::response::Response;
@@ -97,8 +97,8 @@ pub(super) struct DiagnosesQuery {
     cursor: Option<String>,
 }
 
-/// A wish with a reference of half an hour at 100 Hz and some.
-const WISH: aside::Kind = aside::Kind {
+/// A request with a reference of half an hour at 100 Hz and some.
+const LARGE_BODY: aside::Kind = aside::Kind {
     called: "a diagnosis with its reference",
     bytes_max: 32 << 20,
     time_max: Some(Duration::from_secs(120)),
@@ -130,17 +130,16 @@ pub(super) async fn submit(
         return Err(no_json());
     }
     let capture_id = state.resolve(capture).await?;
-    WISH.room_for(&state, announced.unwrap_or(0))?;
+    LARGE_BODY.room_for(&state, announced.unwrap_or(0))?;
     if !is_put_aside(&request) {
         let body = axum::body::to_bytes(request.into_body(), SMALL_BYTES).await;
         let body = body.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
-        return jobs::queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, WishBody::Bytes(&body)))
-            .await;
+        return jobs::queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, Body::Bytes(&body))).await;
     }
     let permit = state.body_permit()?;
-    let aside = WISH.put(&state, request.into_body(), || Ok(())).await?;
+    let aside = LARGE_BODY.put(&state, request.into_body(), || Ok(())).await?;
     jobs::queue_diagnosis(&state, move |jobs| {
-        let submitted = jobs.submit_diagnosis(capture_id, WishBody::File(aside.path()));
+        let submitted = jobs.submit_diagnosis(capture_id, Body::File(aside.path()));
         drop((aside, permit));
         submitted
     })
@@ -251,7 +250,7 @@ fn find(reader: &Reader, id: &str) -> Result<(JobRow, Option<ResultRow>), StoreE
         Err(StoreError::NoSuchJob { .. }) => return Err(unknown()),
         job => job?,
     };
-    if job.kind != JobKind::Diagnosis.name() {
+    if job.kind != JobKind::Diagnosis {
         return Err(unknown());
     }
     let result = job.result_id.map(|id| reader.result(id)).transpose()?.flatten();

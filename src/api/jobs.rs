@@ -4,8 +4,8 @@ use super::extract::{J, P, Q};
 use super::page;
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
-use crate::jobs::{JobError, JobKind, Jobs, WishBody};
-use crate::store::{JobRow, JobState};
+use crate::jobs::{AnalysisRequest, DiagnosisBody, JobError, Jobs};
+use crate::store::{JobKind, JobRow, JobState};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, Uri, header};
@@ -27,10 +27,10 @@ pub(super) struct Job {
 impl From<JobRow> for Job {
     fn from(row: JobRow) -> Self {
         let result = row.result_id.map(|_| {
-            if row.kind == JobKind::Diagnosis.name() {
+            if row.kind == JobKind::Diagnosis {
                 return format!("/v1/diagnoses/{}", row.id);
             }
-            format!("/v1/captures/{}/{}?job={}", row.capture, row.kind, row.id)
+            format!("/v1/captures/{}/{}?job={}", row.capture, row.kind.name(), row.id)
         });
         Self { row, result }
     }
@@ -127,7 +127,10 @@ pub(super) async fn list(
 pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>) -> Result<Response, ApiError> {
     let body =
         body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"kind\": …, \"capture\": …}"))?;
-    let kind = JobKind::from_name(&body.kind)?;
+    let kind: JobKind = body.kind.parse().map_err(|_| {
+        let (found, expected): (String, _) = (body.kind.chars().take(40).collect(), JobKind::ALL.map(JobKind::name));
+        ApiError::bad_request(format!("there is no job kind `{found}`: expected one of {}", expected.join(", ")))
+    })?;
     let capture_id = state.resolve(body.capture.text()).await?;
     let mut parameters = body.parameters;
     let mut with = Vec::new();
@@ -137,23 +140,13 @@ pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>
     if !with.is_empty() {
         parameters.insert("with".to_owned(), with.into());
     }
-    queue(&state, kind, capture_id, serde_json::Value::Object(parameters)).await
-}
-
-/// Queues a job that somebody asks for: 202, or 200 where it is there already.
-pub(super) async fn queue(
-    state: &ApiState,
-    kind: JobKind,
-    capture_id: i64,
-    parameters: serde_json::Value,
-) -> Result<Response, ApiError> {
     if kind == JobKind::Diagnosis {
-        let wish = serde_json::to_vec(&parameters).map_err(JobError::from)?;
-        return queue_diagnosis(state, move |jobs| jobs.submit_diagnosis(capture_id, WishBody::Bytes(&wish))).await;
+        let body = serde_json::to_vec(&parameters).map_err(JobError::from)?;
+        return queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, DiagnosisBody::Bytes(&body)))
+            .await;
     }
-    let (row, is_new) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &parameters)).await?;
-    let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
-    Ok(answer(status, row))
+    let request = AnalysisRequest::of_members(kind, parameters)?;
+    Ok(submitted(state.change(move |parts| parts.jobs.submit(capture_id, request)).await?))
 }
 
 /// Queues a diagnosis: 202, or 200 if it is there already. It does not stand in the way of those who start and stop captures.
@@ -161,9 +154,12 @@ pub(super) async fn queue_diagnosis(
     state: &ApiState,
     submit: impl FnOnce(&Jobs) -> Result<(JobRow, bool), JobError> + Send + 'static,
 ) -> Result<Response, ApiError> {
-    let (row, is_new) = state.take_in(move |parts| submit(&parts.jobs)).await?;
-    let status = if is_new { StatusCode::ACCEPTED } else { StatusCode::OK };
-    Ok(answer(status, row))
+    Ok(submitted(state.take_in(move |parts| submit(&parts.jobs)).await?))
+}
+
+/// The answer to a request for a job: 202, or 200 if the job is there already.
+fn submitted((row, is_new): (JobRow, bool)) -> Response {
+    answer(if is_new { StatusCode::ACCEPTED } else { StatusCode::OK }, row)
 }
 
 /// One job.
@@ -203,20 +199,4 @@ pub(super) fn answer(status: StatusCode, row: JobRow) -> Response {
         headers.insert(header::RETRY_AFTER, HeaderValue::from(RETRY_AFTER_S));
     }
     response
-}
-
-/// Queues the job with these parameters, because somebody wants its result.
-pub(super) async fn submit_wish(
-    state: &ApiState,
-    kind: JobKind,
-    capture_id: i64,
-    wish: serde_json::Value,
-) -> Result<JobRow, ApiError> {
-    let (row, _) = state.change(move |parts| parts.jobs.submit(kind, capture_id, &wish)).await?;
-    Ok(row)
-}
-
-/// Parameters of a job as its row has them; null for those of the job that a capture gets without being asked.
-pub(super) fn parameters(kind: JobKind, wish: &serde_json::Value) -> Result<serde_json::Value, JobError> {
-    Ok(serde_json::to_value(kind.parameters(wish)?)?)
 }

@@ -128,7 +128,7 @@ fn linked(id: &str, picture: Picture) -> Figure {
 
 /// How far a job is.
 fn under_way(kind: JobKind, jobs: &[JobRow]) -> String {
-    let running = jobs.iter().find(|job| job.kind == kind.name() && job.state == JobState::Running);
+    let running = jobs.iter().find(|job| job.kind == kind && job.state == JobState::Running);
     match running {
         Some(job) => format!("The {} is being computed: {:.0} %.", kind.gives(), 100.0 * job.progress),
         None => format!("The {} waits for its turn.", kind.gives()),

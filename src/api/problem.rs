@@ -261,10 +261,9 @@ impl From<JobError> for ApiError {
     fn from(error: JobError) -> Self {
         match error {
             JobError::Store(error) => error.into(),
-            error @ (JobError::UnknownKind { .. }
-            | JobError::Parameters { .. }
-            | JobError::Together { .. }
-            | JobError::Model(_)) => Self::bad_request(error.to_string()),
+            error @ (JobError::Parameters { .. } | JobError::Together { .. } | JobError::Model(_)) => {
+                Self::bad_request(error.to_string())
+            }
             error @ (JobError::InsufficientData { .. } | JobError::Allan(_) | JobError::Diagnosis(_)) => {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }

@@ -1,8 +1,7 @@
 //! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. Data alone.
 
-use super::description::Registers;
 use super::port::{Latency, OpenError};
-use imu_core::sample::{EventKind, GapCause, RateDoubt};
+use imu_core::sample::{ConnectedSensor, EventKind, GapCause, RateDoubt, Registers};
 use std::path::PathBuf;
 use vn100_proto::{DeviceError, MeasurementKind, Reply};
 
@@ -30,6 +29,15 @@ pub enum Action {
     Send(Vec<u8>),
     /// Close the port.
     Close,
+    /// The session has ended and the port is closed.
+    Ended,
+    /// Change what is recorded.
+    Record(RecorderAction),
+}
+
+/// A change to what is recorded of the sensor's output.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RecorderAction {
     /// Frames of this kind are samples from now on, at this rate; `None` is any binary frame or message.
     Accept(MeasurementKind, f64),
     /// The sensor's registers state this rate, in Hz: samples of a doubtful rate belong to it.
@@ -43,9 +51,13 @@ pub enum Action {
     /// Record this event.
     Event(EventKind, String),
     /// The sensor's description, to be stored with the capture.
-    Describe(serde_json::Value),
-    /// The session has ended and the port is closed.
-    Ended,
+    Describe(Box<ConnectedSensor>),
+}
+
+impl From<RecorderAction> for Action {
+    fn from(action: RecorderAction) -> Self {
+        Self::Record(action)
+    }
 }
 
 /// An event for the session.

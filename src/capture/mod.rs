@@ -6,13 +6,13 @@
 
 pub mod action;
 pub mod backoff;
-pub mod book;
 pub mod description;
 pub mod host_watch;
 pub mod output;
 pub mod port;
 mod rate_meter;
 pub mod recorder;
+pub mod recorder_state;
 pub mod script;
 pub mod session;
 pub mod task;

@@ -11,15 +11,14 @@
 //! changed ends any wait. A wait in `Backoff` never exceeds [`super::backoff::LONGEST`], or a second with a known
 //! sensor that is silent. The sensor's flash is never written. Every state ends by itself.
 
-use super::action::{Action, Input, Port};
+use super::action::{Action, Input, Port, RecorderAction};
 use super::backoff::Backoff;
-use super::description::Registers;
 use super::output::Output;
 use super::port::Latency;
 use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
-use imu_core::sample::{EventKind, GapCause, RateDoubt};
+use imu_core::sample::{EventKind, GapCause, RateDoubt, Registers};
 use rand_chacha::ChaCha8Rng;
 use vn100_proto::{Command, MeasurementKind};
 
@@ -190,7 +189,9 @@ impl Session {
                 if self.script.refuse(now_ns, error, actions) {
                     self.advance(now_ns, actions);
                 } else {
-                    actions.push(Action::Event(EventKind::SensorError, format!("the sensor reports: {error}")));
+                    actions.push(
+                        RecorderAction::Event(EventKind::SensorError, format!("the sensor reports: {error}")).into(),
+                    );
                 }
             }
             Input::Expect(serial) => self.expected_serial = serial,

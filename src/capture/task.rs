@@ -1,15 +1,15 @@
 //! Task: connects session, decoder and recorder to the real port. A thin shell: they make every decision.
 
-use super::action::{Action, Input};
-use super::book::{Book, Sink, timebase};
+use super::action::{Action, Input, RecorderAction};
 use super::host_watch::{HostEvent, HostWatch, Reading, stepped_while_away};
 use super::port;
 use super::recorder::{Counts, Plan, Recorder, ResumePoint};
+use super::recorder_state::{RecorderState, Sink, timebase};
 use super::session::{Session, SessionOptions};
 use crate::clock::Clock;
 use crate::observe::{SensorState, SensorStatus};
 use imu_core::sample::device_clock::DeviceClock;
-use imu_core::sample::{DiscardCause, EventKind, GapCause};
+use imu_core::sample::{ConnectedSensor, DiscardCause, EventKind, GapCause};
 use rand::SeedableRng;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -70,7 +70,7 @@ pub struct Progress {
     /// The state of the sensor.
     pub sensor: SensorStatus,
     /// Its registers, after they were read.
-    pub description: Option<serde_json::Value>,
+    pub description: Option<Box<ConnectedSensor>>,
     /// The present capture: plan and counts, and whether it still waits for its start.
     pub capture: Option<(Plan, Counts, bool)>,
 }
@@ -79,7 +79,7 @@ struct Shell {
     clock: Arc<dyn Clock>,
     session: Session,
     decoder: Decoder,
-    book: Book,
+    state: RecorderState,
     waiting: Option<(Plan, Option<ResumePoint>)>,
     /// The host's own lateness in receiving, on the clock.
     host_jitter_ns: f64,
@@ -113,7 +113,7 @@ pub async fn run(
         session: Session::new(SessionOptions { host_jitter_ns: host_jitter_ns as u64, ..options.session }, random),
         host_jitter_ns,
         decoder: Decoder::new(DecoderOptions::default()),
-        book: Book::new(sink),
+        state: RecorderState::new(sink),
         waiting: None,
         actions: Vec::new(),
         host: HostWatch::default(),
@@ -148,17 +148,17 @@ pub async fn run(
             }
             Happened::Read(read) => {
                 if patient {
-                    shell.book.room().await;
+                    shell.state.room().await;
                 }
                 let before = shell.session.status().state;
                 match read {
                     Ok(0) => shell.input(Input::Disconnected("the line hung up".to_owned())),
                     Ok(count) => {
                         shell.received(&buffer[..count]);
-                        if !patient && shell.book.accepted.is_some_and(|(_, rate_hz)| rate_hz > COALESCE_ABOVE_HZ) {
+                        if !patient && shell.state.accepted.is_some_and(|(_, rate_hz)| rate_hz > COALESCE_ABOVE_HZ) {
                             let due = Instant::now() + COALESCE;
                             tokio::time::sleep_until(due.into()).await;
-                            shell.book.sink.woke(due.elapsed());
+                            shell.state.sink.woke(due.elapsed());
                         }
                     }
                     Err(error) => shell.input(Input::Disconnected(error.to_string())),
@@ -168,7 +168,7 @@ pub async fn run(
                 }
             }
             Happened::Nothing => {
-                shell.book.sink.woke(wake.elapsed());
+                shell.state.sink.woke(wake.elapsed());
                 // The runtime may not have noticed yet what arrived; the port knows. The time is taken before this
                 // query, so that data which arrives in between cannot be mistaken for silence.
                 let now_ns = shell.clock.mono_ns();
@@ -176,7 +176,7 @@ pub async fn run(
                 match unread {
                     Some(Ok(count)) if count > 0 => {
                         if patient {
-                            shell.book.room().await;
+                            shell.state.room().await;
                         }
                         shell.received(&buffer[..count]);
                     }
@@ -196,7 +196,7 @@ pub async fn run(
             shell.publish(&progress);
         }
     }
-    shell.book.close().await;
+    shell.state.close().await;
     shell.publish(&progress);
 }
 
@@ -237,15 +237,15 @@ impl Shell {
             match event {
                 HostEvent::Stalled(_) => {
                     self.input(Input::HostStalled);
-                    self.book.blame_host(GapCause::HostStall, mono_ns + HOST_BLAME_NS);
+                    self.state.blame_host(GapCause::HostStall, mono_ns + HOST_BLAME_NS);
                 }
                 HostEvent::Slept(slept_ns) => {
                     self.input(Input::HostStalled);
-                    self.book.blame_host(GapCause::HostSuspend, mono_ns + HOST_BLAME_NS);
+                    self.state.blame_host(GapCause::HostSuspend, mono_ns + HOST_BLAME_NS);
                     let message = format!("the host slept for {:.1} s", slept_ns as f64 / 1e9);
-                    self.book.apply(Action::Event(EventKind::Warning, message), utc_ns);
+                    self.state.apply(RecorderAction::Event(EventKind::Warning, message), utc_ns);
                 }
-                HostEvent::Stepped(by_ns) => self.book.clock_stepped(by_ns, utc_ns),
+                HostEvent::Stepped(by_ns) => self.state.clock_stepped(by_ns, utc_ns),
             }
         }
     }
@@ -256,7 +256,7 @@ impl Shell {
             return;
         }
         if let Some(estimate) = self.device_clock.estimate()
-            && self.book.device_clock(estimate)
+            && self.state.device_clock(estimate)
         {
             self.clock_due_ns = mono_ns + CLOCK_EVERY_NS;
         }
@@ -299,8 +299,7 @@ impl Shell {
                         *stream = None;
                     }
                     Action::Ended => self.ended = true,
-                    // The rest concerns the capture.
-                    action => self.book.apply(action, self.clock.utc_ns()),
+                    Action::Record(action) => self.state.apply(action, self.clock.utc_ns()),
                 }
             }
             self.filter();
@@ -309,65 +308,65 @@ impl Shell {
 
     /// Passes the expected binary frames to the decoder.
     fn filter(&mut self) {
-        if let Some(binary) = self.book.filter.take() {
+        if let Some(binary) = self.state.filter.take() {
             self.decoder.accept_binary(binary);
         }
     }
 
     /// Bytes of a partial frame are void: the connection they belonged to is closed.
     fn discard_pending(&mut self) {
-        let Self { decoder, book, .. } = self;
-        let recording = book.accepted.is_some();
+        let Self { decoder, state, .. } = self;
+        let recording = state.accepted.is_some();
         decoder.flush(&mut |event| {
             if let (Event::Rejected { cause: DiscardCause::GarbageBytes, bytes }, true) = (event, recording) {
-                book.discard(DiscardCause::GarbageBytes, bytes.len() as u64);
+                state.discard(DiscardCause::GarbageBytes, bytes.len() as u64);
             }
         });
     }
 
     fn received(&mut self, bytes: &[u8]) {
         let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
-        let Self { session, decoder, book, actions, device_clock, .. } = self;
+        let Self { session, decoder, state, actions, device_clock, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
         if bytes.len() >= FULL_BYTES && self.clock.speed() == 1.0 {
             // Data that the full line could not take was lost, and with it a part of a frame.
-            book.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
+            state.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
         }
         decoder.push(bytes, &mut |event| match event {
             Event::Measurement(measurement) => {
                 let before = actions.len();
                 let taken = session.measured(mono_ns, measurement, actions);
                 if actions.len() > before {
-                    book.note(actions, utc_ns);
+                    state.note(actions, utc_ns);
                 }
                 if taken {
-                    book.sample(measurement.to_sample(mono_ns, utc_ns));
+                    state.sample(measurement.to_sample(mono_ns, utc_ns));
                     if let Some(device_time_ns) = measurement.device_time_ns {
-                        device_clock.note(book.clock_run(), device_time_ns, mono_ns);
+                        device_clock.note(state.clock_run(), device_time_ns, mono_ns);
                     }
                 } else if session.sees_another_format() {
-                    book.refuse(DiscardCause::UnexpectedFormat);
+                    state.refuse(DiscardCause::UnexpectedFormat);
                 } else {
-                    book.refuse(DiscardCause::Probing);
+                    state.refuse(DiscardCause::Probing);
                 }
             }
             Event::Reply(reply) => {
                 session.handle(mono_ns, Input::Reply(&reply), actions);
                 // The stream may begin within the very bytes that are being decoded.
-                book.note(actions, utc_ns);
+                state.note(actions, utc_ns);
             }
             Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
             // A partial frame received while the sensor is being identified was never part of the capture.
             Event::Rejected { cause, bytes } if session.status().state == SensorState::Streaming => {
                 session.handle(mono_ns, Input::Rejected(bytes.len()), actions);
                 let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
-                book.discard(cause, count);
-                book.suspect(GapCause::Checksum);
+                state.discard(cause, count);
+                state.suspect(GapCause::Checksum);
             }
             Event::Rejected { bytes, .. } => session.handle(mono_ns, Input::Rejected(bytes.len()), actions),
             Event::Other(_) => {}
         });
-        if let Some(doubt) = book.doubt.take() {
+        if let Some(doubt) = state.doubt.take() {
             session.handle(mono_ns, Input::RateDoubted(doubt), actions);
         }
         self.filter();
@@ -377,10 +376,11 @@ impl Shell {
     /// Passes on what was written; a capture that has its planned duration is closed. A capture is of one sensor: the
     /// first that it has samples of.
     fn settle(&mut self) {
-        if self.book.settle() {
+        if self.state.settle() {
             self.expecting = false;
             self.input(Input::Expect(None));
-        } else if !self.expecting && self.book.recorder.as_ref().is_some_and(|recorder| recorder.counts().samples > 0) {
+        } else if !self.expecting && self.state.recorder.as_ref().is_some_and(|recorder| recorder.counts().samples > 0)
+        {
             self.expecting = true;
             let serial_number = self.session.status().serial_number.clone();
             self.input(Input::Expect(serial_number));
@@ -405,12 +405,12 @@ impl Shell {
             let stepped =
                 last.and_then(|last| stepped_while_away((last.host_mono_ns, last.host_utc_ns), (mono_ns, utc_ns)));
             let recorder = Recorder::new(plan, resume, self.host_jitter_ns).of_boot(self.clock.boot_id());
-            self.book.begin(recorder);
+            self.state.begin(recorder);
             if let Some(by_ns) = stepped {
-                self.book.clock_stepped(by_ns, utc_ns);
+                self.state.clock_stepped(by_ns, utc_ns);
             }
         }
-        self.book.tick(mono_ns, utc_ns);
+        self.state.tick(mono_ns, utc_ns);
         self.note_clock(mono_ns);
         self.settle();
     }
@@ -425,11 +425,11 @@ impl Shell {
                 if let Some((plan, resume)) = self.waiting.take() {
                     // It never began: an empty capture, stopped.
                     let host_jitter_ns = self.host_jitter_ns;
-                    self.book.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
+                    self.state.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
                 }
                 self.clock_due_ns = 0;
                 self.note_clock(self.clock.mono_ns());
-                let running = self.book.stop(self.clock.mono_ns(), self.clock.utc_ns());
+                let running = self.state.stop(self.clock.mono_ns(), self.clock.utc_ns());
                 self.settle();
                 // The caller may be gone; the capture is stopped nevertheless.
                 let _ = reply.send(running);
@@ -443,20 +443,20 @@ impl Shell {
     }
 
     fn publish(&self, progress: &watch::Sender<Progress>) {
-        let capture = match (&self.book.recorder, &self.waiting) {
+        let capture = match (&self.state.recorder, &self.waiting) {
             (Some(recorder), _) => Some((recorder.plan().clone(), recorder.counts(), false)),
             (None, Some((plan, _))) => Some((plan.clone(), Counts::default(), true)),
             (None, None) => None,
         };
         let mut sensor = self.session.status().clone();
         // The same rate and timebase as the capture's, if one runs.
-        let stream = self.book.recorder.as_ref().and_then(Recorder::stream);
-        let accepted = self.book.accepted.map(|(kind, rate_hz)| (rate_hz, timebase(kind, self.book.counted)));
+        let stream = self.state.recorder.as_ref().and_then(Recorder::stream);
+        let accepted = self.state.accepted.map(|(kind, rate_hz)| (rate_hz, timebase(kind, self.state.counted)));
         if let Some((rate_hz, timebase)) = stream.or(accepted) {
             (sensor.rate_hz, sensor.timebase) = (Some(rate_hz), Some(timebase));
         }
         sensor.clock = self.device_clock.estimate();
-        let description = self.book.description.clone();
+        let description = self.state.description.clone();
         progress.send_replace(Progress { sensor, description, capture });
     }
 }

@@ -2,12 +2,11 @@
 
 use super::source::{Source, has_rejected, tell_rate};
 use super::{Context, usage};
-use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, StatedSampling, one_sensor};
+use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, one_sensor};
 use crate::store::{CaptureRow, Chunk, Missing, Reader, StoreError};
-use imu_core::sample::{Channel, Triad};
+use imu_core::sample::{Channel, FilterWindows, StatedSampling, Triad};
 use imu_core::units::NANOS_PER_SECOND;
 use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, columns};
-use imu_noise::datasheet::FilterWindows;
 use std::path::Path;
 
 /// What is known of a capture or recording besides its samples.
@@ -252,7 +251,7 @@ fn of_capture(source: &mut Shelf, reader: Reader, row: CaptureRow) -> anyhow::Re
     // As the background jobs do: the rate that most samples have; nothing mixes two.
     let plan = Plan::read(source.reader.insert(reader), row.id, row.samples, &Channel::ANALYSED)?;
     let material = Material {
-        windows: FilterWindows::of_configuration(&row.configuration),
+        windows: row.configuration.filter_windows(),
         setting: Setting::of(&row, plan.rate_hz),
         id: Some(row.id),
         overridden: None,
@@ -270,12 +269,11 @@ mod tests {
 
     #[test]
     fn a_loaded_recording_gives_the_segments_of_any_range() {
-        let rows = [0, 1, 2, 13, 16, 17, 18, 19, 20];
-        let text: String = rows.iter().enumerate().map(|(row, at)| format!("{at},{row}\n")).collect();
-        let recording = Input::memory("desk.csv", format!("time_s,gyro_x_rad_s\n{text}").into_bytes());
-        let recording = Recording::read(recording, Options::default()).unwrap();
-        let loaded = Loaded::new("desk.csv", columns(&recording).unwrap());
-        assert_eq!(loaded.missing, Missing::of([(3, 10), (4, 2)]));
+        let rows: String = (0..9).map(|row| format!("{row},{row}\n")).collect();
+        let input = Input::memory("desk.csv", format!("time_s,gyro_x_rad_s\n{rows}").into_bytes());
+        let mut recording = columns(&Recording::read(input, Options::default()).unwrap()).unwrap();
+        recording.segments = vec![0..3, 3..4, 4..9];
+        let loaded = Loaded::new("desk.csv", recording);
         let numbers = [1, 1, 1, 2, 3, 3, 3, 3, 3];
         for from in 0..10 {
             for limit in 0..11 {

@@ -1,8 +1,8 @@
 //! Arguments: the command line as `clap` reads it.
 
-use crate::jobs::StatedSampling;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use imu_core::sample::StatedSampling;
 use imu_core::units::parse_duration;
 use imu_diagnosis::model_fit::effects_named;
 use imu_files::export::Target;
@@ -510,7 +510,8 @@ pub enum Work {
     /// Make a PNG of the SVG on standard input
     Png,
     /// Read the body of a request for a diagnosis
-    Wish {
+    #[command(name = "wish")]
+    DiagnosisBody {
         /// The body
         #[arg(long)]
         file: PathBuf,

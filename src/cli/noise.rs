@@ -287,8 +287,7 @@ pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
 mod tests {
     use super::super::analysis::Together;
     use super::*;
-    use crate::jobs::StatedSampling;
-    use imu_core::sample::Channel;
+    use imu_core::sample::{Channel, StatedSampling};
     use imu_noise::fit::{Flag, GaussMarkov};
 
     const FAR: f64 = 1e9;
@@ -357,8 +356,7 @@ mod tests {
         let compared = compare_report(&imu_noise::datasheet::vn_100(), &found, None).unwrap();
         assert_eq!(compared.channels[&Channel::GyroX].verdict, Verdict::NotAtRest);
         let together = opened(path);
-        let parameters = crate::jobs::JobKind::Allan.parameters(&Value::Null).unwrap();
-        let allan = direct::allan(&together.source, together.plan, &parameters).unwrap();
+        let allan = direct::allan(&together.source, together.plan, &crate::jobs::JobParameters::default()).unwrap();
         assert_eq!((allan.at_rest_s, allan.moving_s), (Some(0.0), Some(100.0)));
         assert!(
             allan.channels[&Channel::GyroX].tau_s.is_empty() && allan.warnings[0].contains("not at rest"),

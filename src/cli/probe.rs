@@ -2,8 +2,8 @@
 
 use super::args::ProbeArgs;
 use super::{Context, Outcome, failed, print_json, table};
-use crate::capture::book::Sink;
 use crate::capture::output::Output;
+use crate::capture::recorder_state::Sink;
 use crate::capture::session::SessionOptions;
 use crate::capture::task::{self, Progress, TaskCommand, TaskOptions};
 use crate::clock::{Clock, SystemClock};
@@ -40,27 +40,31 @@ pub(super) fn run(context: &Context, args: &ProbeArgs) -> anyhow::Result<Outcome
     let session = SessionOptions { output: Output::Keep, ..crate::daemon::session_options(&config)? };
     let options = TaskOptions { device: crate::daemon::device(&config), session, seed: SystemClock.mono_ns() };
     let progress = super::run::runtime()?.block_on(find(options));
-    let Some(description) = progress.description else {
+    let Some(sensor) = progress.description else {
         let state = serde_json::to_value(progress.sensor.state)?;
         let hint = progress.sensor.hint.unwrap_or_else(|| "nothing was found".to_owned());
         return Err(failed(format!("no sensor ({}): {hint}", state.as_str().unwrap_or("absent"))));
     };
     if context.json {
-        print_json(&description)?;
+        print_json(&sensor.configuration())?;
         return Ok(Outcome::Done);
     }
     let mut rows = table(&["what", "value"]);
-    for key in ["port", "baud", "model", "hardware_revision", "serial_number", "firmware", "output", "rate_hz"] {
-        let value = &description[key];
-        rows.add_row([key.to_owned(), value.as_str().map_or_else(|| value.to_string(), str::to_owned)]);
+    let text = |text: &Option<String>| text.clone().unwrap_or_else(|| "null".to_owned());
+    for (key, value) in [
+        ("port", text(&sensor.port)),
+        ("baud", sensor.baud.map_or_else(|| "null".to_owned(), |baud| baud.to_string())),
+        ("model", text(&sensor.model)),
+        ("hardware_revision", text(&sensor.hardware_revision)),
+        ("serial_number", text(&sensor.serial_number)),
+        ("firmware", text(&sensor.firmware)),
+        ("output", sensor.output.clone()),
+        ("rate_hz", format!("{:?}", sensor.rate_hz)),
+    ] {
+        rows.add_row([key.to_owned(), value]);
     }
-    if let Some(registers) = description["registers"].as_object() {
-        let mut numbered: Vec<(u16, &str)> =
-            registers.iter().filter_map(|(number, fields)| Some((number.parse().ok()?, fields.as_str()?))).collect();
-        numbered.sort_unstable();
-        for (number, fields) in numbered {
-            rows.add_row([format!("register {number}"), fields.to_owned()]);
-        }
+    for (number, fields) in &sensor.registers {
+        rows.add_row([format!("register {number}"), fields.clone()]);
     }
     writeln!(std::io::stdout(), "{rows}")?;
     Ok(Outcome::Done)

@@ -184,8 +184,8 @@ mod tests {
         let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
         let imported = import(&store, &SystemClock, Source::of(&recording), None, &mut |_, _| Ok(())).unwrap();
         let submit = |number: usize| {
-            let (kind, params) = ("diagnosis".to_owned(), json!({ "sim": number }));
-            let id = store.submit_job(NewJob::new(&kind, imported.end.id(), params), u64::MAX).unwrap().0.id;
+            let (kind, params) = (JobKind::Diagnosis, json!({ "sim": number }));
+            let id = store.submit_job(NewJob::new(kind, imported.end.id(), params), u64::MAX).unwrap().0.id;
             assert_eq!(store.claim_job().unwrap().unwrap().id, id);
             id
         };

@@ -3,7 +3,7 @@
 use super::Context;
 use super::source::{Source, has_rejected, tell_rate, tell_time};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
-use imu_core::sample::{Channel, Gap, Record, Sample};
+use imu_core::sample::{Channel, Gap, Record, Sample, SensorDescription};
 use imu_files::export::samples::{About, Rows, Tally};
 use imu_files::recording::{Item, KeepOn, Recording, RecordingAccountant, Stamps};
 
@@ -104,7 +104,7 @@ impl Samples {
             origin_ns: info.started_utc_ns,
             rate_hz: Some(info.rate_hz),
             channels: Channel::chosen(part.channels.as_deref(), &has)?,
-            sensor: serde_json::json!({}),
+            sensor: SensorDescription::default(),
             software: SOFTWARE.to_owned(),
             writer: SOFTWARE.to_owned(),
         };

@@ -59,7 +59,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
             writeln!(stdout, "    {}: {text}", event.message)?;
         }
     }
-    for remark in row.configuration["remarks"].as_array().into_iter().flatten().filter_map(|remark| remark.as_str()) {
+    for remark in row.configuration.remarks() {
         writeln!(stdout, "  {remark}")?;
     }
     if row.pinned {
@@ -67,8 +67,9 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     } else if let Some(delete_at) = row.delete_at {
         writeln!(stdout, "  will be deleted on {delete_at} unless it is pinned")?;
     }
-    for key in ["model", "serial_number", "firmware"] {
-        if let Some(text) = row.sensor[key].as_str() {
+    let (sensor, keys) = (&row.sensor, ["model", "serial_number", "firmware"]);
+    for (key, text) in keys.into_iter().zip([sensor.model(), sensor.serial_number(), sensor.firmware()]) {
+        if let Some(text) = text {
             writeln!(stdout, "  {key}: {text}")?;
         }
     }

@@ -356,17 +356,18 @@ fn to_database(
     let store = Store::open(&context.database()?, StoreOptions::default())
         .context("simulate with --out FILE and import that where a daemon has the database")?;
     let utc_ns = SystemClock.utc_ns();
+    let configuration = serde_json::json!({
+        "sensor_model": model,
+        "seed": args.seed,
+        "motion": args.motion,
+        "temperature": args.temperature,
+        "software": SOFTWARE,
+    });
     let capture = NewCapture {
         name: Some(name.to_owned()),
         started_utc_ns: Some(utc_ns),
-        sensor: Some(serde_json::json!({ "model": model.name })),
-        configuration: Some(serde_json::json!({
-            "sensor_model": model,
-            "seed": args.seed,
-            "motion": args.motion,
-            "temperature": args.temperature,
-            "software": SOFTWARE,
-        })),
+        sensor: Some(serde_json::json!({ "model": model.name }).into()),
+        configuration: Some(configuration.into()),
         ..NewCapture::new("simulator", CaptureState::Simulated)
     };
     let mut import = store.begin_import(capture, None)?;

@@ -13,7 +13,7 @@ pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
     let out = std::io::BufWriter::new(std::io::stdout());
     match &args.work {
         Work::Png => gallery::apart::answer(std::io::stdin().lock(), out)?,
-        Work::Wish { file } => jobs::answer_wish(file, out)?,
+        Work::DiagnosisBody { file } => jobs::answer_diagnosis_body(file, out)?,
         Work::Job { id, database, file } => jobs::answer(database, file, *id, out)?,
     }
     Ok(Outcome::Done)

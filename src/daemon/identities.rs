@@ -5,7 +5,7 @@ use super::resume_point;
 use crate::capture::recorder::{Plan, Recorder};
 use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
 use imu_core::sample::audit::Report;
-use imu_core::sample::{Channel, DiscardCause, GapCause, Record, Sample, Timebase};
+use imu_core::sample::{Channel, ConnectedSensor, DiscardCause, GapCause, Record, Sample, Timebase};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -329,9 +329,8 @@ fn a_capture_goes_on_at_the_baud_rate_that_worked_last() {
     };
     assert_eq!(point().baud, None);
     for baud in [115_200, 921_600] {
-        // As capture/description.rs writes it.
-        let description = serde_json::json!({ "baud": baud, "model": "VN-100", "serial_number": "1" });
-        store.records().try_send(id, Record::Configuration(description)).unwrap();
+        let sensor = ConnectedSensor { baud: Some(baud), ..ConnectedSensor::default() };
+        store.records().try_send(id, Record::Configuration(Box::new(sensor))).unwrap();
         assert_eq!(point().baud, Some(baud));
     }
 }

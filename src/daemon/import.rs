@@ -2,8 +2,9 @@
 
 use crate::clock::Clock;
 use crate::control::{self, ConversionReport, ImportReport, ImportRequest, Importer, RejectedReport};
-use crate::jobs::{Jobs, SAMPLING_KEY, SamplingError, StatedSampling};
+use crate::jobs::{self, Jobs, SamplingError};
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
+use imu_core::sample::{CaptureConfiguration, StatedSampling};
 use imu_files::recording::{
     ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
     RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
@@ -170,7 +171,7 @@ pub fn import(
     {
         return Err(StoreError::NameTaken { name: name.clone() }.into());
     }
-    let said = Said {
+    let statements = Statements {
         sampling,
         columns: columns.pairs().collect(),
         definitions: definitions.iter().map(|definition| definition.name().to_owned()).collect(),
@@ -178,8 +179,8 @@ pub fn import(
     let recording = Recording::read(input, Options { rate_hz, started_utc_ns: clock.utc_ns(), definitions })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
-    if let Some(told) = sampling {
-        told.with(&BTreeMap::new(), info.rate_hz)?;
+    if let Some(stated) = sampling {
+        jobs::sampling(stated, &BTreeMap::new(), info.rate_hz)?;
     }
     // A recording that was imported before is not written again; its counts are those in the database. This is checked
     // again here: reading takes time, in which captures come and go.
@@ -194,7 +195,7 @@ pub fn import(
     capture.liked_name = Some(name_of(called));
     capture.started_utc_ns = Some(info.started_utc_ns);
     capture.rate_assumed = info.rate_assumed;
-    capture.configuration = Some(description(&info, &said));
+    capture.configuration = Some(configuration(&info, &statements));
     capture.channels = channels(&info);
     let mut import = store.begin_import(capture, Some(&fingerprint))?;
     let mut out = Vec::new();
@@ -380,20 +381,20 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
 }
 
 /// The user's statements about a recording: the sampling, pairs of columns, names of message types.
-struct Said {
+struct Statements {
     sampling: Option<StatedSampling>,
     columns: Vec<String>,
     definitions: Vec<String>,
 }
 
 /// The capture's configuration.
-fn description(info: &RecordingInfo, said: &Said) -> serde_json::Value {
-    serde_json::json!({
+fn configuration(info: &RecordingInfo, statements: &Statements) -> CaptureConfiguration {
+    let document = serde_json::json!({
         "file": info.file.display().to_string(),
         "kind": info.kind,
-        SAMPLING_KEY: said.sampling,
-        "columns": said.columns,
-        "message_definitions": said.definitions,
+        "sampling": statements.sampling,
+        "columns": statements.columns,
+        "message_definitions": statements.definitions,
         "stamps": info.stamps,
         "rate_hz": info.rate_hz,
         "ignored_columns": info.ignored_columns,
@@ -407,7 +408,8 @@ fn description(info: &RecordingInfo, said: &Said) -> serde_json::Value {
         })),
         "findings": info.findings,
         "remarks": info.remarks(),
-    })
+    });
+    document.into()
 }
 
 /// A step that is coarser by no more than this is the same.

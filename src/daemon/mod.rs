@@ -18,9 +18,9 @@ pub mod schedule;
 pub mod watchdog;
 
 use crate::api;
-use crate::capture::book::Sink;
 use crate::capture::output::{Output, check_fit};
 use crate::capture::recorder::ResumePoint;
+use crate::capture::recorder_state::Sink;
 use crate::capture::session::SessionOptions;
 use crate::capture::task::{self, Progress, TaskCommand, TaskOptions};
 use crate::clock::Clock;
@@ -396,18 +396,9 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
             }
         }),
         rate_hz: unfinished.stream.map(|(rate_hz, _)| rate_hz),
-        serial_number: unfinished
-            .sensor
-            .as_ref()
-            // A capture belongs to the first sensor that it has samples of.
-            .filter(|_| unfinished.samples > 0)
-            .and_then(|sensor| sensor["serial_number"].as_str())
-            .map(str::to_owned),
+        // A capture belongs to the first sensor that it has samples of.
+        serial_number: unfinished.sensor.serial_number().filter(|_| unfinished.samples > 0).map(str::to_owned),
         baud: unfinished.baud,
-        previous_output: unfinished
-            .configuration
-            .as_ref()
-            .and_then(|configuration| serde_json::from_value(configuration["previous_output"].clone()).ok())
-            .unwrap_or_default(),
+        previous_output: unfinished.configuration.previous_output(),
     }
 }

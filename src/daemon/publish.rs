@@ -48,16 +48,16 @@ pub async fn run(
     status: watch::Sender<Status>,
     stop: CancellationToken,
 ) {
-    let mut said = None;
+    let mut reported = None;
     loop {
         let mut now = compose(&store, &jobs, &mut captured, clock.as_ref());
         now.retention = unattended.retention.borrow().clone();
         now.schedule = unattended.schedule.borrow().clone();
         now.notify = unattended.notify.status();
         let line = one_line(&now);
-        if said.as_ref() != Some(&line) {
+        if reported.as_ref() != Some(&line) {
             super::watchdog::notify(&[sd_notify::NotifyState::Status(&line)]);
-            said = Some(line);
+            reported = Some(line);
         }
         status.send_replace(now);
         tokio::select! {

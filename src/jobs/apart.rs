@@ -27,7 +27,7 @@ pub const JOB_PROCESSOR_S: u64 = 6 * 3600;
 
 /// The messages of a child about its job; a checkpoint's state and a result's text are the frame's body.
 #[derive(Debug, Serialize, Deserialize)]
-enum Word {
+enum Message {
     Checkpoint {
         next_seq: u64,
         progress: f64,
@@ -54,27 +54,27 @@ pub(super) fn run(
     let words = ["job", "--id", &id, "--file", &file, "--database"].map(OsStr::new);
     let work = [words.as_slice(), &[store.path().as_os_str()]].concat();
     let mut child =
-        Child::<Word>::start(JOB_MEMORY_BYTES, JOB_PROCESSOR_S, &work, BODY_MAX).map_err(JobError::Process)?;
+        Child::<Message>::start(JOB_MEMORY_BYTES, JOB_PROCESSOR_S, &work, BODY_MAX).map_err(JobError::Process)?;
     let mut keeper = InStore::new(store, job.id, keep_on);
     let (mut looked, mut gets_on) = (Instant::now(), false);
     loop {
         let kept = match child.hear(LOOK).map_err(JobError::Process)? {
-            Heard::Frame(Frame { header: Word::Checkpoint { next_seq, progress }, body }) => {
+            Heard::Frame(Frame { header: Message::Checkpoint { next_seq, progress }, body }) => {
                 gets_on = true;
                 keeper.checkpoint(JobCheckpoint { next_seq, state: body }, progress)
             }
-            Heard::Frame(Frame { header: Word::Progress(progress), .. }) => keeper.progress(progress),
-            Heard::Frame(Frame { header: Word::Done, body }) => {
+            Heard::Frame(Frame { header: Message::Progress(progress), .. }) => keeper.progress(progress),
+            Heard::Frame(Frame { header: Message::Done, body }) => {
                 let text = String::from_utf8(body).map_err(|error| JobError::Died { reason: error.to_string() });
                 return keeper.end(text);
             }
-            Heard::Frame(Frame { header: Word::Failed { reason, sqlite }, .. }) => {
+            Heard::Frame(Frame { header: Message::Failed { reason, sqlite }, .. }) => {
                 return Err(match sqlite {
                     Some(code) => StoreError::of_code(code, reason).into(),
                     None => JobError::Refused { reason },
                 });
             }
-            Heard::Frame(Frame { header: Word::Unopened(reason), .. }) => {
+            Heard::Frame(Frame { header: Message::Unopened(reason), .. }) => {
                 return Err(JobError::Process(std::io::Error::other(reason)));
             }
             // The next process would end in the same way.
@@ -101,18 +101,18 @@ pub(super) fn run(
 struct InPipe<W>(W);
 
 impl<W: Write> InPipe<W> {
-    fn say(&mut self, word: &Word, body: &[u8]) -> Result<(), JobError> {
+    fn send(&mut self, message: &Message, body: &[u8]) -> Result<(), JobError> {
         // A parent that does not listen has ended; the job continues at its next start.
-        write_frame(&mut self.0, word, body).map_err(|_| JobError::Stopped)
+        write_frame(&mut self.0, message, body).map_err(|_| JobError::Stopped)
     }
 }
 
 impl<W: Write + Send> Keeper for InPipe<W> {
     fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError> {
-        self.say(&Word::Checkpoint { next_seq: checkpoint.next_seq, progress }, &checkpoint.state)
+        self.send(&Message::Checkpoint { next_seq: checkpoint.next_seq, progress }, &checkpoint.state)
     }
     fn progress(&mut self, progress: f64) -> Result<(), JobError> {
-        self.say(&Word::Progress(progress), &[])
+        self.send(&Message::Progress(progress), &[])
     }
 }
 
@@ -126,13 +126,13 @@ pub fn answer(database: &Path, file: &str, id: i64, out: impl Write + Send) -> R
     let opened = Reader::open_written(database, file).and_then(|reader| reader.job(id).map(|job| (reader, job)));
     let (reader, job) = match opened {
         Ok(opened) => opened,
-        Err(error) => return write_frame(&mut keeper.0, &Word::Unopened(error.to_string()), &[]),
+        Err(error) => return write_frame(&mut keeper.0, &Message::Unopened(error.to_string()), &[]),
     };
     match work(&reader, &job, CHUNK, &mut keeper) {
-        Ok(body) => write_frame(&mut keeper.0, &Word::Done, body.as_bytes()),
+        Ok(body) => write_frame(&mut keeper.0, &Message::Done, body.as_bytes()),
         Err(error) => {
             let sqlite = if let JobError::Store(error) = &error { error.sqlite_code() } else { None };
-            write_frame(&mut keeper.0, &Word::Failed { reason: error.to_string(), sqlite }, &[])
+            write_frame(&mut keeper.0, &Message::Failed { reason: error.to_string(), sqlite }, &[])
         }
     }
 }

@@ -5,11 +5,12 @@
 //! that memory stays below [`MEMORY`] plus one channel; [`MOST`] bounds that one. A checkpoint contains the finished
 //! curves; the samples of the others are read again.
 
-use super::fold::{join, split};
+use super::fold::{GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
+use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::{JobError, JobParameters, SampleSource};
-use crate::store::Chunk;
+use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;
 use imu_noise::allan::{AllanCurve, Estimator, Phases, TauGrid, TauSpacing};
 use std::collections::VecDeque;
@@ -53,7 +54,7 @@ impl Curves {
         Ok(curves)
     }
 
-    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains; `None` if it is damaged.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains; `None` if it is damaged.
     pub(super) fn restore(
         plan: Plan,
         parameters: &JobParameters,
@@ -65,7 +66,7 @@ impl Curves {
         let Some(done) = decode(state).filter(|done| done.len() <= curves.plan.channels.len()) else { return Ok(None) };
         curves.done = done;
         curves.begin_pass();
-        let channels = curves.pass_channels().to_vec();
+        let channels = curves.read_channels().to_vec();
         let mut from = 0;
         while from < next_seq && !channels.is_empty() {
             let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
@@ -76,25 +77,28 @@ impl Curves {
         Ok(Some(curves))
     }
 
-    /// The plan.
-    pub(super) fn plan(&self) -> &Plan {
-        &self.plan
+    fn begin_pass(&mut self) {
+        self.open = None;
+        self.current = self.read_channels().iter().map(|_| vec![Vec::new()]).collect();
     }
 
-    /// The channels of this pass that are not finished.
-    pub(super) fn pass_channels(&self) -> &[Channel] {
+    /// The plan, the estimator and every channel's curve, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Estimator, Vec<(Channel, AllanCurve)>) {
+        let curves = self.plan.channels.iter().copied().zip(self.done).collect();
+        (self.plan, self.estimator, curves)
+    }
+}
+
+impl Pass for Curves {
+    fn plan(&self) -> Option<&Plan> {
+        Some(&self.plan)
+    }
+    fn read_channels(&self) -> &[Channel] {
         let from = self.done.len().min(self.plan.channels.len());
         let to = (from + self.group).min(self.plan.channels.len());
         self.plan.channels.get(from..to).unwrap_or_default()
     }
-
-    fn begin_pass(&mut self) {
-        self.open = None;
-        self.current = self.pass_channels().iter().map(|_| vec![Vec::new()]).collect();
-    }
-
-    /// Takes in the next samples of this pass; the columns are those of [`Self::pass_channels`].
-    pub(super) fn take(&mut self, chunk: &Chunk) {
+    fn take(&mut self, chunk: &Chunk) {
         let runs = self.plan.runs(chunk);
         for (stretches, column) in self.current.iter_mut().zip(&chunk.columns) {
             feed(
@@ -118,44 +122,36 @@ impl Curves {
             self.open = *number;
         }
     }
-
-    /// Computes the curve of one channel whose samples are complete; returns `false` if none is left in this pass.
-    pub(super) fn work(&mut self) -> bool {
-        let Some(channel) = self.pass_channels().first().copied() else { return false };
+    fn work(&mut self) -> bool {
+        let Some(channel) = self.read_channels().first().copied() else { return false };
         let Some(stretches) = self.current.pop_front() else { return false };
         let phases: Vec<Phases> = stretches.into_iter().filter_map(|values| Phases::integrate(&values)).collect();
         let curve = AllanCurve::from_phases(&phases, self.estimator, &self.grid, self.plan.rate_hz, channel.unit());
         self.done.push(curve);
         true
     }
-
-    /// Ends a pass; returns whether another one is needed.
-    pub(super) fn end_pass(&mut self) -> bool {
+    fn end_pass(&mut self) -> bool {
         let more = self.done.len() < self.plan.channels.len();
         if more {
             self.begin_pass();
         }
         more
     }
-
-    /// The overall progress when this pass has reached `next_seq`, 0–1: reading counts as a tenth.
-    pub(super) fn progress(&self, next_seq: u64) -> f64 {
+    /// Reading counts as a tenth.
+    fn progress(&self, next_seq: u64, _end_seq: u64) -> f64 {
         let read = 0.1 * self.current.len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
         (self.done.len() as f64 + read) / self.plan.channels.len().max(1) as f64
     }
-
-    /// Everything that [`Self::restore`] needs besides the samples.
-    pub(super) fn save(&self) -> Result<Vec<u8>, JobError> {
+    fn save(&mut self) -> Result<Vec<u8>, JobError> {
         let done: Vec<Vec<u8>> = self.done.iter().map(serde_json::to_vec).collect::<Result<_, _>>()?;
         let mut bytes = vec![VERSION];
         bytes.extend(join(&done));
         Ok(bytes)
     }
-
-    /// The plan, the estimator and every channel's curve, once the last pass has ended.
-    pub(super) fn finish(self) -> (Plan, Estimator, Vec<(Channel, AllanCurve)>) {
-        let curves = self.plan.channels.iter().copied().zip(self.done).collect();
-        (self.plan, self.estimator, curves)
+    fn document(self: Box<Self>, reader: &Reader, _: &JobRow, _: &mut GoOn<'_>) -> Result<String, JobError> {
+        let (plan, estimator, curves) = self.finish();
+        let extent = Extent::of_plan(reader, &plan)?;
+        Ok(serde_json::to_string(&report::curves(&plan, estimator, curves, &extent))?)
     }
 }
 

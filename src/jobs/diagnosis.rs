@@ -5,8 +5,8 @@
 
 use super::plan::Plan;
 use super::runner::Keeper;
-use super::{GivenReference, Gridded, JobError, JobKind, fitted, gridded};
-use crate::store::{JobRow, Reader, SOFTWARE};
+use super::{Gridded, JobError, ReferenceMotion, fitted, gridded};
+use crate::store::{JobKind, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
 use imu_diagnosis::{Diagnosis, Drawings, Options, Reference, Workers};
 use imu_model::motion::file::Rows;
@@ -28,23 +28,23 @@ const OF_A_MOTION: u64 = 4;
 const MODEL: &str = "model-";
 
 /// The simulator that a capture is compared with.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Simulator {
     /// A capture that a simulator made, by its id.
     Capture(i64),
-    /// A sensor model, as JSON.
-    Model(Value),
+    /// A sensor model.
+    Model(Box<SensorModel>),
 }
 
 /// Parameters of a diagnosis.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DiagnosisParameters {
     /// The simulator that the capture is compared with. A model is included as a whole, so that the job outlives it.
     pub sim: Simulator,
     /// The motion that the sensor underwent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reference: Option<GivenReference>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<ReferenceMotion>,
 }
 
 impl Simulator {
@@ -62,9 +62,9 @@ impl Simulator {
             Ok(Self::Capture(id))
         };
         match sim {
-            model @ Value::Object(_) => of_model(&model, "sim"),
+            model @ Value::Object(_) => Self::of_model(&model, "sim"),
             Value::String(text) => match text.strip_prefix(MODEL).and_then(|number| number.parse().ok()) {
-                Some(number) => of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text),
+                Some(number) => Self::of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text),
                 None => capture(reader.resolve(&text)?),
             },
             Value::Number(number) => {
@@ -74,14 +74,38 @@ impl Simulator {
             _ => Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
         }
     }
+
+    fn of_model(value: &Value, called: &str) -> Result<Self, JobError> {
+        Ok(Self::Model(Box::new(SensorModel::from_value(value, called)?)))
+    }
 }
 
 impl DiagnosisParameters {
-    /// The SHA-256 of the reference that the database keeps for this job.
-    pub(super) fn kept_reference(&self) -> Option<&str> {
+    /// Reads the parameters that a row of the database holds.
+    pub(super) fn of_text(text: &str) -> Result<Self, JobError> {
+        #[derive(Deserialize)]
+        struct Stored {
+            sim: Value,
+            #[serde(default)]
+            reference: Option<ReferenceMotion>,
+        }
+        let refuse = |error: serde_json::Error| JobError::Parameters {
+            kind: JobKind::Diagnosis.name(),
+            reason: error.to_string(),
+        };
+        let Stored { sim, reference } = serde_json::from_str(text).map_err(refuse)?;
+        let sim = match sim.as_i64() {
+            Some(id) => Simulator::Capture(id),
+            None => Simulator::of_model(&sim, "sim")?,
+        };
+        Ok(Self { sim, reference })
+    }
+
+    /// The SHA-256 of the reference that the database stores for this job.
+    pub(super) fn stored_reference(&self) -> Option<&str> {
         match &self.reference {
-            Some(GivenReference::Kept { sha256, .. }) => Some(sha256),
-            Some(GivenReference::Named(_)) | None => None,
+            Some(ReferenceMotion::Stored { sha256, .. }) => Some(sha256),
+            Some(ReferenceMotion::Named(_)) | None => None,
         }
     }
 }
@@ -102,11 +126,11 @@ pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
 }
 
 /// The motion of the sensor during a recording.
-fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> Result<Reference, JobError> {
+fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Reference, JobError> {
     let none = |reason: String| JobError::InsufficientData { reason };
     let text = match given {
-        GivenReference::Kept { sha256, .. } => return of_csv(&reader.reference(sha256)?).map_err(none),
-        GivenReference::Named(name) => name,
+        ReferenceMotion::Stored { sha256, .. } => return of_csv(&reader.reference(sha256)?).map_err(none),
+        ReferenceMotion::Named(name) => name,
     };
     let kind = Kind::from_name(text).ok_or_else(|| none(format!("there is no motion `{text}`")))?;
     // A named motion is as long as the simulation, and begins with it.
@@ -120,11 +144,6 @@ fn reference_of(reader: &Reader, given: &GivenReference, gridded: &Gridded) -> R
     let time_s = |index: usize| index as f64 / recording.rate_hz;
     let rows = (0..recording.len()).map(|index| (time_s(index), course.at(time_s(index))));
     Reference::new(rows).map_err(|error| none(error.to_string()))
-}
-
-/// The model in its written form, so that the same model is always the same text.
-fn of_model(value: &Value, called: &str) -> Result<Simulator, JobError> {
-    Ok(Simulator::Model(serde_json::to_value(SensorModel::from_value(value, called)?)?))
 }
 
 /// The result of a diagnosis: parts of one JSON text, each as it is returned.
@@ -186,8 +205,12 @@ impl Workers for OneByOne<'_> {
 }
 
 /// Works on a diagnosis to its end; returns the text of its result.
-pub(super) fn work(reader: &Reader, job: &JobRow, keeper: &mut dyn Keeper) -> Result<String, JobError> {
-    let parameters: DiagnosisParameters = serde_json::from_value(job.params.clone())?;
+pub(super) fn work(
+    reader: &Reader,
+    job: &JobRow,
+    parameters: DiagnosisParameters,
+    keeper: &mut dyn Keeper,
+) -> Result<String, JobError> {
     let state = Mutex::new((keeper, None));
     let step = |progress: f64| {
         let (keeper, ended) = &mut *state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -196,7 +219,7 @@ pub(super) fn work(reader: &Reader, job: &JobRow, keeper: &mut dyn Keeper) -> Re
         }
         ended.is_none()
     };
-    let document = document_of(reader, job, &parameters, &step);
+    let document = document_of(reader, job, parameters, &step);
     // Unfinished work leads to some other error, or to a meaningless result.
     match state.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
         Some(error) => Err(error),
@@ -208,21 +231,20 @@ pub(super) fn work(reader: &Reader, job: &JobRow, keeper: &mut dyn Keeper) -> Re
 fn document_of(
     reader: &Reader,
     job: &JobRow,
-    parameters: &DiagnosisParameters,
+    parameters: DiagnosisParameters,
     step: &Step<'_>,
 ) -> Result<String, JobError> {
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
     // Another rate is refused before any work.
     let same_rate = |sim_hz| imu_diagnosis::same_rate(plan.rate_hz, sim_hz);
-    let ((sim, doubt), begun) = match &parameters.sim {
-        Simulator::Model(value) => {
-            let sim = SensorModel::from_value(value, "sim")?;
+    let ((sim, doubt), begun) = match parameters.sim {
+        Simulator::Model(sim) => {
             same_rate(sim.rate_hz)?;
-            ((sim, None), 0.0)
+            ((*sim, None), 0.0)
         }
         Simulator::Capture(id) => {
-            let capture = reader.capture(*id)?;
-            let plan = Plan::read(reader, *id, capture.samples, &Channel::ANALYSED)?;
+            let capture = reader.capture(id)?;
+            let plan = Plan::read(reader, id, capture.samples, &Channel::ANALYSED)?;
             same_rate(plan.rate_hz)?;
             let (workers, room) = (OneByOne { step, from: 0.05, to: 0.5 }, room(&plan));
             let fitted = fitted(reader, plan, &imu_diagnosis::effects(), &capture.name, room, &workers)?;

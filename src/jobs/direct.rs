@@ -8,12 +8,11 @@ use super::report::{self, Extent};
 use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
-use super::{Documents, JobError, JobKind, JobParameters, Plan, SampleSource, StatedSampling, StatisticsReport};
+use super::{AnalysisRequest, Documents, JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport};
 use crate::store::{CaptureRow, JobState, Reader};
-use imu_core::sample::Channel;
+use imu_core::sample::{Channel, StatedSampling};
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanReport, Estimator};
-use serde_json::Value;
 
 /// The noise parameters of a plan's samples, computed on two threads; memory is bounded as a job's is.
 ///
@@ -59,7 +58,7 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
     let mut next_seq = 0;
     while next_seq < row.samples {
         let limit = CHUNK.min(usize::try_from(row.samples - next_seq).unwrap_or(CHUNK));
-        let chunk = reader.read_chunk(capture_id, next_seq, limit, distribution.channels())?;
+        let chunk = reader.read_chunk(capture_id, next_seq, limit, distribution.read_channels())?;
         if chunk.is_empty() {
             break;
         }
@@ -70,7 +69,7 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
 }
 
 /// The result of a job of one of the usual kinds, over the samples in `capture`'s row. It is the stored result if this
-/// version of the program has finished such a job, else it is computed at once and not stored. `told` is the user's
+/// version of the program has finished such a job, else it is computed at once and not stored. `stated` is the user's
 /// statement about the sampling, which no job has.
 ///
 /// # Errors
@@ -80,12 +79,12 @@ pub fn document(
     reader: &Reader,
     capture: &CaptureRow,
     kind: JobKind,
-    told: Option<StatedSampling>,
+    stated: Option<StatedSampling>,
 ) -> Result<Documents, JobError> {
-    let parameters = kind.parameters(&Value::Null)?;
-    if !capture.state.is_open() && told.is_none() {
-        let usual = serde_json::to_value(&parameters)?;
-        let jobs = reader.jobs_over(capture.id, kind.name(), capture.samples)?;
+    let request = AnalysisRequest::usual(kind)?;
+    if !capture.state.is_open() && stated.is_none() {
+        let usual = request.text()?;
+        let jobs = reader.jobs_over(capture.id, kind, capture.samples)?;
         let finished = jobs.into_iter().find(|job| job.state == JobState::Done && !job.stale && job.params == usual);
         let result = finished.and_then(|job| job.result_id).map(|id| reader.result(id)).transpose()?.flatten();
         if let Some(result) = result {
@@ -94,18 +93,14 @@ pub fn document(
     }
     let plan = || {
         let mut plan = Plan::read(reader, capture.id, capture.samples, &Channel::ANALYSED)?;
-        told.map_or(Ok(()), |told| plan.sampled(told))?;
+        stated.map_or(Ok(()), |stated| plan.sampled(stated))?;
         Ok::<_, JobError>(plan)
     };
     let mut own = Documents::default();
-    match kind {
-        JobKind::Statistics => own.statistics = Some(statistics(reader, capture.id)?),
-        JobKind::Noise => own.noise = Some(noise(reader, plan()?)?),
-        JobKind::Allan => own.allan = Some(allan(reader, plan()?, &parameters)?),
-        JobKind::Diagnosis => {
-            let reason = "it needs a simulator to compare with".to_owned();
-            return Err(JobError::Parameters { kind: kind.name(), reason });
-        }
+    match request {
+        AnalysisRequest::Noise(_) => own.noise = Some(noise(reader, plan()?)?),
+        AnalysisRequest::Allan(parameters) => own.allan = Some(allan(reader, plan()?, &parameters)?),
+        AnalysisRequest::Statistics(_) => own.statistics = Some(statistics(reader, capture.id)?),
     }
     Ok(own)
 }

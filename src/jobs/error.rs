@@ -9,14 +9,6 @@ use imu_noise::allan::AllanError;
 /// Errors of jobs.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {
-    /// No computation has that name.
-    #[error("there is no job kind `{found}`: expected one of {expected}")]
-    UnknownKind {
-        /// The name.
-        found: String,
-        /// The known names.
-        expected: String,
-    },
     /// The parameters of the job are not those of its kind.
     #[error("parameters of a `{kind}` job: {reason}")]
     Parameters {

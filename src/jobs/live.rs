@@ -4,6 +4,7 @@
 //! committed since, at most [`CATCH_UP`] per call, and returns the result for those it has.
 
 use super::distribution::Distribution;
+use super::fold::Pass as _;
 use super::report::{self, Extent, StatisticsReport};
 use super::sampling::of_configuration;
 use super::{Documents, JobError, JobKind};

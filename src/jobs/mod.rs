@@ -1,6 +1,6 @@
 //! Jobs: durable background work over captures, in chunks, beside a running capture.
 //!
-//! In: submissions (kind, capture, parameters). Out: results in the store, as the JSON documents that the interfaces
+//! In: requests ([`JobRequest`], capture). Out: results in the store, as the JSON documents that the interfaces
 //! return. Guarantees: the same submission is the same job. A job that is killed at any point continues at its last
 //! chunk and produces the same bytes. Its input is fixed when it is submitted. Nothing is averaged across a gap, a
 //! reset, an absent value or two rates. A job whose process dies three times at the same chunk fails. Each job has a
@@ -16,6 +16,7 @@
 mod apart;
 mod curves;
 mod diagnosis;
+mod diagnosis_request;
 pub mod direct;
 mod distribution;
 mod document;
@@ -24,13 +25,13 @@ mod examine;
 mod fold;
 mod gridded;
 mod held;
-mod kind;
 mod live;
 mod model;
 mod motion;
 mod plan;
 mod raw_counts;
 mod report;
+mod request;
 mod runner;
 mod sampling;
 mod source;
@@ -40,24 +41,24 @@ mod sums;
 mod tests;
 mod threads;
 mod together;
-mod wish;
 mod worker;
 
+pub use crate::store::JobKind;
 pub use apart::{JOB_MEMORY_BYTES, JOB_PROCESSOR_S, answer};
 pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator, read_diagnosis};
+pub use diagnosis_request::{DiagnosisBody, ReferenceMotion, SIM_BYTES_MAX, answer_diagnosis_body};
 pub use document::Documents;
 pub use error::JobError;
 pub use gridded::{Gridded, gridded};
-pub use kind::{JobKind, JobParameters};
 pub use live::{CATCH_UP, Live, LivePoints, SoFar};
 pub use model::{Fitted, fitted};
 pub use plan::{Plan, Slice};
 pub use report::{Extent, StatisticsReport};
+pub use request::{AnalysisRequest, JobParameters, JobRequest};
 pub use runner::CHUNK;
-pub use sampling::{SAMPLING_KEY, SamplingError, StatedSampling};
+pub use sampling::{SamplingError, sampling};
 pub use source::SampleSource;
 pub use sums::MEMORY;
 pub use threads::TwoThreads;
 pub use together::{CAPTURES_MAX, Setting, one_sensor};
-pub use wish::{GivenReference, SIM_BYTES_MAX, WishBody, answer_wish};
 pub use worker::{Jobs, JobsOptions, Place, leave_for_daemon};

@@ -6,10 +6,10 @@
 //! them.
 
 use super::raw_counts::RawCounts;
-use super::sampling::{SamplingError, StatedSampling, of_configuration};
+use super::sampling::{SamplingError, of_configuration, sampling};
 use super::{JobError, SampleSource};
 use crate::store::{Chunk, PageRequest, Reader, StoreError};
-use imu_core::sample::{Channel, Triad};
+use imu_core::sample::{Channel, StatedSampling, Triad};
 use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -198,8 +198,8 @@ impl Plan {
     ///
     /// # Errors
     /// [`SamplingError`] if the statement is impossible.
-    pub fn sampled(&mut self, told: StatedSampling) -> Result<(), SamplingError> {
-        self.sampling = told.with(&self.sampling, self.rate_hz)?;
+    pub fn sampled(&mut self, stated: StatedSampling) -> Result<(), SamplingError> {
+        self.sampling = sampling(stated, &self.sampling, self.rate_hz)?;
         Ok(())
     }
 

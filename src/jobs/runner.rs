@@ -4,9 +4,8 @@
 //! from there comes to the same result, bit for bit. A job that is stopped is queued again; a cancelled one ends at the
 //! next chunk.
 
-use super::fold::Fold;
-use super::report::{self, Extent};
-use super::{JobError, JobKind};
+use super::fold::{self, Pass};
+use super::{JobError, JobRequest};
 use crate::store::{JobCheckpoint, JobRow, JobState, Reader, Store, StoreError};
 use std::time::{Duration, Instant};
 
@@ -121,72 +120,43 @@ pub(super) fn work(
     chunk_samples: usize,
     keeper: &mut dyn Keeper,
 ) -> Result<String, JobError> {
-    let kind = JobKind::from_name(&job.kind)?;
-    if kind == JobKind::Diagnosis {
-        return super::diagnosis::work(reader, job, keeper);
-    }
-    let parameters = kind.parameters(&job.params)?;
+    let request = match JobRequest::of_row(job)? {
+        JobRequest::Diagnosis(parameters) => return super::diagnosis::work(reader, job, parameters, keeper),
+        JobRequest::Analysis(request) => request,
+    };
     let mut begun = Instant::now();
-    let (mut fold, mut next_seq) = Fold::begin(reader, job, kind, &parameters, || {
+    let (mut pass, mut next_seq) = fold::begin(reader, job, &request, || {
         rest(begun.elapsed() / REST);
         begun = Instant::now();
         keeper.progress(0.0)
     })?;
-    let end_seq = fold.end_seq(job);
-    let keep = |keeper: &mut dyn Keeper, fold: &mut Fold, next_seq: u64| {
-        let checkpoint = JobCheckpoint { next_seq, state: fold.save()? };
-        keeper.checkpoint(checkpoint, fold.progress(next_seq, end_seq))
+    let end_seq = pass.plan().map_or(job.end_seq, |plan| plan.end_seq);
+    let keep = |keeper: &mut dyn Keeper, pass: &mut dyn Pass, next_seq: u64| {
+        let checkpoint = JobCheckpoint { next_seq, state: pass.save()? };
+        keeper.checkpoint(checkpoint, pass.progress(next_seq, end_seq))
     };
     loop {
         while next_seq < end_seq {
             let begun = Instant::now();
             crate::observe::provoke::provoke(crate::observe::provoke::Point::Job);
             let limit = chunk_samples.min(usize::try_from(end_seq - next_seq).unwrap_or(usize::MAX));
-            let chunk = fold.read_chunk(reader, job, next_seq, limit)?;
-            fold.pass_mut().take(&chunk);
+            let chunk = fold::read_chunk(&*pass, reader, job, next_seq, limit)?;
+            pass.take(&chunk);
             next_seq = chunk.next_seq();
-            keep(keeper, &mut fold, next_seq)?;
+            keep(keeper, &mut *pass, next_seq)?;
             rest(begun.elapsed() / REST);
         }
-        while fold.pass_mut().work() {
-            keep(keeper, &mut fold, next_seq)?;
+        while pass.work() {
+            keep(keeper, &mut *pass, next_seq)?;
         }
-        if !fold.pass_mut().end_pass() {
+        if !pass.end_pass() {
             break;
         }
         next_seq = 0;
     }
-    document(reader, job, fold, |done| keeper.progress(FOLDED + (1.0 - FOLDED) * done))
+    pass.document(reader, job, &mut |done| keeper.progress(FOLDED + (1.0 - FOLDED) * done))
 }
 
 fn rest(time: Duration) {
     std::thread::sleep(time.min(Duration::from_millis(100)));
-}
-
-fn document(
-    reader: &Reader,
-    job: &JobRow,
-    fold: Fold,
-    go_on: impl FnMut(f64) -> Result<(), JobError>,
-) -> Result<String, JobError> {
-    Ok(match fold {
-        Fold::Sums(summation) => {
-            let (plan, sums) = summation.finish();
-            let extent = Extent::of_plan(reader, &plan)?;
-            serde_json::to_string(&report::allan(&plan, &sums, &extent))?
-        }
-        Fold::Curves(curves) => {
-            let (plan, estimator, curves) = curves.finish();
-            let extent = Extent::of_plan(reader, &plan)?;
-            serde_json::to_string(&report::curves(&plan, estimator, curves, &extent))?
-        }
-        Fold::Spectra(spectra) => {
-            let (plan, sums, held) = spectra.finish();
-            serde_json::to_string(&report::noise(reader, &plan, &sums, held, go_on)?)?
-        }
-        Fold::Distribution(distribution) => {
-            let extent = Extent::read(reader, job.capture, job.end_seq)?;
-            serde_json::to_string(&report::statistics(distribution.statistics(), extent))?
-        }
-    })
 }

@@ -57,8 +57,8 @@ impl SampleSource for Reader {
     }
     fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError> {
         // The origin of a table's stamps is unknown; those before raw lines and in bags are the host's.
-        let kind = &self.capture(capture_id)?.configuration["kind"];
-        let imported_with_host_times = *kind == "vn_text" || *kind == "bag";
+        let configuration = self.capture(capture_id)?.configuration;
+        let imported_with_host_times = matches!(configuration.recording_kind(), Some("vn_text" | "bag"));
         let chunk = self.read_samples(capture_id, from_seq, limit, &[])?;
         let device_ns = chunk.times.map(|times| times.device_ns).unwrap_or_default();
         let mut epochs: BTreeMap<u32, Option<u32>> = BTreeMap::new();

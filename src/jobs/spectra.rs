@@ -4,14 +4,15 @@
 //! one transform's work space, whatever the length. A checkpoint contains the sums of stretches that have ended. An
 //! open stretch is read again, so that the transform sees it without an interruption.
 
-use super::fold::{join, split};
+use super::fold::{GoOn, Pass, join, split};
 use super::held::Held;
 use super::motion::AtRest;
 use super::plan::{Plan, feed};
-use super::runner::CHUNK;
+use super::report;
+use super::runner::{CHUNK, FOLDED, FOLDED_SHORT};
 use super::threads::side_by_side;
 use super::{JobError, SampleSource};
-use crate::store::Chunk;
+use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;
 use imu_noise::allan::FixedPoint;
 use imu_noise::robust::blocks_of;
@@ -60,7 +61,7 @@ impl Spectra {
         spectra
     }
 
-    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains; `None` if it is damaged.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains; `None` if it is damaged.
     pub(super) fn restore(
         plan: Plan,
         state: &[u8],
@@ -101,22 +102,6 @@ impl Spectra {
         Ok(Some(self))
     }
 
-    /// The plan.
-    pub(super) fn plan(&self) -> &Plan {
-        &self.plan
-    }
-
-    /// The next samples of [`Self::read_channels`], if all are held.
-    pub(super) fn held_chunk(&self, from: u64, limit: usize) -> Option<Chunk> {
-        let held = self.held.as_ref().filter(|held| held.len() == self.plan.end_seq)?;
-        Some(held.chunk(from, limit, self.pass_channels()))
-    }
-
-    /// The channels to be read in this pass: those that are summed first.
-    pub(super) fn read_channels(&self) -> &[Channel] {
-        self.held.as_ref().map_or_else(|| self.pass_channels(), Held::channels)
-    }
-
     /// The channels that are summed in this pass.
     fn pass_channels(&self) -> &[Channel] {
         let from = self.done.len().min(self.plan.channels.len());
@@ -135,32 +120,33 @@ impl Spectra {
         self.current = self.pass_channels().iter().map(estimator).collect();
     }
 
-    /// Ends a pass; returns whether another one is needed.
-    pub(super) fn end_pass(&mut self) -> bool {
-        self.transform = Transform::new();
-        let sums = |transform: &mut Transform, estimator: DstEstimator| estimator.into_sums(transform);
-        self.done.extend(side_by_side(std::mem::take(&mut self.current).into_iter(), Transform::new, sums));
-        let more = self.done.len() < self.plan.channels.len();
-        if more {
-            self.begin_pass();
-        }
-        more
-    }
-
     /// Whether the search for disturbances takes long: there are several captures, or one has more than one block.
-    pub(super) fn is_long(&self) -> bool {
+    fn is_long(&self) -> bool {
         self.plan.slices.len() > 1
             || self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
     }
 
-    /// The overall progress when this pass has reached `next_seq`, 0–1.
-    pub(super) fn progress(&self, next_seq: u64) -> f64 {
-        let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
-        (self.done.len() as f64 + share) / self.plan.channels.len().max(1) as f64
+    /// The plan, every channel's sums, and all samples if they are held, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>, Option<Held>) {
+        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
+        let whole = self.plan.end_seq;
+        (self.plan, sums, self.held.filter(|held| held.len() == whole))
     }
+}
 
-    /// Takes in the next samples of this pass; the columns are those of [`Self::read_channels`].
-    pub(super) fn take(&mut self, chunk: &Chunk) {
+impl Pass for Spectra {
+    fn plan(&self) -> Option<&Plan> {
+        Some(&self.plan)
+    }
+    /// Those that are summed first.
+    fn read_channels(&self) -> &[Channel] {
+        self.held.as_ref().map_or_else(|| self.pass_channels(), Held::channels)
+    }
+    fn held_chunk(&self, from: u64, limit: usize) -> Option<Chunk> {
+        let held = self.held.as_ref().filter(|held| held.len() == self.plan.end_seq)?;
+        Some(held.chunk(from, limit, self.pass_channels()))
+    }
+    fn take(&mut self, chunk: &Chunk) {
         if let Some(held) = self.held.as_mut().filter(|held| held.len() <= chunk.first_seq) {
             held.take(chunk);
         }
@@ -179,9 +165,22 @@ impl Spectra {
             self.open = *number;
         }
     }
-
-    /// Everything that [`Self::restore`] needs besides the samples.
-    pub(super) fn save(&self) -> Vec<u8> {
+    fn end_pass(&mut self) -> bool {
+        self.transform = Transform::new();
+        let sums = |transform: &mut Transform, estimator: DstEstimator| estimator.into_sums(transform);
+        self.done.extend(side_by_side(std::mem::take(&mut self.current).into_iter(), Transform::new, sums));
+        let more = self.done.len() < self.plan.channels.len();
+        if more {
+            self.begin_pass();
+        }
+        more
+    }
+    fn progress(&self, next_seq: u64, _end_seq: u64) -> f64 {
+        let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
+        let folded = if self.is_long() { FOLDED } else { FOLDED_SHORT };
+        folded * (self.done.len() as f64 + share) / self.plan.channels.len().max(1) as f64
+    }
+    fn save(&mut self) -> Result<Vec<u8>, JobError> {
         let done: Vec<Vec<u8>> = self.done.iter().map(DstSums::to_bytes).collect();
         let current: Vec<Vec<u8>> = self
             .current
@@ -195,14 +194,11 @@ impl Spectra {
         let mut bytes = vec![VERSION];
         bytes.extend(join(&done));
         bytes.extend(join(&current));
-        bytes
+        Ok(bytes)
     }
-
-    /// The plan, every channel's sums, and all samples if they are held, once the last pass has ended.
-    pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>, Option<Held>) {
-        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
-        let whole = self.plan.end_seq;
-        (self.plan, sums, self.held.filter(|held| held.len() == whole))
+    fn document(self: Box<Self>, reader: &Reader, _: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError> {
+        let (plan, sums, held) = self.finish();
+        Ok(serde_json::to_string(&report::noise(reader, &plan, &sums, held, go_on)?)?)
     }
 }
 

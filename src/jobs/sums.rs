@@ -4,10 +4,11 @@
 //! whatever the length. A channel needs 2.5 phases of 8 bytes per sample of its longest averaging time with full
 //! overlap.
 
-use super::fold::{join, split};
+use super::fold::{GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
+use super::report::{self, Extent};
 use super::{JobError, JobParameters, SampleSource};
-use crate::store::Chunk;
+use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;
 use imu_noise::allan::{AllanSums, FixedPoint, Overlapping, TauGrid};
 
@@ -41,7 +42,7 @@ impl Summation {
         Ok(summation)
     }
 
-    /// Resumes after `next_seq` samples of the pass that `state` ([`Self::save`]) contains.
+    /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains.
     pub(super) fn restore(
         plan: Plan,
         parameters: &JobParameters,
@@ -56,7 +57,7 @@ impl Summation {
         let Some((done, current)) = decode(state) else { return Ok(None) };
         let Some(finished) = self.decode_sums(&done) else { return Ok(None) };
         self.done = finished;
-        let channels = self.pass_channels().to_vec();
+        let channels = self.read_channels().to_vec();
         if channels.is_empty() || channels.len() != current.len() {
             return Ok(None);
         }
@@ -99,45 +100,32 @@ impl Summation {
         Ok(Some((number, start.max(next_seq.saturating_sub(self.grid.halo_len() as u64)))))
     }
 
-    /// The plan.
-    pub(super) fn plan(&self) -> &Plan {
-        &self.plan
-    }
-
-    /// The channels of this pass.
-    pub(super) fn pass_channels(&self) -> &[Channel] {
-        let from = self.done.len().min(self.plan.channels.len());
-        let to = (from + self.group).min(self.plan.channels.len());
-        self.plan.channels.get(from..to).unwrap_or_default()
-    }
-
     fn begin_pass(&mut self) {
         self.open = None;
         self.current = self
-            .pass_channels()
+            .read_channels()
             .iter()
             .map(|channel| Overlapping::new(FixedPoint::for_channel(*channel), self.grid.clone()))
             .collect();
     }
 
-    /// Ends a pass; returns whether another one is needed.
-    pub(super) fn end_pass(&mut self) -> bool {
-        self.done.extend(std::mem::take(&mut self.current).into_iter().map(Overlapping::into_sums));
-        let more = self.done.len() < self.plan.channels.len();
-        if more {
-            self.begin_pass();
-        }
-        more
+    /// The plan and every channel's sums, once the last pass has ended.
+    pub(super) fn finish(self) -> (Plan, Vec<(Channel, AllanSums)>) {
+        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
+        (self.plan, sums)
     }
+}
 
-    /// The overall progress when this pass has reached `next_seq`, 0–1.
-    pub(super) fn progress(&self, next_seq: u64) -> f64 {
-        let share = self.pass_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
-        (self.done.len() as f64 + share) / self.plan.channels.len() as f64
+impl Pass for Summation {
+    fn plan(&self) -> Option<&Plan> {
+        Some(&self.plan)
     }
-
-    /// Takes in the next samples of this pass; the columns are those of [`Self::pass_channels`].
-    pub(super) fn take(&mut self, chunk: &Chunk) {
+    fn read_channels(&self) -> &[Channel] {
+        let from = self.done.len().min(self.plan.channels.len());
+        let to = (from + self.group).min(self.plan.channels.len());
+        self.plan.channels.get(from..to).unwrap_or_default()
+    }
+    fn take(&mut self, chunk: &Chunk) {
         let runs = self.plan.runs(chunk);
         for (estimator, column) in self.current.iter_mut().zip(&chunk.columns) {
             feed(estimator, &runs, column, self.open, Overlapping::push, Overlapping::break_segment);
@@ -146,21 +134,30 @@ impl Summation {
             self.open = *number;
         }
     }
-
-    /// Everything that [`Self::restore`] needs besides the samples.
-    pub(super) fn save(&mut self) -> Vec<u8> {
+    fn end_pass(&mut self) -> bool {
+        self.done.extend(std::mem::take(&mut self.current).into_iter().map(Overlapping::into_sums));
+        let more = self.done.len() < self.plan.channels.len();
+        if more {
+            self.begin_pass();
+        }
+        more
+    }
+    fn progress(&self, next_seq: u64, _end_seq: u64) -> f64 {
+        let share = self.read_channels().len() as f64 * next_seq as f64 / self.plan.end_seq.max(1) as f64;
+        (self.done.len() as f64 + share) / self.plan.channels.len() as f64
+    }
+    fn save(&mut self) -> Result<Vec<u8>, JobError> {
         let done: Vec<Vec<u8>> = self.done.iter().map(AllanSums::to_bytes).collect();
         let current: Vec<Vec<u8>> = self.current.iter_mut().map(Overlapping::save).collect();
         let mut bytes = vec![VERSION];
         bytes.extend(join(&done));
         bytes.extend(join(&current));
-        bytes
+        Ok(bytes)
     }
-
-    /// The plan and every channel's sums, once the last pass has ended.
-    pub(super) fn finish(self) -> (Plan, Vec<(Channel, AllanSums)>) {
-        let sums = self.plan.channels.iter().copied().zip(self.done).collect();
-        (self.plan, sums)
+    fn document(self: Box<Self>, reader: &Reader, _: &JobRow, _: &mut GoOn<'_>) -> Result<String, JobError> {
+        let (plan, sums) = self.finish();
+        let extent = Extent::of_plan(reader, &plan)?;
+        Ok(serde_json::to_string(&report::allan(&plan, &sums, &extent))?)
     }
 }
 

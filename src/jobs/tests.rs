@@ -1,11 +1,12 @@
 //! The guarantees of jobs, on real files.
 
+use super::fold::Pass as _;
 use super::runner::{Outcome, run};
 use super::*;
 use crate::store::{CaptureState, JobState, NewCapture, NewJob, Reader, Store, StoreOptions};
 use imu_core::sample::{Channel, Gap, GapCause, Record, Sample, Segment, Timebase};
 use imu_noise::NoiseReport;
-use imu_noise::allan::{AllanCurve, AllanReport, FixedPoint, Phases, TauGrid};
+use imu_noise::allan::{AllanCurve, AllanReport, FixedPoint, Phases, TauGrid, TauSpacing};
 use imu_noise::robust::{Part, spectral_sums};
 use imu_noise::whittle::{self, DstSums};
 use std::time::{Duration, Instant};
@@ -75,6 +76,10 @@ struct World {
     capture: i64,
 }
 
+fn request(kind: JobKind, members: &serde_json::Value) -> AnalysisRequest {
+    AnalysisRequest::of_members(kind, members.as_object().cloned().unwrap_or_default()).unwrap()
+}
+
 impl World {
     fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
@@ -97,8 +102,10 @@ impl World {
         self.store.reader().unwrap()
     }
     fn queue(&self, kind: JobKind, params: serde_json::Value) -> i64 {
-        let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
-        let job = NewJob::new(kind.name(), self.capture, params);
+        self.queue_on(kind, self.capture, params)
+    }
+    fn queue_on(&self, kind: JobKind, capture_id: i64, params: serde_json::Value) -> i64 {
+        let job = JobRequest::Analysis(request(kind, &params)).job(capture_id).unwrap();
         self.store.submit_job(job, u64::MAX).unwrap().0.id
     }
     /// Works on the job in turns of `turns` chunks each; every turn starts as a new program would.
@@ -140,8 +147,8 @@ fn a_job_killed_at_every_chunk_comes_to_the_same_bytes() {
 fn curves_of_whole_stretches_are_those_of_the_definition_through_kills_at_every_chunk_and_channel() {
     for estimator in ["adev", "mdev", "hdev", "ohdev", "totdev"] {
         let world = World::new();
-        let wish = serde_json::json!({"estimator": estimator, "taus": "octave"});
-        let job = world.queue(JobKind::Allan, wish.clone());
+        let members = serde_json::json!({"estimator": estimator, "taus": "octave"});
+        let job = world.queue(JobKind::Allan, members.clone());
         let whole = world.work(job, 100_000, [usize::MAX]);
         let report: AllanReport = serde_json::from_str(&whole).unwrap();
         assert_eq!((report.estimator.name(), report.samples, report.missing), (estimator, Some(TOTAL), Some(7)));
@@ -154,7 +161,7 @@ fn curves_of_whole_stretches_are_those_of_the_definition_through_kills_at_every_
         assert_eq!(report.channels.len(), 3);
         for chunk in [500, 4096] {
             let world = World::new();
-            let job = world.queue(JobKind::Allan, wish.clone());
+            let job = world.queue(JobKind::Allan, members.clone());
             let result = world.work(job, chunk, std::iter::repeat_n(1, 1000));
             assert_eq!(result, whole, "{estimator} in chunks of {chunk}");
         }
@@ -165,11 +172,10 @@ fn curves_of_whole_stretches_are_those_of_the_definition_through_kills_at_every_
 fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
     let world = World::new();
     let plan = Plan::read(&world.reader(), world.capture, TOTAL, &Channel::ANALYSED).unwrap();
-    let refused = |change: fn(&mut Plan), wish: serde_json::Value| {
+    let refused = |change: fn(&mut Plan), members: serde_json::Value| {
         let mut plan = plan.clone();
         change(&mut plan);
-        let parameters = JobKind::Allan.parameters(&wish).unwrap();
-        curves::check(&parameters, &plan).map_err(|error| error.to_string())
+        curves::check(request(JobKind::Allan, &members).parameters(), &plan).map_err(|error| error.to_string())
     };
     let (mdev, all) =
         (serde_json::json!({"estimator": "mdev"}), serde_json::json!({"estimator": "mdev", "taus": "all"}));
@@ -182,7 +188,7 @@ fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
         let many = refused(change, all.clone()).unwrap_err();
         assert!(many.contains("averaging times") && many.contains("take `taus` `log` or `octave`"), "{many}");
     }
-    let parameters = JobKind::Allan.parameters(&serde_json::json!({"taus": "all"})).unwrap();
+    let parameters = JobParameters { taus: TauSpacing::All, ..JobParameters::default() };
     let mut too_long = plan.clone();
     too_long.longest = 100_000;
     assert!(curves::check(&parameters, &too_long).is_err(), "of the exact sums too");
@@ -193,7 +199,7 @@ impl World {
     fn add(&self, name: &str, sensor: &serde_json::Value, rate_hz: f64, range: std::ops::Range<u64>) -> i64 {
         let named = NewCapture {
             name: Some(name.to_owned()),
-            sensor: Some(sensor.clone()),
+            sensor: Some(sensor.clone().into()),
             ..NewCapture::new("test", CaptureState::Complete)
         };
         let id = self.store.create_capture(named).unwrap();
@@ -210,9 +216,7 @@ impl World {
         id
     }
     fn work_on(&self, kind: JobKind, capture_id: i64, params: serde_json::Value, chunk: usize) -> serde_json::Value {
-        let params = serde_json::to_value(kind.parameters(&params).unwrap()).unwrap();
-        let job = NewJob::new(kind.name(), capture_id, params);
-        let job = self.store.submit_job(job, u64::MAX).unwrap().0.id;
+        let job = self.queue_on(kind, capture_id, params);
         serde_json::from_str(&self.work(job, chunk, std::iter::repeat_n(2, 30).chain([usize::MAX]))).unwrap()
     }
 }
@@ -228,7 +232,7 @@ fn captures_of_one_sensor_give_what_their_stretches_would_in_one() {
     let reader = world.reader();
     let sums = |captures: &[(i64, u64)]| {
         let plan = together::plan(&reader, captures, &[Channel::AccelX]).unwrap();
-        let parameters = JobKind::Allan.parameters(&serde_json::Value::Null).unwrap();
+        let parameters = JobParameters::default();
         let mut summation = sums::Summation::new(plan.clone(), &parameters).unwrap();
         let mut next = 0;
         while next < plan.end_seq {
@@ -244,9 +248,9 @@ fn captures_of_one_sensor_give_what_their_stretches_would_in_one() {
     assert_eq!(whole, sums(&[(ids[2], 890), (ids[0], 1500), (ids[1], 2200)]), "sums have no order");
 
     for estimator in ["oadev", "mdev"] {
-        let mut wish = with.clone();
-        wish["estimator"] = estimator.into();
-        let report = world.work_on(JobKind::Allan, ids[0], wish, 700);
+        let mut members = with.clone();
+        members["estimator"] = estimator.into();
+        let report = world.work_on(JobKind::Allan, ids[0], members, 700);
         assert_eq!((&report["samples"], &report["missing"]), (&4590.into(), &0.into()), "{estimator}");
         let names: Vec<&str> =
             report["captures"].as_array().unwrap().iter().map(|of| of["capture"].as_str().unwrap()).collect();
@@ -293,7 +297,7 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
     let fast = world.add("fast", &sensor("7"), 100.0, 0..300);
     let running = world.store.create_capture(NewCapture::new("test", CaptureState::Capturing)).unwrap();
     let jobs = Jobs::start(&world.store, JobsOptions::default()).unwrap();
-    let submit = |with: &[i64]| jobs.submit(JobKind::Noise, one, &serde_json::json!({ "with": with }));
+    let submit = |with: &[i64]| jobs.submit(one, request(JobKind::Noise, &serde_json::json!({ "with": with })));
     for (with, words) in [
         (vec![other], "`one` and `other` differ: serial number 7 and 8"),
         (vec![fast], "`one` and `fast` differ: rate in Hz 40 and 100"),
@@ -321,7 +325,7 @@ fn a_simulator_of_another_rate_is_refused_before_any_work() {
     let world = World::new();
     let fast = world.add("fast", &serde_json::Value::Null, 100.0, 0..300);
     let params = serde_json::json!({ "sim": fast });
-    let job = NewJob::new(JobKind::Diagnosis.name(), world.capture, params);
+    let job = NewJob::new(JobKind::Diagnosis, world.capture, params);
     world.store.submit_job(job, u64::MAX).unwrap();
     let claimed = world.store.claim_job().unwrap().unwrap();
     let error = run(&world.store, &world.reader(), &claimed, 1000, || true).unwrap_err().to_string();
@@ -342,7 +346,7 @@ fn rates_that_differ_by_their_clocks_are_one_rate() {
 #[test]
 fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
     let world = World::new();
-    let parameters = JobKind::Allan.parameters(&serde_json::Value::Null).unwrap();
+    let parameters = JobParameters::default();
     let reader = world.reader();
     let plan = Plan::read(&reader, world.capture, TOTAL, &Channel::ANALYSED).unwrap();
     let sums = |group: usize, kill: bool| {
@@ -351,11 +355,11 @@ fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
         loop {
             let mut next = 0;
             while next < TOTAL {
-                let chunk = reader.read_chunk(world.capture, next, 613, summation.pass_channels()).unwrap();
+                let chunk = reader.read_chunk(world.capture, next, 613, summation.read_channels()).unwrap();
                 summation.take(&chunk);
                 next = chunk.next_seq();
                 if kill {
-                    let state = summation.save();
+                    let state = summation.save().unwrap();
                     summation =
                         sums::Summation::restore_grouped(plan.clone(), &parameters, &state, next, &reader, group)
                             .unwrap()
@@ -391,7 +395,7 @@ fn spectra_by_groups_and_through_kills_are_the_same_bits() {
                 spectra.take(&chunk);
                 next = chunk.next_seq();
                 if kill {
-                    let state = spectra.save();
+                    let state = spectra.save().unwrap();
                     spectra =
                         spectra::Spectra::restore_grouped(plan.clone(), &state, next, &reader, group).unwrap().unwrap();
                 }
@@ -530,7 +534,7 @@ fn a_capture_with_too_little_in_it_fails_the_job_with_the_reason() {
     let reader = world.reader();
     assert!(jobs.submit_all(empty).unwrap().is_empty(), "nobody asked for an analysis of nothing");
     for (capture, reason) in [(few, "3 samples"), (empty, "no samples")] {
-        let job = jobs.submit(JobKind::Allan, capture, &serde_json::Value::Null).unwrap().0.id;
+        let job = jobs.submit(capture, AnalysisRequest::usual(JobKind::Allan).unwrap()).unwrap().0.id;
         wait_until("the end", || reader.job(job).unwrap().state == JobState::Failed);
         let error = reader.job(job).unwrap().error.unwrap();
         assert!(error.contains(reason), "{error}");

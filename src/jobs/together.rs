@@ -1,10 +1,10 @@
 //! Together: determines whether several captures are of one sensor at one setting, so that their sums may be added.
 
-use super::JobError;
 use super::plan::Plan;
 use super::sampling::of_configuration;
+use super::{JobError, JobParameters};
 use crate::store::{CaptureRow, Reader};
-use imu_core::sample::{Channel, Triad};
+use imu_core::sample::{Channel, FilterWindows, Triad};
 use imu_diagnosis::is_same_rate;
 use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
@@ -24,8 +24,8 @@ pub struct Setting {
     pub model: Option<String>,
     /// The sensor's serial number.
     pub serial_number: Option<String>,
-    /// Filter windows of register 85: of mag, accel and gyro.
-    pub windows: Option<[u64; 3]>,
+    /// Filter windows of register 85.
+    pub windows: Option<FilterWindows>,
     /// The sampling, by register 85 or by the options of its import.
     pub sampling: BTreeMap<Triad, Sampling>,
     /// The sensor's output: the name of its message, or the groups and fields of its binary output.
@@ -51,17 +51,16 @@ impl Setting {
 
     /// The setting of a capture whose samples have the rate `rate_hz`.
     pub fn of(row: &CaptureRow, rate_hz: f64) -> Self {
-        let text = |value: &serde_json::Value| value.as_str().map(str::to_owned);
         let unit = |channel: &Channel| {
             let row = row.units.get(channel.name())?;
             Some((*channel, row.original_unit.clone().unwrap_or_else(|| row.unit.clone())))
         };
         Self {
-            model: text(&row.sensor["model"]),
-            serial_number: text(&row.sensor["serial_number"]),
-            windows: windows(&row.configuration["filter_window"]),
+            model: row.sensor.model().map(str::to_owned),
+            serial_number: row.sensor.serial_number().map(str::to_owned),
+            windows: row.configuration.register_85(),
             sampling: of_configuration(&row.configuration),
-            output: text(&row.configuration["output"]),
+            output: row.configuration.output().map(str::to_owned),
             units: row.channels.iter().filter_map(unit).collect(),
             ..Self::of_rate(&row.name, rate_hz)
         }
@@ -82,11 +81,14 @@ impl Setting {
         // Two clocks do not show one rate with the same digits.
         let rate = |of: &Self| Some(of.rate_hz.to_string()).filter(|_| !is_same_rate(self.rate_hz, other.rate_hz));
         known("rate in Hz", rate(self), rate(other));
-        let windows = |of: &Self| of.windows.map(|[mag, accel, gyro]| format!("mag {mag}, accel {accel}, gyro {gyro}"));
+        let windows = |of: &Self| {
+            let FilterWindows { mag, accel, gyro } = of.windows?;
+            Some(format!("mag {mag}, accel {accel}, gyro {gyro}"))
+        };
         known("filter window (register 85)", windows(self), windows(other));
         for (triad, one) in self.sampling.iter().filter(|_| windows(self).and(windows(other)).is_none()) {
-            let told = |of: &Sampling| format!("means of {} at {} Hz", of.window.max(1), of.internal_rate_hz);
-            known(&format!("sampling of {}", triad.name()), Some(told(one)), other.sampling.get(triad).map(told));
+            let phrase = |of: &Sampling| format!("means of {} at {} Hz", of.window.max(1), of.internal_rate_hz);
+            known(&format!("sampling of {}", triad.name()), Some(phrase(one)), other.sampling.get(triad).map(phrase));
         }
         known("output", self.output.clone(), other.output.clone());
         for (channel, unit) in &self.units {
@@ -94,11 +96,6 @@ impl Setting {
         }
         found
     }
-}
-
-fn windows(register_85: &serde_json::Value) -> Option<[u64; 3]> {
-    let of = |triad: &str| register_85[triad].as_u64();
-    Some([of("mag")?, of("accel")?, of("gyro")?])
 }
 
 /// Checks whether captures are of one sensor at one setting.
@@ -148,19 +145,19 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
     whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })
 }
 
-/// The captures of a job with the number of their samples that it takes in: all samples of further ones, since those
-/// have ended.
+/// The plan of a job: its capture's samples below `end_seq`, and all samples of further captures, since those have
+/// ended.
 ///
 /// # Errors
-/// [`JobError::Together`] if one still runs; [`JobError::Store`].
-pub(super) fn captures(
+/// [`JobError::Together`] if one still runs; else as [`plan`].
+pub(super) fn plan_of(
     reader: &Reader,
     capture_id: i64,
     end_seq: u64,
-    with: &[i64],
-) -> Result<Vec<(i64, u64)>, JobError> {
+    parameters: &JobParameters,
+) -> Result<Plan, JobError> {
     let mut captures = vec![(capture_id, end_seq)];
-    for id in with {
+    for id in &parameters.with {
         let row = reader.capture(*id)?;
         if row.state.is_open() {
             let reason = format!("`{}` still runs: take captures that have ended", row.name);
@@ -168,7 +165,7 @@ pub(super) fn captures(
         }
         captures.push((*id, row.samples));
     }
-    Ok(captures)
+    plan(reader, &captures, parameters.channels.as_deref().unwrap_or(&Channel::ANALYSED))
 }
 
 #[cfg(test)]
@@ -182,7 +179,7 @@ mod tests {
             name: "b".to_owned(),
             model: Some("VN-100".to_owned()),
             serial_number: Some("0100012345".to_owned()),
-            windows: Some([0, 4, 4]),
+            windows: Some(FilterWindows::FACTORY),
             output: Some("VNYMR".to_owned()),
             units: [(Channel::GyroX, "rad/s".to_owned())].into(),
             ..plain.clone()
@@ -197,19 +194,22 @@ mod tests {
             (c(|c| c.rate_hz = 100.0), "rate in Hz 40 and 100"),
             (c(|c| c.model = Some("VN-110".to_owned())), "model VN-100 and VN-110"),
             (c(|c| c.serial_number = Some("7".to_owned())), "serial number 0100012345 and 7"),
-            (c(|c| c.windows = Some([0, 4, 8])), "gyro 4 and mag 0, accel 4, gyro 8"),
+            (
+                c(|c| c.windows = Some(FilterWindows { gyro: 8, ..FilterWindows::FACTORY })),
+                "gyro 4 and mag 0, accel 4, gyro 8",
+            ),
             (c(|c| c.output = Some("VNIMU".to_owned())), "output VNYMR and VNIMU"),
             (c(|c| c.units = [(Channel::GyroX, "deg/s".to_owned())].into()), "unit of gyro_x rad/s and deg/s"),
         ] {
             assert!(error.contains(words) && error.contains("differ"), "{error}");
         }
         // A statement at an import counts as a register does.
-        let said = |window| {
+        let stated = |window| {
             let configuration = serde_json::json!({"sampling": {"filter_window": window, "internal_rate_hz": 800}});
-            Setting { sampling: of_configuration(&configuration), ..plain.clone() }
+            Setting { sampling: of_configuration(&configuration.into()), ..plain.clone() }
         };
-        one_sensor(&[said(4), plain.clone(), said(4)]).unwrap();
-        let sampled = one_sensor(&[said(4), said(8)]).unwrap_err().to_string();
+        one_sensor(&[stated(4), plain.clone(), stated(4)]).unwrap();
+        let sampled = one_sensor(&[stated(4), stated(8)]).unwrap_err().to_string();
         assert!(sampled.contains("sampling of gyro means of 4 at 800 Hz and means of 8 at 800 Hz"), "{sampled}");
         let rates = [99.999_989_949_392_06, 99.999_925_385_480_04, 100.0];
         one_sensor(&rates.map(|rate_hz| Setting::of_rate("r", rate_hz))).unwrap();

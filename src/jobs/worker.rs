@@ -1,11 +1,10 @@
 //! The workers: threads that take jobs from the queue, and remove deleted rows when there are none.
 
 use super::runner::{CHUNK, Outcome, run};
-use super::{JobError, JobKind, JobParameters, Simulator, WishBody, together};
+use super::{AnalysisRequest, DiagnosisBody, JobError, JobKind, JobParameters, JobRequest, Simulator, together};
 use crate::observe::JobsStatus;
 use crate::process::step_back;
-use crate::store::{JobRow, JobState, NewJob, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
-use imu_core::sample::Channel;
+use crate::store::{JobRow, JobState, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -113,27 +112,11 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobError::Parameters`], or [`JobError::Store`] (no such capture, too many jobs wait, …).
-    pub fn submit(
-        &self,
-        kind: JobKind,
-        capture_id: i64,
-        parameters: &serde_json::Value,
-    ) -> Result<(JobRow, bool), JobError> {
-        self.queue(kind, capture_id, parameters, QUEUE_JOBS_MAX)
-    }
-
-    fn queue(
-        &self,
-        kind: JobKind,
-        capture_id: i64,
-        parameters: &serde_json::Value,
-        queue_max: u64,
-    ) -> Result<(JobRow, bool), JobError> {
-        let parameters = kind.parameters(parameters)?;
-        if !parameters.with.is_empty() {
-            self.check_together(capture_id, &parameters)?;
+    pub fn submit(&self, capture_id: i64, request: AnalysisRequest) -> Result<(JobRow, bool), JobError> {
+        if !request.parameters().with.is_empty() {
+            self.check_together(capture_id, request.parameters())?;
         }
-        self.put(NewJob::new(kind.name(), capture_id, serde_json::to_value(parameters)?), queue_max)
+        self.queue(capture_id, &JobRequest::Analysis(request), QUEUE_JOBS_MAX)
     }
 
     /// Queues the diagnosis that the body of a request describes; returns its job and whether it is new. Blocks until
@@ -143,7 +126,7 @@ impl Jobs {
     /// # Errors
     /// [`JobError::Parameters`] for an invalid request, [`JobError::Model`], [`JobError::TooLarge`], or
     /// [`JobError::Store`].
-    pub fn submit_diagnosis(&self, capture_id: i64, body: WishBody<'_>) -> Result<(JobRow, bool), JobError> {
+    pub fn submit_diagnosis(&self, capture_id: i64, body: DiagnosisBody<'_>) -> Result<(JobRow, bool), JobError> {
         let store = &self.inner.store;
         let sim = |sim| {
             let reader = self.inner.readers.get()?;
@@ -154,26 +137,24 @@ impl Jobs {
             }
             Simulator::of(&reader, sim)
         };
-        let (parameters, keeping) = match (body, self.inner.options.place) {
-            (WishBody::File(path), Place::Apart) => super::wish::read_apart(store, path, sim)?,
-            (WishBody::File(path), Place::Here { .. }) => {
-                super::wish::read_here(store, &std::fs::read(path).map_err(JobError::Process)?, sim)?
+        let (parameters, storing) = match (body, self.inner.options.place) {
+            (DiagnosisBody::File(path), Place::Apart) => super::diagnosis_request::read_apart(store, path, sim)?,
+            (DiagnosisBody::File(path), Place::Here { .. }) => {
+                super::diagnosis_request::read_here(store, &std::fs::read(path).map_err(JobError::Process)?, sim)?
             }
-            (WishBody::Bytes(body), _) => super::wish::read_here(store, body, sim)?,
+            (DiagnosisBody::Bytes(body), _) => super::diagnosis_request::read_here(store, body, sim)?,
         };
-        let reference = parameters.kept_reference().map(str::to_owned);
-        let new = NewJob::new(JobKind::Diagnosis.name(), capture_id, serde_json::to_value(parameters)?);
-        let submitted = self.put(NewJob { reference, ..new }, QUEUE_JOBS_MAX)?;
+        let submitted = self.queue(capture_id, &JobRequest::Diagnosis(parameters), QUEUE_JOBS_MAX)?;
         if submitted.1
-            && let Some(keeping) = keeping
+            && let Some(storing) = storing
         {
-            keeping.claimed();
+            storing.claimed();
         }
         Ok(submitted)
     }
 
-    fn put(&self, new: NewJob, queue_max: u64) -> Result<(JobRow, bool), JobError> {
-        let submitted = self.inner.store.submit_job(new, queue_max)?;
+    fn queue(&self, capture_id: i64, request: &JobRequest, queue_max: u64) -> Result<(JobRow, bool), JobError> {
+        let submitted = self.inner.store.submit_job(request.job(capture_id)?, queue_max)?;
         if submitted.1 {
             self.inner.queued.fetch_add(1, Ordering::Relaxed);
         }
@@ -185,9 +166,7 @@ impl Jobs {
     fn check_together(&self, capture_id: i64, parameters: &JobParameters) -> Result<(), JobError> {
         let reader = self.inner.readers.get()?;
         let end_seq = reader.capture(capture_id)?.samples;
-        let captures = together::captures(&reader, capture_id, end_seq, &parameters.with)?;
-        let wanted = parameters.channels.clone().unwrap_or_else(|| Channel::ANALYSED.to_vec());
-        together::plan(&reader, &captures, &wanted).map(|_| ())
+        together::plan_of(&reader, capture_id, end_seq, parameters).map(|_| ())
     }
 
     /// Queues all jobs that a complete or imported capture gets automatically: one job of every usual kind, however
@@ -199,8 +178,8 @@ impl Jobs {
         if self.inner.readers.get()?.capture(capture_id)?.samples == 0 {
             return Ok(Vec::new());
         }
-        let usual = &serde_json::Value::Null;
-        JobKind::USUAL.into_iter().map(|kind| Ok(self.queue(kind, capture_id, usual, u64::MAX)?.0)).collect()
+        let queue = |kind| Ok(self.queue(capture_id, &usual(kind)?, u64::MAX)?.0);
+        JobKind::USUAL.into_iter().map(queue).collect()
     }
 
     /// The place where heavy work is done.
@@ -251,10 +230,13 @@ impl Jobs {
 /// As [`Jobs::submit`].
 pub fn leave_for_daemon(store: &Store, capture_id: i64) -> Result<(), JobError> {
     for kind in JobKind::USUAL {
-        let params = serde_json::to_value(kind.parameters(&serde_json::Value::Null)?)?;
-        store.submit_job(NewJob::new(kind.name(), capture_id, params), u64::MAX)?;
+        store.submit_job(usual(kind)?.job(capture_id)?, u64::MAX)?;
     }
     Ok(())
+}
+
+fn usual(kind: JobKind) -> Result<JobRequest, JobError> {
+    AnalysisRequest::usual(kind).map(JobRequest::Analysis)
 }
 
 impl Inner {
@@ -348,7 +330,7 @@ impl Inner {
                 tracing::info!(
                     message = "A job is done.",
                     job = job.id,
-                    kind = job.kind,
+                    kind = job.kind.name(),
                     capture = job.capture,
                     result_id
                 );
@@ -376,7 +358,7 @@ impl Inner {
                 let Some((state, attempts)) = counted.inspect_err(|_| self.strand(job.id))? else { return Ok(()) };
                 tracing::warn!(
                     job = job.id,
-                    kind = job.kind,
+                    kind = job.kind.name(),
                     capture = job.capture,
                     state = state.name(),
                     reason,
@@ -392,7 +374,7 @@ impl Inner {
             }
             Err(error) => {
                 self.failed.fetch_add(1, Ordering::Relaxed);
-                tracing::warn!(message = "A job failed.", job = job.id, kind = job.kind, capture = job.capture, %error);
+                tracing::warn!(message = "A job failed.", job = job.id, kind = job.kind.name(), capture = job.capture, %error);
                 Ok(self.store.fail_job(job.id, &error.to_string()).inspect_err(|_| self.strand(job.id))?)
             }
         }

@@ -214,7 +214,7 @@ fn jobs(out: &mut String, counts: &JobsStatus, jobs: &[JobRow]) {
             out,
             "<tr><td><a href=\"/v1/jobs/{}\">{}</a></td><td><a href=\"/captures/{2}\">{2}</a></td><td>{state}</td></tr>",
             job.id,
-            escaped(&job.kind),
+            job.kind.name(),
             job.capture
         );
     }
@@ -341,7 +341,10 @@ mod tests {
     fn stored() -> Stored {
         Stored {
             captures: vec![CaptureRow { state: CaptureState::Capturing, pinned: true, ..rows::capture() }],
-            jobs: vec![rows::job(3, "noise", JobState::Running), rows::job(2, "allan", JobState::Done)],
+            jobs: vec![
+                rows::job(3, crate::store::JobKind::Noise, JobState::Running),
+                rows::job(2, crate::store::JobKind::Allan, JobState::Done),
+            ],
             diagnoses: vec![rows::diagnosis("a <b> is missing")],
             causes: [("unplugged", 8), ("host_stall", 2), ("reset", 0)].map(|(of, n)| (of.to_owned(), n)).into(),
         }

@@ -1,6 +1,6 @@
 //! Rows of the database that tests show.
 
-use crate::store::{CaptureRow, CaptureState, DiagnosisRow, JobRow, JobState, UtcNs};
+use crate::store::{CaptureRow, CaptureState, DiagnosisRow, JobKind, JobRow, JobState, UtcNs};
 use imu_core::sample::Channel;
 use serde_json::json;
 
@@ -32,19 +32,19 @@ pub(super) fn capture() -> CaptureRow {
         delete_at: None,
         channels: vec![Channel::GyroX, Channel::Temperature],
         units: [].into(),
-        sensor: json!({"model": "VN-100T", "serial_number": "<42>"}),
-        configuration: json!({"baud": 115_200, "filter_window": {"gyro": "<4>"}}),
+        sensor: json!({"model": "VN-100T", "serial_number": "<42>"}).into(),
+        configuration: json!({"baud": 115_200, "filter_window": {"gyro": "<4>"}}).into(),
         software: "vn100d 1".to_owned(),
     }
 }
 
 /// A job over another capture.
-pub(super) fn job(id: i64, kind: &str, state: JobState) -> JobRow {
+pub(super) fn job(id: i64, kind: JobKind, state: JobState) -> JobRow {
     JobRow {
         id,
-        kind: kind.to_owned(),
+        kind,
         capture: 6,
-        params: json!({}),
+        params: "{}".to_owned(),
         end_seq: 1,
         state,
         progress: 0.25,
@@ -60,6 +60,6 @@ pub(super) fn job(id: i64, kind: &str, state: JobState) -> JobRow {
 
 /// A diagnosis.
 pub(super) fn diagnosis(summary: &str) -> DiagnosisRow {
-    let job = job(9, "diagnosis", JobState::Done);
+    let job = job(9, JobKind::Diagnosis, JobState::Done);
     DiagnosisRow { job, verdict: Some("effects".to_owned()), summary: Some(summary.to_owned()) }
 }

@@ -1,9 +1,10 @@
 //! Captures: creation, changes, lists and deletion.
 
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
-use imu_core::sample::{Channel, DiscardCause, Timebase};
+use imu_core::sample::{CaptureConfiguration, Channel, DiscardCause, SensorDescription, Timebase};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -98,10 +99,10 @@ pub struct NewCapture {
     pub started_utc_ns: Option<i64>,
     /// Whether the rate was assumed because the source does not state it.
     pub rate_assumed: bool,
-    /// A description of the sensor, if one is known already (a JSON object).
-    pub sensor: Option<serde_json::Value>,
-    /// How it was configured (a JSON object).
-    pub configuration: Option<serde_json::Value>,
+    /// A description of the sensor, if one is known already.
+    pub sensor: Option<SensorDescription>,
+    /// How it was configured.
+    pub configuration: Option<CaptureConfiguration>,
     /// Channels of which more is known than their unit.
     pub channels: Vec<ChannelRow>,
     /// Identifies the request: a repeated request returns the capture that the first one made ([`Store::withdraw`]).
@@ -162,10 +163,10 @@ pub struct CaptureRow {
     pub units: BTreeMap<String, ChannelRow>,
     /// The sensor; an empty object where nothing is known.
     #[schema(value_type = Object)]
-    pub sensor: serde_json::Value,
+    pub sensor: SensorDescription,
     /// How it was configured; an empty object where nothing is known.
     #[schema(value_type = Object)]
-    pub configuration: serde_json::Value,
+    pub configuration: CaptureConfiguration,
     /// What made it.
     pub software: String,
 }
@@ -202,9 +203,9 @@ pub struct Unfinished {
     /// The actual start, UTC ns.
     pub started_utc_ns: Option<i64>,
     /// The sensor it belongs to, if it was read.
-    pub sensor: Option<serde_json::Value>,
+    pub sensor: SensorDescription,
     /// How it was configured at first.
-    pub configuration: Option<serde_json::Value>,
+    pub configuration: CaptureConfiguration,
     /// The baud rate at which it was configured last.
     pub baud: Option<u32>,
     /// Samples on disk; the next one's `seq`.
@@ -443,7 +444,6 @@ pub(super) fn create(
             _ => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
         },
     };
-    let json = |value: &Option<serde_json::Value>| value.as_ref().map(serde_json::Value::to_string);
     let rows = transaction.execute(
         "INSERT INTO capture (name, source, state, lifecycle, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
          started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint, token, received) \
@@ -458,8 +458,8 @@ pub(super) fn create(
             capture.planned.map(|planned| planned.as_nanos() as i64),
             capture.started_utc_ns,
             capture.rate_assumed,
-            json(&capture.sensor),
-            json(&capture.configuration),
+            capture.sensor.as_ref().map(SensorDescription::to_string),
+            capture.configuration.as_ref().map(CaptureConfiguration::to_string),
             SOFTWARE,
             fingerprint,
             capture.token,
@@ -542,8 +542,8 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
             planned: row.get::<_, Option<i64>>(3)?.map(|ns| Duration::from_nanos(ns.max(0) as u64)),
             start_at_utc_ns: row.get(4)?,
             started_utc_ns: row.get(5)?,
-            sensor: json_of(row, 6)?,
-            configuration: json_of(row, 7)?,
+            sensor: json_of(row, 6)?.unwrap_or_default(),
+            configuration: json_of(row, 7)?.unwrap_or_default(),
             samples: row.get::<_, i64>(8)? as u64,
             missing: row.get::<_, i64>(9)? as u64,
             gaps: row.get::<_, i64>(10)? as u64,
@@ -616,7 +616,6 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
         units.insert(name, ChannelRow { channel: Some(channel), unit, resolution, original_unit, factor });
     }
     names.sort_unstable();
-    let object = |index| Ok::<_, StoreError>(json_of(row, index)?.unwrap_or_else(|| serde_json::json!({})));
     Ok(CaptureRow {
         id: row.get(0)?,
         name: row.get(1)?,
@@ -639,8 +638,8 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
         delete_at: time(22)?,
         channels: names,
         units,
-        sensor: object(19)?,
-        configuration: object(20)?,
+        sensor: json_of(row, 19)?.unwrap_or_default(),
+        configuration: json_of(row, 20)?.unwrap_or_default(),
         software: row.get(21)?,
     })
 }
@@ -649,7 +648,7 @@ fn seconds(ns: i64) -> f64 {
     ns as f64 / 1e9
 }
 
-pub(super) fn json_of(row: &Row<'_>, index: usize) -> Result<Option<serde_json::Value>, StoreError> {
+pub(super) fn json_of<T: DeserializeOwned>(row: &Row<'_>, index: usize) -> Result<Option<T>, StoreError> {
     let text: Option<String> = row.get(index)?;
     Ok(text.map(|text| serde_json::from_str(&text)).transpose()?)
 }
@@ -715,13 +714,6 @@ impl Reader {
         }
         sql.push_str(" ORDER BY id DESC LIMIT ?");
         values.push(Sql::Integer(page.limit() as i64 + 1));
-        let mut statement = self.connection.prepare_cached(&sql)?;
-        let mut rows = statement.query(params_from_iter(values))?;
-        let mut captures = Vec::new();
-        while let Some(row) = rows.next()? {
-            let capture = capture_of(row)?;
-            captures.push((capture.id, capture));
-        }
-        Ok(Page::cut(captures, page.limit(), "captures"))
+        Page::read(&self.connection, &sql, params_from_iter(values), page, "captures", capture_of)
     }
 }

@@ -1,6 +1,7 @@
 //! The queries of docs/data-model.md, run as they are written there.
 
 use super::tests::World;
+use imu_core::sample::{ConnectedSensor, Record};
 use rusqlite::Connection;
 
 const DOCUMENT: &str = include_str!("../../docs/data-model.md");
@@ -24,11 +25,11 @@ fn every_query_of_the_data_model_runs_and_finds_what_is_there() {
     let world = World::new();
     let id = world.capturing();
     assert_eq!(id, 1);
-    let registers = serde_json::json!({"serial_number": "0100012345"});
-    world.send(id, [imu_core::sample::Record::Configuration(registers)]);
+    let sensor = ConnectedSensor { serial_number: Some("0100012345".to_owned()), ..ConnectedSensor::default() };
+    world.send(id, [Record::Configuration(Box::new(sensor))]);
     world.send(id, super::tests::a_capture());
     world.store.flush_blocking().unwrap();
-    let job = super::NewJob::new("noise", id, serde_json::json!({}));
+    let job = super::NewJob::new(super::JobKind::Noise, id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     world.store.claim_job().unwrap();
     let body = r#"{"channels": {"gyro_x": {"N": {"value": 1.2e-4}}}}"#;

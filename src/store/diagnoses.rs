@@ -1,11 +1,8 @@
 //! Diagnoses: jobs of that kind with their results. A diagnosis has its job's id.
 
 use super::jobs::{JOB_COLUMNS, job_of};
-use super::{JobRow, Page, PageRequest, Reader, StoreError};
+use super::{JobKind, JobRow, Page, PageRequest, Reader, StoreError};
 use rusqlite::{OptionalExtension, params};
-
-/// The jobs' kind.
-const KIND: &str = "diagnosis";
 
 /// A diagnosis in a list.
 #[derive(Debug, Clone, PartialEq)]
@@ -33,7 +30,8 @@ impl Reader {
     /// [`StoreError::NoSuchDiagnosis`] if there is none, or the error that the database reports.
     pub fn latest_diagnosis(&self) -> Result<i64, StoreError> {
         let sql = "SELECT id FROM job WHERE kind = ?1 ORDER BY id DESC LIMIT 1";
-        let found = self.connection.prepare_cached(sql)?.query_row([KIND], |row| row.get(0)).optional()?;
+        let found =
+            self.connection.prepare_cached(sql)?.query_row([JobKind::Diagnosis.name()], |row| row.get(0)).optional()?;
         found.ok_or_else(|| StoreError::NoSuchDiagnosis { asked: "latest".to_owned() })
     }
 
@@ -49,38 +47,34 @@ impl Reader {
              FROM job WHERE kind = ?1 AND id < ?2 AND capture_id = coalesce(?3, capture_id) ORDER BY id DESC LIMIT ?4"
         );
         let before = page.after("diagnoses")?.unwrap_or(i64::MAX);
-        let mut statement = self.connection.prepare_cached(&sql)?;
-        let mut rows = statement.query(params![KIND, before, capture_id, page.limit() as i64 + 1])?;
-        let mut found = Vec::new();
-        while let Some(row) = rows.next()? {
-            let job = job_of(row)?;
-            found.push((job.id, DiagnosisRow { job, verdict: row.get(13)?, summary: row.get(14)? }));
-        }
-        Ok(Page::cut(found, page.limit(), "diagnoses"))
+        let values = params![JobKind::Diagnosis.name(), before, capture_id, page.limit() as i64 + 1];
+        Page::read(&self.connection, &sql, values, page, "diagnoses", |row| {
+            Ok(DiagnosisRow { job: job_of(row)?, verdict: row.get(13)?, summary: row.get(14)? })
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use crate::store::tests::World;
-    use crate::store::{NewJob, PageRequest};
+    use crate::store::{JobKind, NewJob, PageRequest};
 
     #[test]
     fn diagnoses_are_listed_with_their_sentence_once_it_is_there() {
         let world = World::new();
         let id = world.capturing();
-        let submit = |kind: &str, number: u32| {
+        let submit = |kind: JobKind, number: u32| {
             let params = serde_json::json!({ "sim": number });
             let job = NewJob::new(kind, id, params);
             world.store.submit_job(job, u64::MAX).unwrap().0.id
         };
         assert!(world.reader().latest_diagnosis().is_err());
-        let done = submit("diagnosis", 1);
+        let done = submit(JobKind::Diagnosis, 1);
         world.store.claim_job().unwrap();
         let body = r#"{"report": {"verdict": "no_gap", "summary": "no gap"}}"#;
         world.store.finish_job(done, body.to_owned()).unwrap();
-        submit("noise", 1);
-        let waits = submit("diagnosis", 2);
+        submit(JobKind::Noise, 1);
+        let waits = submit(JobKind::Diagnosis, 2);
         let reader = world.reader();
         assert_eq!(reader.latest_diagnosis().unwrap(), waits);
         let rows = reader.diagnoses(Some(id), &PageRequest::first()).unwrap().rows;

@@ -13,7 +13,7 @@ use super::batch::{Run, StoredRow};
 use super::utc;
 use imu_core::sample::device_clock::ClockEstimate;
 use imu_core::sample::record::CaptureEnd;
-use imu_core::sample::{Channel, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
+use imu_core::sample::{Channel, ConnectedSensor, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
 use imu_core::units::NANOS_PER_SECOND;
 use rusqlite::{CachedStatement, Connection, ErrorCode, params};
 use std::collections::BTreeMap;
@@ -153,8 +153,8 @@ pub(super) fn insert(
                 let since = utc::since(connection, *capture_id, boot_id.as_deref(), *since_seq, added.next_seq)?;
                 utc::note(connection, *capture_id, *by_ns, *before_utc_ns, since, added.next_seq)
             }
-            Record::Configuration(registers) => {
-                insert_configuration(connection, *capture_id, registers, added.next_seq, utc_ns)
+            Record::Configuration(sensor) => {
+                insert_configuration(connection, *capture_id, sensor, added.next_seq, utc_ns)
             }
             Record::Ended { how, utc_ns } => {
                 added.ended = Some((*how, *utc_ns));
@@ -398,38 +398,22 @@ fn insert_clock(
 fn insert_configuration(
     connection: &Connection,
     capture_id: i64,
-    registers: &serde_json::Value,
+    sensor: &ConnectedSensor,
     before_seq: u64,
     utc_ns: i64,
 ) -> Result<(), StoreError> {
+    let (description, configuration) = (sensor.sensor().to_string(), sensor.configuration().to_string());
     connection
         .prepare_cached(
             "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)",
         )?
-        .execute(params![capture_id, utc_ns, before_seq as i64, registers.to_string()])?;
-    let (sensor, configuration) = split_description(registers);
+        .execute(params![capture_id, utc_ns, before_seq as i64, configuration])?;
     connection
         .prepare_cached(
             "UPDATE capture SET sensor = coalesce(sensor, ?2), configuration = coalesce(configuration, ?3) WHERE id = ?1",
         )?
-        .execute(params![capture_id, sensor, configuration])?;
+        .execute(params![capture_id, description, configuration])?;
     Ok(())
-}
-
-/// Splits a description `{"sensor": {…}, "configuration": {…}}`. Any other description is the configuration as a whole,
-/// and the sensor is its model, serial number and firmware.
-fn split_description(registers: &serde_json::Value) -> (Option<String>, Option<String>) {
-    let part = |name: &str| registers.get(name).filter(|part| part.is_object()).map(serde_json::Value::to_string);
-    if let (Some(sensor), Some(configuration)) = (part("sensor"), part("configuration")) {
-        return (Some(sensor), Some(configuration));
-    }
-    let identity: serde_json::Map<String, serde_json::Value> =
-        ["model", "serial_number", "firmware", "hardware_revision"]
-            .into_iter()
-            .filter_map(|name| registers.get(name).map(|value| (name.to_owned(), value.clone())))
-            .collect();
-    let sensor = (!identity.is_empty()).then(|| serde_json::Value::Object(identity).to_string());
-    (sensor, Some(registers.to_string()))
 }
 
 /// Updates the counters; returns how many samples the capture has now.

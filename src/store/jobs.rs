@@ -1,10 +1,12 @@
 //! Jobs: durable states of background work. The room `jobs` computes; this file holds what survives a kill.
 
-use super::captures::{json_of, known};
+use super::captures::known;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use rusqlite::types::Value as Sql;
 use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_from_iter};
-use serde::{Deserialize, Serialize};
+use serde::ser::Error as _;
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::value::RawValue;
 use sha2::{Digest as _, Sha256};
 
 /// Processes of a job that may die without a checkpoint in between. After that many the job itself is taken to be the
@@ -17,6 +19,43 @@ pub const QUEUE_JOBS_MAX: u64 = 100;
 pub const RESULTS_KEPT: u32 = 10;
 /// Superseded jobs removed in one transaction: an older version of the program left all of them.
 const DROP_MAX: i64 = 100;
+
+/// What a job computes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
+pub enum JobKind {
+    /// Deviation curves (`vn100d-allan-1`).
+    Allan,
+    /// Noise parameters (`vn100d-noise-1`).
+    Noise,
+    /// Moments, histogram and a test for normality (`vn100d-statistics-1`).
+    Statistics,
+    /// Where a simulator differs and what it lacks (`vn100d-diagnosis-1`).
+    Diagnosis,
+}
+
+impl JobKind {
+    /// All kinds.
+    pub const ALL: [Self; 4] = [Self::Allan, Self::Noise, Self::Statistics, Self::Diagnosis];
+    /// The kinds that are queued for every capture without a request.
+    pub const USUAL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
+
+    /// The name in the database and JSON.
+    pub fn name(self) -> &'static str {
+        self.into()
+    }
+    /// A description of its result.
+    pub fn gives(self) -> &'static str {
+        match self {
+            Self::Allan => "Allan deviation",
+            Self::Noise => "table of noise parameters",
+            Self::Statistics => "table of statistics",
+            Self::Diagnosis => "diagnosis",
+        }
+    }
+}
 
 /// What a job is doing or how it ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
@@ -44,22 +83,23 @@ impl JobState {
 }
 
 /// Requested work.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewJob {
     /// Which computation.
-    pub kind: String,
+    pub kind: JobKind,
     /// The capture it reads.
     pub capture_id: i64,
-    /// Its parameters (a JSON object).
-    pub params: serde_json::Value,
+    /// Its parameters: the JSON text of an object with sorted keys, so that equal parameters are the same text.
+    pub params: String,
     /// SHA-256 of the reference that it has ([`Store::begin_reference`]).
     pub reference: Option<String>,
 }
 
+#[cfg(test)]
 impl NewJob {
     /// Work without a reference.
-    pub fn new(kind: &str, capture_id: i64, params: serde_json::Value) -> Self {
-        Self { kind: kind.to_owned(), capture_id, params, reference: None }
+    pub(crate) fn new(kind: JobKind, capture_id: i64, params: serde_json::Value) -> Self {
+        Self { kind, capture_id, params: params.to_string(), reference: None }
     }
 }
 
@@ -69,12 +109,14 @@ pub struct JobRow {
     /// Its id.
     pub id: i64,
     /// Which computation.
-    pub kind: String,
+    #[schema(value_type = String)]
+    pub kind: JobKind,
     /// The capture it reads.
     pub capture: i64,
     /// Its parameters.
     #[schema(value_type = Object)]
-    pub params: serde_json::Value,
+    #[serde(serialize_with = "as_json")]
+    pub params: String,
     /// It reads the samples with `seq` below this, fixed when it was submitted.
     pub end_seq: u64,
     /// What it is doing or how it ended.
@@ -97,6 +139,11 @@ pub struct JobRow {
     pub stale: bool,
 }
 
+/// Writes JSON text as the value that it is.
+fn as_json<S: Serializer>(text: &str, serializer: S) -> Result<S::Ok, S::Error> {
+    serde_json::from_str::<&RawValue>(text).map_err(S::Error::custom)?.serialize(serializer)
+}
+
 /// The point from which a job resumes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JobCheckpoint {
@@ -114,9 +161,9 @@ pub(super) fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
     let software: String = row.get(12)?;
     Ok(JobRow {
         id: row.get(0)?,
-        kind: row.get(1)?,
+        kind: known("job.kind", row.get(1)?)?,
         capture: row.get(2)?,
-        params: json_of(row, 3)?.unwrap_or_default(),
+        params: row.get(3)?,
         end_seq: row.get::<_, i64>(4)? as u64,
         state: known("job.state", row.get(5)?)?,
         progress: row.get(6)?,
@@ -135,26 +182,6 @@ fn job(connection: &Connection, id: i64) -> Result<Option<JobRow>, StoreError> {
     let mut statement = connection.prepare_cached(&sql)?;
     let mut rows = statement.query([id])?;
     rows.next()?.map(job_of).transpose()
-}
-
-/// Sorts the keys of objects: equal parameters produce the same text.
-fn canonical(value: &serde_json::Value) -> String {
-    match value {
-        serde_json::Value::Object(map) => {
-            let mut entries: Vec<_> = map.iter().collect();
-            entries.sort_by_key(|(key, _)| key.as_str());
-            let inner: Vec<String> = entries
-                .into_iter()
-                .map(|(key, value)| format!("{}:{}", serde_json::Value::from(key.as_str()), canonical(value)))
-                .collect();
-            format!("{{{}}}", inner.join(","))
-        }
-        serde_json::Value::Array(values) => {
-            let inner: Vec<String> = values.iter().map(canonical).collect();
-            format!("[{}]", inner.join(","))
-        }
-        scalar => scalar.to_string(),
-    }
 }
 
 impl Store {
@@ -241,7 +268,7 @@ impl Store {
             transaction.execute(
                 "INSERT INTO result (job_id, capture_id, kind, software, created_utc_ns, body) \
                  VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                params![id, job.capture, job.kind, SOFTWARE, utc_ns, body],
+                params![id, job.capture, job.kind.name(), SOFTWARE, utc_ns, body],
             )?;
             let result_id = transaction.last_insert_rowid();
             transaction.execute(
@@ -347,14 +374,14 @@ fn submit(
         .query_row(sql, [new.capture_id], |row| Ok((row.get(0)?, row.get(1)?)))
         .optional()?
         .ok_or_else(|| StoreError::NoSuchCapture { asked: new.capture_id.to_string() })?;
-    let params = canonical(&new.params);
-    let fingerprint = fingerprint(&new.kind, new.capture_id, end_seq, &new.params);
+    let kind = new.kind.name();
+    let fingerprint = fingerprint(kind, new.capture_id, end_seq, &new.params);
     let sql = "SELECT id FROM job WHERE fingerprint = ?1 AND state IN ('queued', 'running', 'done')";
     let mut known: Option<i64> = transaction.query_row(sql, [&fingerprint], |row| row.get(0)).optional()?;
     if known.is_none() && growing {
         let sql = "SELECT id FROM job WHERE capture_id = ?1 AND kind = ?2 AND params = ?3 AND software = ?4 \
                    AND state IN ('queued', 'running') ORDER BY id DESC LIMIT 1";
-        let of = params![new.capture_id, new.kind, params, SOFTWARE];
+        let of = params![new.capture_id, kind, new.params, SOFTWARE];
         known = transaction.query_row(sql, of, |row| row.get(0)).optional()?;
     }
     let (id, is_new) = match known {
@@ -370,7 +397,7 @@ fn submit(
             transaction.execute(
                 "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns, reference_id) \
                  VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7, ?8)",
-                params![new.kind, new.capture_id, params, end_seq, fingerprint, SOFTWARE, utc_ns, reference],
+                params![kind, new.capture_id, new.params, end_seq, fingerprint, SOFTWARE, utc_ns, reference],
             )?;
             (transaction.last_insert_rowid(), true)
         }
@@ -379,10 +406,10 @@ fn submit(
 }
 
 /// SHA-256 of what makes a submission the same, in hexadecimal digits.
-fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &serde_json::Value) -> String {
-    let text = canonical(&serde_json::json!({
-        "kind": kind, "capture": capture_id, "end_seq": end_seq, "params": params, "software": SOFTWARE,
-    }));
+fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &str) -> String {
+    let text = format!(
+        r#"{{"capture":{capture_id},"end_seq":{end_seq},"kind":"{kind}","params":{params},"software":"{SOFTWARE}"}}"#
+    );
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -406,7 +433,7 @@ fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreEr
 /// A job that an older program left in the queue becomes one of this program, because its result will be.
 fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     let Some(old) = job(transaction, id)?.filter(|job| job.stale) else { return Ok(()) };
-    let fingerprint = fingerprint(&old.kind, old.capture, old.end_seq as i64, &old.params);
+    let fingerprint = fingerprint(old.kind.name(), old.capture, old.end_seq as i64, &old.params);
     // If this program already has the same submission, the old job keeps its old version.
     transaction.execute(
         "UPDATE OR IGNORE job SET fingerprint = ?2, software = ?3, attempts = 0 WHERE id = ?1",
@@ -446,31 +473,19 @@ impl Reader {
         }
         sql.push_str(" ORDER BY id DESC LIMIT ?");
         values.push(Sql::Integer(page.limit() as i64 + 1));
-        let mut statement = self.connection.prepare_cached(&sql)?;
-        let mut rows = statement.query(params_from_iter(values))?;
-        let mut jobs = Vec::new();
-        while let Some(row) = rows.next()? {
-            let job = job_of(row)?;
-            jobs.push((job.id, job));
-        }
-        Ok(Page::cut(jobs, page.limit(), "jobs"))
+        Page::read(&self.connection, &sql, params_from_iter(values), page, "jobs", job_of)
     }
 
     /// The jobs that cover all samples of this capture below `end_seq`, the latest first, at most 1000.
     ///
     /// # Errors
     /// The error that the database reports.
-    pub fn jobs_over(&self, capture_id: i64, kind: &str, end_seq: u64) -> Result<Vec<JobRow>, StoreError> {
+    pub fn jobs_over(&self, capture_id: i64, kind: JobKind, end_seq: u64) -> Result<Vec<JobRow>, StoreError> {
         let sql = format!(
             "SELECT {JOB_COLUMNS} FROM job WHERE capture_id = ?1 AND kind = ?2 AND end_seq = ?3 ORDER BY id DESC LIMIT 1000"
         );
         let mut statement = self.connection.prepare_cached(&sql)?;
-        let mut rows = statement.query(params![capture_id, kind, end_seq as i64])?;
-        let mut jobs = Vec::new();
-        while let Some(row) = rows.next()? {
-            jobs.push(job_of(row)?);
-        }
-        Ok(jobs)
+        statement.query_and_then(params![capture_id, kind.name(), end_seq as i64], job_of)?.collect()
     }
 
     /// The point from which a job resumes. `None` before its first checkpoint, and if another version of the program
@@ -500,7 +515,7 @@ mod tests {
     use super::*;
     use crate::store::tests::{World, sample, segment};
 
-    fn job(kind: &str, params: serde_json::Value) -> NewJob {
+    fn job(kind: JobKind, params: serde_json::Value) -> NewJob {
         NewJob::new(kind, 1, params)
     }
 
@@ -517,9 +532,9 @@ mod tests {
         let id = world.capturing();
         world.send(id, [segment(1, 0)]);
         let plain = serde_json::json!({"taus": "log"});
-        let once = finished(&world, job("noise", plain.clone()));
-        let other = finished(&world, job("allan", serde_json::json!({"taus": "octave"})));
-        let older = finished(&world, job("allan", plain.clone()));
+        let once = finished(&world, job(JobKind::Noise, plain.clone()));
+        let other = finished(&world, job(JobKind::Allan, serde_json::json!({"taus": "octave"})));
+        let older = finished(&world, job(JobKind::Allan, plain.clone()));
         world
             .store
             .execute(move |transaction| {
@@ -532,7 +547,7 @@ mod tests {
         for seq in 0..14 {
             world.send(id, [sample(1, seq)]);
             world.store.flush_blocking().unwrap();
-            all.push(finished(&world, job("allan", plain.clone())));
+            all.push(finished(&world, job(JobKind::Allan, plain.clone())));
         }
         let reader = world.reader();
         let there: Vec<i64> = all.iter().copied().filter(|id| reader.job(*id).is_ok()).collect();
@@ -545,6 +560,6 @@ mod tests {
         assert_eq!(count("SELECT count(*) FROM result"), 13);
         assert_eq!(count("SELECT count(*) FROM job WHERE result_id IS NULL"), 0);
         // The job over all samples stays, whatever else is computed from the capture: it is the one that is shown.
-        assert_eq!(reader.jobs_over(id, "allan", 14).unwrap()[0].id, all[13]);
+        assert_eq!(reader.jobs_over(id, JobKind::Allan, 14).unwrap()[0].id, all[13]);
     }
 }

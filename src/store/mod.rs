@@ -62,7 +62,7 @@ pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use diagnoses::DiagnosisRow;
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};
-pub use jobs::{JobCheckpoint, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
+pub use jobs::{JobCheckpoint, JobKind, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
 pub use models::{ModelHead, ModelRow};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};

@@ -342,7 +342,7 @@ impl Driver {
             Action::Submit => {
                 let Some(id) = content.captures.keys().next().copied() else { return };
                 let params = serde_json::json!({ "n": self.random.random::<u32>() });
-                let (job, new) = self.store.submit_job(NewJob::new("allan", id, params), 1000).unwrap();
+                let (job, new) = self.store.submit_job(NewJob::new(JobKind::Allan, id, params), 1000).unwrap();
                 assert!(new);
                 content.jobs.insert(job.id, (id, JobState::Queued, None));
                 self.went_on(content, Some(1), true);

@@ -96,10 +96,8 @@ impl Reader {
     pub fn models(&self, page: &PageRequest) -> Result<Page<ModelHead>, StoreError> {
         let sql = format!("SELECT {HEAD} FROM model WHERE model_id < ?1 ORDER BY model_id DESC LIMIT ?2");
         let before = page.after("models")?.unwrap_or(i64::MAX);
-        let mut statement = self.connection.prepare_cached(&sql)?;
-        let rows = statement.query_map(params![before, page.limit() as i64 + 1], head_of)?;
-        let rows = rows.map(|row| row.map(|row| (row.id, row))).collect::<Result<Vec<_>, _>>()?;
-        Ok(Page::cut(rows, page.limit(), "models"))
+        let values = params![before, page.limit() as i64 + 1];
+        Page::read(&self.connection, &sql, values, page, "models", |row| Ok(head_of(row)?))
     }
 }
 

@@ -2,6 +2,7 @@
 //! neither repeat nor hide others.
 
 use super::StoreError;
+use rusqlite::{Connection, Params, Row};
 
 /// Rows of a page if no limit is requested.
 pub const LIMIT: u32 = 100;
@@ -55,8 +56,22 @@ impl PageRequest {
 }
 
 impl<T> Page<T> {
+    /// Reads a page by a query for `limit + 1` rows, whose first column is the key.
+    pub(super) fn read(
+        connection: &Connection,
+        sql: &str,
+        values: impl Params,
+        page: &PageRequest,
+        list: &str,
+        row_of: impl Fn(&Row<'_>) -> Result<T, StoreError>,
+    ) -> Result<Self, StoreError> {
+        let mut statement = connection.prepare_cached(sql)?;
+        let rows = statement.query_and_then(values, |row| Ok::<_, StoreError>((row.get(0)?, row_of(row)?)))?;
+        Ok(Self::cut(rows.collect::<Result<_, _>>()?, page.limit(), list))
+    }
+
     /// Makes a page from up to `limit + 1` rows: an extra row shows that there are more.
-    pub(super) fn cut(mut rows: Vec<(i64, T)>, limit: usize, list: &str) -> Self {
+    fn cut(mut rows: Vec<(i64, T)>, limit: usize, list: &str) -> Self {
         let more = rows.len() > limit;
         rows.truncate(limit);
         let next = rows.last().filter(|_| more).map(|(key, _)| format!("{list}-1-{}", base36(*key)));

@@ -3,7 +3,7 @@
 use super::*;
 use imu_core::sample::record::CaptureEnd;
 use imu_core::sample::{
-    Channel, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase,
+    Channel, ConnectedSensor, DiscardCause, EventKind, EventRecord, Gap, GapCause, Record, Sample, Segment, Timebase,
 };
 use std::time::{Duration, Instant};
 
@@ -129,8 +129,9 @@ pub(super) fn a_capture() -> Vec<Record> {
 fn what_was_recorded_can_be_read_by_its_documented_names() {
     let world = World::new();
     let id = world.capturing();
-    let registers = serde_json::json!({"model": "VN-100T-CR", "serial_number": "0100012345", "rate_hz": 40});
-    world.send(id, [Record::Configuration(registers)]);
+    let (model, serial_number) = (Some("VN-100T-CR".to_owned()), Some("0100012345".to_owned()));
+    let sensor = ConnectedSensor { model, serial_number, rate_hz: 40.0, ..ConnectedSensor::default() };
+    world.send(id, [Record::Configuration(Box::new(sensor))]);
     world.send(id, a_capture());
     world.store.flush_blocking().unwrap();
     let reader = world.reader();
@@ -149,7 +150,7 @@ fn what_was_recorded_can_be_read_by_its_documented_names() {
     assert_eq!(row["channels"], serde_json::json!(["accel_z", "gyro_x"]));
     assert_eq!(row["units"]["gyro_x"]["unit"], "rad/s");
     assert_eq!(row["sensor"]["serial_number"], "0100012345");
-    assert_eq!(row["configuration"]["rate_hz"], 40);
+    assert_eq!(row["configuration"]["rate_hz"], 40.0);
     let gaps = reader.gaps(id, &PageRequest::default()).unwrap();
     assert_eq!((gaps.rows.len(), gaps.next), (1, None));
     assert_eq!((gaps.rows[0].missing, gaps.rows[0].before_seq, gaps.rows[0].cause), (3, 100, GapCause::Checksum));
@@ -618,7 +619,7 @@ fn the_same_submission_is_the_same_job() {
     world.send(id, a_capture());
     world.store.flush_blocking().unwrap();
     let submit =
-        |params: serde_json::Value| world.store.submit_job(NewJob::new("allan", id, params), u64::MAX).unwrap();
+        |params: serde_json::Value| world.store.submit_job(NewJob::new(JobKind::Allan, id, params), u64::MAX).unwrap();
     let (job, new) = submit(serde_json::json!({"b": 1, "a": [1, {"y": 2, "x": 1}]}));
     assert!(new);
     assert_eq!(job.end_seq, 150);
@@ -635,7 +636,7 @@ fn the_same_submission_is_the_same_job() {
 fn a_job_whose_process_dies_three_times_fails_and_a_daemon_that_ends_counts_for_nothing() {
     let world = World::new();
     let id = world.capturing();
-    let job = NewJob::new("allan", id, serde_json::json!({}));
+    let job = NewJob::new(JobKind::Allan, id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     let mut store = world.store.clone();
     for _ in 0..5 {
@@ -668,7 +669,7 @@ fn a_job_whose_process_dies_three_times_fails_and_a_daemon_that_ends_counts_for_
 fn a_job_goes_on_at_its_checkpoint_and_its_progress_never_goes_back() {
     let world = World::new();
     let id = world.capturing();
-    let job = NewJob::new("allan", id, serde_json::json!({}));
+    let job = NewJob::new(JobKind::Allan, id, serde_json::json!({}));
     let job = world.store.submit_job(job, u64::MAX).unwrap().0.id;
     world.store.claim_job().unwrap();
     let checkpoint = |next_seq| JobCheckpoint { next_seq, state: vec![7; 3] };

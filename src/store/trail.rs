@@ -237,12 +237,6 @@ impl Reader {
         read: impl Fn(&Row<'_>) -> Result<T, StoreError>,
     ) -> Result<Page<T>, StoreError> {
         let after = page.after(list)?.unwrap_or(-1);
-        let mut statement = self.connection.prepare_cached(sql)?;
-        let mut rows = statement.query(params![capture_id, after, page.limit() as i64 + 1])?;
-        let mut found = Vec::new();
-        while let Some(row) = rows.next()? {
-            found.push((row.get(0)?, read(row)?));
-        }
-        Ok(Page::cut(found, page.limit(), list))
+        Page::read(&self.connection, sql, params![capture_id, after, page.limit() as i64 + 1], page, list, read)
     }
 }

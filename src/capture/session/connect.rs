@@ -1,7 +1,9 @@
 //! Connecting: from the names of ports to a sensor that answers, and back when it disappears. Pure.
 
 use super::super::port::{Latency, OpenError};
-use super::{Action, Command, EventKind, GapCause, LOOK_NS, Output, Phase, Port, SensorState, Session, Step};
+use super::{
+    Action, Command, EventKind, GapCause, LOOK_NS, Output, Phase, Port, RecorderAction, SensorState, Session, Step,
+};
 use std::time::Duration;
 
 /// The time to listen at a baud rate before the next one is tried, ns.
@@ -160,7 +162,7 @@ impl Session {
         self.port_index += 1;
         actions.push(Action::Close);
         if self.status.hint.as_ref() != Some(&hint) {
-            actions.push(Action::Event(EventKind::Warning, hint.clone()));
+            actions.push(RecorderAction::Event(EventKind::Warning, hint.clone()).into());
         }
         self.set_state(state, Some(hint));
         if state == SensorState::Absent {
@@ -191,7 +193,7 @@ impl Session {
             self.end(actions);
             return;
         }
-        actions.push(Action::Interrupt(GapCause::Unplugged));
+        actions.push(RecorderAction::Interrupt(GapCause::Unplugged).into());
         if !self.flowing {
             // Closed before a sample arrived: a port that does this repeatedly must not consume a core.
             self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
@@ -200,7 +202,7 @@ impl Session {
         self.flowing = false;
         self.script.clear();
         let port = self.status.port.clone().unwrap_or_default();
-        actions.push(Action::Event(EventKind::SensorLost, format!("{port} is gone: {reason}")));
+        actions.push(RecorderAction::Event(EventKind::SensorLost, format!("{port} is gone: {reason}")).into());
         actions.push(Action::Close);
         self.set_state(
             SensorState::Absent,

@@ -1,7 +1,9 @@
 //! Rate: reads the sensor's registers if samples without time do not arrive at the known rate. Pure.
 
 use super::configure::COUNT_REGISTERS;
-use super::{Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, SensorState, Session, Step};
+use super::{
+    Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, RecorderAction, SensorState, Session, Step,
+};
 use imu_core::units::period_ns;
 
 /// The registers that select baud rate, message, rate and binary output, read again on a doubt, with the serial number.
@@ -50,34 +52,36 @@ impl Session {
         };
         if sends == Some((kind, rate_hz)) && self.is_counted(kind, rate_hz) == self.counted {
             actions.push(match doubt {
-                RateDoubt::Open => Action::RateKnown(rate_hz),
-                RateDoubt::Changed => Action::Event(
+                RateDoubt::Open => RecorderAction::RateKnown(rate_hz),
+                RateDoubt::Changed => RecorderAction::Event(
                     EventKind::Warning,
                     format!("the sensor's registers say that it sends {kind} at {rate_hz} Hz, but it does not come at that rate"),
                 ),
-            });
+            }.into());
             return;
         }
         let now_hz = sends.filter(|(now, _)| *now == kind).map(|(_, now_hz)| now_hz);
-        actions.extend(now_hz.map(Action::RateKnown));
+        actions.extend(now_hz.map(|rate_hz| RecorderAction::RateKnown(rate_hz).into()));
         let was_reset = self.resumed_ns.is_some_and(|at_ns| now_ns - at_ns < AFTER_BOOT_NS);
         let reset = if was_reset { " after a silence, as if it had been reset" } else { "" };
         let sent = sends.map_or("nothing".to_owned(), |(now, now_hz)| format!("{now} at {now_hz} Hz"));
         let message = format!("the sensor sends {sent} instead of {kind} at {rate_hz} Hz{reset}");
         if was_reset {
-            actions.push(Action::Event(EventKind::SensorReset, message.clone()));
+            actions.push(RecorderAction::Event(EventKind::SensorReset, message.clone()).into());
         }
         if self.options.output == Output::Keep {
             if let Some(now_hz) = now_hz {
-                actions.push(Action::Event(EventKind::Reconfigured, message));
+                actions.push(RecorderAction::Event(EventKind::Reconfigured, message).into());
                 self.accept(kind, now_hz, actions);
             }
             return;
         }
         self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
         let cause = if was_reset { GapCause::SensorReset } else { GapCause::RateChange };
-        actions.push(Action::Interrupt(cause));
-        actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
+        actions.push(RecorderAction::Interrupt(cause).into());
+        actions.push(
+            RecorderAction::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")).into(),
+        );
         self.identify(now_ns, actions);
     }
 }

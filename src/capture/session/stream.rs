@@ -5,7 +5,7 @@ use super::super::description::describe;
 use super::super::output::is_binary;
 use super::super::rate_meter::RateMeter;
 use super::configure::COUNT_REGISTERS;
-use super::{Action, Command, EventKind, GapCause, Output, Phase, SensorState, Session, Step};
+use super::{Action, Command, EventKind, GapCause, Output, Phase, RecorderAction, SensorState, Session, Step};
 use imu_core::units::period_ns;
 use vn100_proto::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 
@@ -94,14 +94,17 @@ impl Session {
             None => format!("the sensor sends {kind}"),
         };
         self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
-        actions.push(Action::Interrupt(GapCause::FormatChange));
+        actions.push(RecorderAction::Interrupt(GapCause::FormatChange).into());
         if self.options.output == Output::Keep {
-            actions.push(Action::Event(EventKind::Reconfigured, message));
+            actions.push(RecorderAction::Event(EventKind::Reconfigured, message).into());
             // Its output contradicts the count that its registers stated.
             COUNT_REGISTERS.iter().for_each(|register| drop(self.registers.remove(register)));
             self.measure(now_ns);
         } else {
-            actions.push(Action::Event(EventKind::Reconfigured, format!("{message}: its output is configured again")));
+            actions.push(
+                RecorderAction::Event(EventKind::Reconfigured, format!("{message}: its output is configured again"))
+                    .into(),
+            );
             self.identify(now_ns, actions);
         }
     }
@@ -126,7 +129,7 @@ impl Session {
     pub(super) fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let found = self.script.read().get(&3).cloned();
         if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
-            actions.push(Action::Interrupt(GapCause::Silent));
+            actions.push(RecorderAction::Interrupt(GapCause::Silent).into());
             self.identify(now_ns, actions);
         } else if let Some(doubt) = self.doubt.take() {
             self.look_again(now_ns, doubt, actions);
@@ -188,9 +191,9 @@ impl Session {
             self.status.port.as_deref().unwrap_or("?"),
             self.status.baud.unwrap_or(0),
         );
-        actions.push(Action::Event(EventKind::SensorFound, message));
+        actions.push(RecorderAction::Event(EventKind::SensorFound, message).into());
         if let Some(hint) = self.latency.hint() {
-            actions.push(Action::Event(EventKind::Warning, hint));
+            actions.push(RecorderAction::Event(EventKind::Warning, hint).into());
         }
     }
 
@@ -199,10 +202,10 @@ impl Session {
         self.status.rate_hz = Some(rate_hz);
         self.status.output = Some(kind.to_string());
         let description = describe(&self.status, &self.registers, &self.previous, self.latency, kind, rate_hz);
-        actions.push(Action::Describe(description));
+        actions.push(RecorderAction::Describe(description).into());
         self.counted = self.is_counted(kind, rate_hz);
-        actions.push(Action::Counted(self.counted));
-        actions.push(Action::Accept(kind, rate_hz));
+        actions.push(RecorderAction::Counted(self.counted).into());
+        actions.push(RecorderAction::Accept(kind, rate_hz).into());
     }
 
     /// Handles silence while streaming.
@@ -217,8 +220,8 @@ impl Session {
             } else {
                 (GapCause::Silent, "the sensor is silent: the port is opened again")
             };
-            actions.push(Action::Interrupt(cause));
-            actions.push(Action::Event(EventKind::SensorLost, message.to_owned()));
+            actions.push(RecorderAction::Interrupt(cause).into());
+            actions.push(RecorderAction::Event(EventKind::SensorLost, message.to_owned()).into());
             self.flowing = false;
             self.script.clear();
             actions.push(Action::Close);
@@ -228,7 +231,7 @@ impl Session {
         {
             if self.is_garbled() {
                 self.set_state(SensorState::NoValidFrames, Some("bytes arrive, but no valid frame".to_owned()));
-                actions.push(Action::AcceptAny);
+                actions.push(RecorderAction::AcceptAny.into());
             } else {
                 self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
             }

@@ -171,18 +171,17 @@ fn default_kind() -> MeasurementKind {
 fn a_sensor_is_found_configured_and_streams() {
     let mut world = World::new(default_output());
     world.pass(1_000_000_000);
-    assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)), "{:?}", world.seen);
+    assert!(world.seen.contains(&RecorderAction::Accept(default_kind(), 40.0).into()), "{:?}", world.seen);
     assert!(world.sensor.commands.contains(&"VNWRG,75,1,20,01,0609".to_owned()));
     assert!(world.measured(default_kind()));
     assert_eq!(world.state(), SensorState::Streaming);
     assert_eq!(world.session.status().serial_number.as_deref(), Some("0100012345"));
-    let described = world
-        .seen
-        .iter()
-        .rev()
-        .find_map(|action| if let Action::Describe(value) = action { Some(value) } else { None });
-    assert_eq!(described.unwrap()["filter_window"]["gyro"], 4);
-    assert!(described.unwrap()["registers"].get("44").is_none(), "a refused register is absent");
+    let described = world.seen.iter().rev().find_map(|action| {
+        if let Action::Record(RecorderAction::Describe(value)) = action { Some(value) } else { None }
+    });
+    let described = described.unwrap();
+    assert_eq!(described.filter_window.unwrap().windows.gyro, 4);
+    assert!(!described.registers.contains_key(&44), "a refused register is absent");
 }
 
 #[test]
@@ -202,7 +201,7 @@ fn kept_output_is_taken_as_the_registers_describe_it_and_nothing_is_written() {
     let mut world = World::new(Output::Keep);
     world.pass(1_000_000_000);
     let ymr = ascii_kind(14).unwrap();
-    assert!(world.seen.contains(&Action::Accept(ymr, 40.0)));
+    assert!(world.seen.contains(&RecorderAction::Accept(ymr, 40.0).into()));
     assert!(world.measured(ymr));
     world.give(Input::Stop);
     assert!(world.sensor.commands.iter().all(|command| command.starts_with("VNRRG")), "{:?}", world.sensor.commands);
@@ -225,7 +224,7 @@ fn a_sensor_that_only_sends_is_kept_with_its_rate_measured() {
         world.pass(25_000_000);
         world.measured(ymr);
     }
-    assert!(world.seen.contains(&Action::Accept(ymr, 40.0)), "{:?}", world.seen);
+    assert!(world.seen.contains(&RecorderAction::Accept(ymr, 40.0).into()), "{:?}", world.seen);
 }
 
 #[test]
@@ -237,7 +236,7 @@ fn silence_is_stalled_then_the_port_is_opened_again() {
     assert_eq!(world.state(), SensorState::Stalled);
     assert_eq!(world.opens, 1);
     world.pass(5_000_000_000);
-    assert!(world.seen.contains(&Action::Interrupt(GapCause::Silent)));
+    assert!(world.seen.contains(&RecorderAction::Interrupt(GapCause::Silent).into()));
     assert!(world.opens >= 2);
 }
 
@@ -280,7 +279,7 @@ fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds(
         [(30, "0,0,0,0,1,0,1"), (32, "3,0,0,0,6,1,0,100000000,0")].map(|(number, text)| (number, text.to_owned()));
     world.sensor.registers.extend(flash.clone());
     world.pass(1_000_000_000);
-    assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+    assert!(world.seen.contains(&RecorderAction::Counted(true).into()), "{:?}", world.seen);
     for count in 0..80 {
         world.pass(25_000_000);
         assert!(world.numbered(ymr, Some(count)));
@@ -294,12 +293,12 @@ fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds(
     world.sensor.registers = Sensor::new().registers;
     world.sensor.registers.extend(flash);
     let begun = world.now_ns;
-    while !world.seen.contains(&Action::Accept(ymr, 40.0)) {
+    while !world.seen.contains(&RecorderAction::Accept(ymr, 40.0).into()) {
         world.pass(25_000_000);
         assert!(!world.measured(ymr), "no sample of the reset sensor passes for one that is counted");
         assert!(world.now_ns - begun < 2_000_000_000);
     }
-    assert!(world.seen.contains(&Action::Interrupt(GapCause::FormatChange)) && world.opens == 1);
+    assert!(world.seen.contains(&RecorderAction::Interrupt(GapCause::FormatChange).into()) && world.opens == 1);
     assert!(world.sensor.registers[&30].starts_with("3,"), "{:?}", world.sensor.registers);
     assert!(world.numbered(ymr, Some(1)));
 }
@@ -312,14 +311,14 @@ fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
     world.sensor.registers.insert(30, "3,0,0,0,1,0,1".to_owned());
     world.sensor.registers.insert(32, "3,0,0,0,1,1,19,100000000,0".to_owned());
     world.pass(1_000_000_000);
-    assert!(world.seen.contains(&Action::Counted(true)), "{:?}", world.seen);
+    assert!(world.seen.contains(&RecorderAction::Counted(true).into()), "{:?}", world.seen);
     assert!(world.numbered(ymr, Some(7)));
     world.seen.clear();
     for _ in 0..120 {
         world.pass(25_000_000);
         world.measured(ymr);
     }
-    assert!(world.seen.contains(&Action::Counted(false)), "{:?}", world.seen);
+    assert!(world.seen.contains(&RecorderAction::Counted(false).into()), "{:?}", world.seen);
     assert!(world.measured(ymr) && world.state() == SensorState::Streaming);
 }
 
@@ -330,7 +329,7 @@ fn another_unit_is_refused_and_said() {
     world.pass(2_000_000_000);
     assert_eq!(world.state(), SensorState::WrongUnit);
     assert!(world.session.status().hint.as_ref().unwrap().contains("0100012345"));
-    assert!(!world.seen.iter().any(|action| matches!(action, Action::Accept(..))));
+    assert!(!world.seen.iter().any(|action| matches!(action, Action::Record(RecorderAction::Accept(..)))));
 }
 
 #[test]
@@ -351,7 +350,7 @@ fn an_absent_port_is_looked_for_at_least_once_a_second() {
     assert_eq!(world.state(), SensorState::Absent);
     world.port = true;
     world.pass(1_500_000_000);
-    assert!(world.seen.contains(&Action::Accept(default_kind(), 40.0)));
+    assert!(world.seen.contains(&RecorderAction::Accept(default_kind(), 40.0).into()));
 }
 
 #[test]
@@ -516,7 +515,7 @@ fn replies_to_a_probe_are_no_garbage() {
             world.give(Input::Bytes(30));
             world.pass(200_000_000);
         }
-        assert!(world.seen.contains(&Action::Interrupt(cause)), "{garbage}: {:?}", world.seen);
+        assert!(world.seen.contains(&RecorderAction::Interrupt(cause).into()), "{garbage}: {:?}", world.seen);
     }
 }
 
@@ -529,7 +528,7 @@ fn a_doubt_about_the_rate_is_answered_by_the_registers() {
         world.pass(1_000_000_000);
         world.measured(ymr);
         world.give(Input::RateDoubted(RateDoubt::Open));
-        assert_eq!(world.seen.last(), Some(&Action::RateKnown(50.0)), "as configured");
+        assert_eq!(world.seen.last(), Some(&RecorderAction::RateKnown(50.0).into()), "as configured");
         world.pass(6_000_000_000);
         world.measured(ymr);
         world.pass(silence_ns);
@@ -537,17 +536,22 @@ fn a_doubt_about_the_rate_is_answered_by_the_registers() {
         world.sensor.registers.insert(7, "40".to_owned());
         world.give(Input::RateDoubted(RateDoubt::Open));
         world.pass(500_000_000);
-        let told = |action: &Action| world.seen.iter().position(|seen| seen == action).unwrap();
-        assert!(told(&Action::RateKnown(40.0)) < told(&Action::Interrupt(cause)));
+        let position =
+            |action: RecorderAction| world.seen.iter().position(|seen| *seen == action.clone().into()).unwrap();
+        assert!(position(RecorderAction::RateKnown(40.0)) < position(RecorderAction::Interrupt(cause)));
         assert_eq!(world.sensor.registers[&7], "50", "configured again");
-        let again = world.seen.iter().rev().find(|action| matches!(action, Action::Accept(..)));
-        assert_eq!(again, Some(&Action::Accept(ymr, 50.0)));
+        let again = world.seen.iter().rev().find(|action| matches!(action, Action::Record(RecorderAction::Accept(..))));
+        assert_eq!(again, Some(&RecorderAction::Accept(ymr, 50.0).into()));
     }
     let mut world = World::new(Output::Keep);
     world.pass(1_000_000_000);
     world.measured(ymr);
     world.sensor.registers.insert(7, "100".to_owned());
     world.give(Input::RateDoubted(RateDoubt::Changed));
-    assert!(world.seen.ends_with(&[Action::Counted(false), Action::Accept(ymr, 100.0)]), "{:?}", world.seen);
+    assert!(
+        world.seen.ends_with(&[RecorderAction::Counted(false).into(), RecorderAction::Accept(ymr, 100.0).into()]),
+        "{:?}",
+        world.seen
+    );
     assert!(world.sensor.commands.iter().all(|command| command.starts_with("VNRRG")), "nothing is written");
 }

@@ -14,18 +14,16 @@ pub(super) fn section(out: &mut String, view: &CaptureView<'_>) {
     row(out, "source", &of.source);
     row(out, "software", &of.software);
     row(out, "channels", &channels.join(", "));
-    for part in [&of.sensor, &of.configuration] {
-        for (key, value) in part.as_object().into_iter().flatten() {
-            match value {
-                Value::Null => {}
-                // The sensor's own statements are shown once.
-                _ if std::ptr::eq(part, &of.configuration) && of.sensor.get(key) == Some(value) => {}
-                // The program has a separate row.
-                _ if key == "software" => {}
-                Value::Object(_) | Value::Array(_) => nested(out, key, value, opened(view)),
-                Value::String(text) => row(out, &key.replace('_', " "), text),
-                other => row(out, &key.replace('_', " "), &other.to_string()),
-            }
+    // The sensor's own statements are shown once.
+    let is_new = |(key, value): &(&str, &Value)| of.sensor.entries().all(|own| own != (*key, *value));
+    for (key, value) in of.sensor.entries().chain(of.configuration.entries().filter(is_new)) {
+        match value {
+            Value::Null => {}
+            // The program has a separate row.
+            _ if key == "software" => {}
+            Value::Object(_) | Value::Array(_) => nested(out, key, value, opened(view)),
+            Value::String(text) => row(out, &key.replace('_', " "), text),
+            other => row(out, &key.replace('_', " "), &other.to_string()),
         }
     }
     *out += "</table></div>";

@@ -152,7 +152,7 @@ fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
 fn head(out: &mut String, view: &CaptureView<'_>) {
     let of = &view.facts.row;
     let begun = of.started_at.map_or_else(|| "not begun".to_owned(), |at| clock(&at.to_string()));
-    let sensor = ["model", "serial_number"].map(|key| of.sensor[key].as_str().unwrap_or_default());
+    let sensor = [of.sensor.model(), of.sensor.serial_number()].map(Option::unwrap_or_default);
     let sensor = sensor.join(" ").trim().to_owned();
     let _ = write!(
         out,

@@ -7,9 +7,7 @@ use crate::store::CaptureRow;
 use imu_core::sample::Channel;
 use imu_files::export::paste::Paste;
 use imu_noise::NoiseReport;
-use imu_noise::datasheet::{
-    BiasComparison, Comparison, Datasheet, DensityComparison, FilterWindows, Verdict, compare_report,
-};
+use imu_noise::datasheet::{BiasComparison, Comparison, Datasheet, DensityComparison, Verdict, compare_report};
 use imu_noise::fit::{Estimate, GaussMarkov, NoiseParameters};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -51,7 +49,7 @@ pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>
         }
         *out += "</div></details>";
     }
-    let model = view.facts.row.sensor["model"].as_str().unwrap_or_default();
+    let model = view.facts.row.sensor.model().unwrap_or_default();
     if let Some(sheet) = compared(of, model, &view.facts.row) {
         datasheet(out, &sheet, !model.is_empty());
     }
@@ -61,7 +59,7 @@ pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>
 fn compared(report: &NoiseReport, model: &str, row: &CaptureRow) -> Option<Comparison> {
     let (sheet, family) = DATASHEET;
     let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family))?;
-    compare_report(&sheet, report, FilterWindows::of_configuration(&row.configuration)).ok()
+    compare_report(&sheet, report, row.configuration.filter_windows()).ok()
 }
 
 fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>) {

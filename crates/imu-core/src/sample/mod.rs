@@ -3,12 +3,16 @@
 pub mod accounting;
 pub mod audit;
 pub mod channel;
+pub mod description;
 pub mod device_clock;
 pub mod gap;
 pub mod record;
 
 pub use accounting::{Accountant, Observation, RateDoubt};
 pub use channel::{Channel, ChannelError, ChannelSet, Triad};
+pub use description::{
+    CaptureConfiguration, ConnectedSensor, FilterWindows, Register85, Registers, SensorDescription, StatedSampling,
+};
 pub use gap::{Gap, GapCause};
 pub use record::{DiscardCause, EventKind, EventRecord, Record, Segment, Timebase};
 

@@ -1,7 +1,7 @@
 //! Records: what a capture writes, in the order it happened. They carry samples from the reader to the store.
 
 use super::device_clock::ClockEstimate;
-use super::{ChannelSet, Gap, Sample};
+use super::{ChannelSet, ConnectedSensor, Gap, Sample};
 use crate::variants;
 use serde::{Deserialize, Serialize};
 
@@ -187,8 +187,8 @@ pub enum Record {
         /// Samples before this were taken before that clock was set back.
         since_seq: Option<u64>,
     },
-    /// The sensor's description and registers as read when (re)connected; stored with the capture.
-    Configuration(serde_json::Value),
+    /// The sensor and its registers as read when (re)connected; stored with the capture.
+    Configuration(Box<ConnectedSensor>),
     /// The end; nothing of this capture follows except late discards.
     Ended {
         /// The kind of end.

@@ -23,7 +23,8 @@ pub use compare::{
     BiasComparison, ChannelComparison, Comparison, DensityComparison, Measured, Verdict, compare, compare_report,
 };
 pub use file::FileError;
-pub use sampling::{FilterWindows, Sampling};
+pub use imu_core::sample::FilterWindows;
+pub use sampling::Sampling;
 pub use vn100::vn_100;
 
 use imu_core::units::{Acceleration, AngularRate, Density, Dimension, MagneticField, Quantity};

@@ -4,47 +4,17 @@
 //! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
 
 use crate::whittle::{self, density_factor};
-use imu_core::sample::Triad;
+use imu_core::sample::{FilterWindows, Triad};
 use imu_core::units::IMU_RATE_HZ;
+use serde::{Deserialize, Serialize};
 
 /// Rate at which the magnetometer is taken to sample, Hz. No document gives it. A unit's 200 Hz output without averaging has
 /// 1.7e-3 to 2.4e-3 gauss, where 140 µgauss/√Hz at 200 Hz makes 2.0e-3 and at 800 Hz 4.0e-3.
 const MAG_RATE_HZ: f64 = 200.0;
 
-use serde::{Deserialize, Serialize};
-
-/// Window lengths in internal samples; 0 and 1 are no averaging.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct FilterWindows {
-    /// Magnetometer.
-    pub mag: u32,
-    /// Accelerometer.
-    pub accel: u32,
-    /// Gyroscope.
-    pub gyro: u32,
-}
-
 /// Samples of the sensor's own rate to one that is sent, if the rates fit.
 pub(super) fn every(own_rate_hz: f64, rate_hz: f64) -> Option<u32> {
     whittle::Sampling { internal_rate_hz: own_rate_hz, window: 1, source: String::new() }.every(rate_hz)
-}
-
-impl FilterWindows {
-    /// The factory's setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of a
-    /// unit's 800 Hz output).
-    pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
-
-    /// The windows of a capture, by its configuration: those of register 85, else as its import stated.
-    pub fn of_configuration(configuration: &serde_json::Value) -> Option<Self> {
-        let stated = || u32::try_from(configuration["sampling"]["filter_window"].as_u64()?).ok();
-        let register_85 = serde_json::from_value(configuration["filter_window"].clone()).ok();
-        register_85.or_else(|| stated().map(Self::stated))
-    }
-
-    /// The windows as a user states them. There is no such statement for the magnetometer.
-    pub fn stated(window: u32) -> Self {
-        Self { mag: 0, accel: window, gyro: window }
-    }
 }
 
 /// How a capture's samples came about.
@@ -95,19 +65,6 @@ impl Sampling {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
-
-    /// A datasheet was compared at the factory's windows, for any stated window.
-    #[test]
-    fn a_datasheet_is_compared_at_the_windows_that_are_stated() {
-        let stated = json!({ "filter_window": 8, "internal_rate_hz": 800.0 });
-        let windows = |mag, window| Some(FilterWindows { mag, accel: window, gyro: window });
-        assert_eq!(FilterWindows::of_configuration(&json!({ "sampling": stated })), windows(0, 8));
-        let register_85 = json!({ "mag": 3, "accel": 5, "gyro": 5 });
-        let both = json!({ "filter_window": register_85, "sampling": stated });
-        assert_eq!(FilterWindows::of_configuration(&both), windows(3, 5));
-        assert_eq!(FilterWindows::of_configuration(&json!({})), None);
-    }
 
     fn factor(rate_hz: f64, window: u32) -> f64 {
         let windows = FilterWindows { mag: 0, accel: window, gyro: window };

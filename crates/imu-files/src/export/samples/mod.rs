@@ -23,7 +23,7 @@ pub use self::partition::partition_path;
 pub use self::tally::{GAPS_LISTED, Tally};
 pub use self::text::{TextFormat, TextHead, TextSink, TextWriter};
 
-use imu_core::sample::Channel;
+use imu_core::sample::{Channel, SensorDescription};
 use imu_core::variants;
 use std::io::Write;
 
@@ -42,8 +42,8 @@ pub struct About {
     pub rate_hz: Option<f64>,
     /// The columns, in this order.
     pub channels: Vec<Channel>,
-    /// The description of the sensor, a JSON object.
-    pub sensor: serde_json::Value,
+    /// The description of the sensor.
+    pub sensor: SensorDescription,
     /// The software that recorded it.
     pub software: String,
     /// Name and version of the writing program.

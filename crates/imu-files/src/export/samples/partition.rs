@@ -16,8 +16,7 @@ const IDENTITY_CHARS: usize = 8;
 /// on which the capture began, its database, id and name.
 pub fn partition_path(about: &About) -> String {
     let About { id, database, name, origin_ns, sensor, .. } = about;
-    let serial_number = sensor["serial_number"].as_str();
-    let sensor = escaped(serial_number.filter(|serial| !serial.is_empty()).unwrap_or("unknown"));
+    let sensor = escaped(sensor.serial_number().filter(|serial| !serial.is_empty()).unwrap_or("unknown"));
     let date = DateTime::from_timestamp_nanos(*origin_ns).format("%Y-%m-%d");
     let plain = |text: &str, count: usize| -> String {
         text.chars().take(count).map(|c| if is_plain(c) { c } else { '_' }).collect()
@@ -51,7 +50,7 @@ mod tests {
             origin_ns,
             rate_hz: None,
             channels: Vec::new(),
-            sensor: serde_json::json!({ "serial_number": serial_number }),
+            sensor: serde_json::json!({ "serial_number": serial_number }).into(),
             software: String::new(),
             writer: String::new(),
         })

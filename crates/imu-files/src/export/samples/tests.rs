@@ -17,7 +17,7 @@ fn about(channels: &[Channel]) -> About {
         origin_ns: ORIGIN_NS,
         rate_hz: Some(40.0),
         channels: channels.to_vec(),
-        sensor: serde_json::json!({"serial_number": "0100012345"}),
+        sensor: serde_json::json!({"serial_number": "0100012345"}).into(),
         software: "vn100d 0.0.9".to_owned(),
         writer: "vn100d 0.1.0".to_owned(),
     }

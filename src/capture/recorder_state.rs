@@ -1,12 +1,12 @@
-//! Book: what is written of a capture, and the queue that it goes into.
+//! Recorder state: the capture that is recorded, the sensor's output, and the queue to the store.
 
-use super::action::Action;
+use super::action::{Action, RecorderAction};
 use super::host_watch::{set_back_unset, unset_before};
 use super::recorder::Recorder;
 use crate::observe::Tally;
 use imu_core::sample::device_clock::ClockEstimate;
 use imu_core::sample::{
-    Accountant, DiscardCause, EventKind, EventRecord, GapCause, RateDoubt, Record, Sample, Timebase,
+    Accountant, ConnectedSensor, DiscardCause, EventKind, EventRecord, GapCause, RateDoubt, Record, Sample, Timebase,
 };
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -37,8 +37,8 @@ pub trait Sink: Send + Sync + 'static {
     fn woke(&self, _late: Duration) {}
 }
 
-/// The written data: the present capture and the queue to the store.
-pub(super) struct Book {
+/// The present capture, the sensor's output, and the queue to the store.
+pub(super) struct RecorderState {
     pub(super) recorder: Option<Recorder>,
     pub(super) accepted: Option<(MeasurementKind, f64)>,
     /// Whether the messages carry a serial count that increases by one.
@@ -49,7 +49,7 @@ pub(super) struct Book {
     idle: Option<Accountant>,
     /// The number of streams accepted without a capture.
     idle_runs: i64,
-    pub(super) description: Option<serde_json::Value>,
+    pub(super) description: Option<Box<ConnectedSensor>>,
     /// The number of samples of the capture when an unset clock was last set back.
     set_back_seq: Option<u64>,
     pub(super) sink: Box<dyn Sink>,
@@ -69,8 +69,8 @@ pub(super) fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
     }
 }
 
-impl Book {
-    /// A book without a capture, whose records go into `sink`.
+impl RecorderState {
+    /// The state without a capture, whose records go into `sink`.
     pub(super) fn new(sink: Box<dyn Sink>) -> Self {
         Self {
             recorder: None,
@@ -92,23 +92,15 @@ impl Book {
     pub(super) fn note(&mut self, actions: &mut Vec<Action>, utc_ns: i64) {
         for action in std::mem::take(actions) {
             match action {
-                Action::Accept(..)
-                | Action::AcceptAny
-                | Action::RateKnown(_)
-                | Action::Counted(_)
-                | Action::Interrupt(_)
-                | Action::Event(..)
-                | Action::Describe(_) => {
-                    self.apply(action, utc_ns);
-                }
+                Action::Record(action) => self.apply(action, utc_ns),
                 port => actions.push(port),
             }
         }
     }
 
-    pub(super) fn apply(&mut self, action: Action, utc_ns: i64) {
+    pub(super) fn apply(&mut self, action: RecorderAction, utc_ns: i64) {
         match action {
-            Action::Accept(kind, rate_hz) => {
+            RecorderAction::Accept(kind, rate_hz) => {
                 self.accepted = Some((kind, rate_hz));
                 // Random bytes can only be mistaken for a frame with the one expected header.
                 self.filter = Some(match kind {
@@ -123,20 +115,20 @@ impl Book {
                     }
                 }
             }
-            Action::RateKnown(rate_hz) => match (&mut self.recorder, &mut self.idle) {
+            RecorderAction::RateKnown(rate_hz) => match (&mut self.recorder, &mut self.idle) {
                 (Some(recorder), _) => recorder.rate_known(rate_hz, &mut self.out),
                 (None, Some(idle)) => idle.rate_known(rate_hz, &mut self.out),
                 (None, None) => {}
             },
-            Action::Counted(counted) => self.counted = counted,
-            Action::AcceptAny => self.filter = Some(BinaryAcceptance::Any),
-            Action::Interrupt(cause) => {
+            RecorderAction::Counted(counted) => self.counted = counted,
+            RecorderAction::AcceptAny => self.filter = Some(BinaryAcceptance::Any),
+            RecorderAction::Interrupt(cause) => {
                 self.filter = Some(BinaryAcceptance::Any);
                 if let Some(recorder) = &mut self.recorder {
                     recorder.interrupt(cause, &mut self.out);
                 }
             }
-            Action::Event(kind, message) => {
+            RecorderAction::Event(kind, message) => {
                 match kind {
                     EventKind::Warning | EventKind::SensorLost | EventKind::SensorError => {
                         tracing::warn!(%message, "sensor");
@@ -147,13 +139,12 @@ impl Book {
                     self.out.push(Record::Event(EventRecord { utc_ns, kind, message, detail: None }));
                 }
             }
-            Action::Describe(description) => {
+            RecorderAction::Describe(description) => {
                 if self.recorder.is_some() {
                     self.out.push(Record::Configuration(description.clone()));
                 }
                 self.description = Some(description);
             }
-            _ => return,
         }
         self.flush();
     }

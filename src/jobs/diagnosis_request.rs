@@ -1,12 +1,12 @@
-//! Wishes: the requests for diagnoses, read from the body of a request without trusting its size.
+//! Requests for diagnoses, read from the body of an HTTP request without trusting its size.
 //!
 //! A body may contain a reference of many megabytes. Such a body is read by a separate process, which checks it and
 //! returns it in parts; the daemon holds one part at a time.
 
 use super::diagnosis::of_csv;
-use super::{DiagnosisParameters, JobError, JobKind, Simulator};
+use super::{DiagnosisParameters, JobError, Simulator};
 use crate::process::{Child, Frame, FrameError, Heard, write_frame};
-use crate::store::{REFERENCE_PART_BYTES, Store};
+use crate::store::{JobKind, REFERENCE_PART_BYTES, Store};
 use imu_model::motion::Kind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -28,9 +28,9 @@ const TIME: Duration = Duration::from_secs(60);
 /// The motion of the sensor, as a job's parameters contain it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
-pub enum GivenReference {
-    /// A motion's CSV, which the database keeps.
-    Kept {
+pub enum ReferenceMotion {
+    /// A motion's CSV, which the database stores.
+    Stored {
         /// SHA-256 of its text.
         sha256: String,
         /// Bytes of its text.
@@ -40,9 +40,9 @@ pub enum GivenReference {
     Named(String),
 }
 
-/// The body of a request.
+/// The body of a request for a diagnosis.
 #[derive(Debug, Clone, Copy)]
-pub enum WishBody<'a> {
+pub enum DiagnosisBody<'a> {
     /// A small one.
     Bytes(&'a [u8]),
     /// A body stored in a file.
@@ -51,15 +51,11 @@ pub enum WishBody<'a> {
 
 /// The content of a body; the reference is checked.
 #[derive(Debug, PartialEq)]
-struct Read<'a> {
+struct Content<'a> {
     sim: &'a str,
-    reference: Option<Text>,
-}
-
-#[derive(Debug, PartialEq)]
-enum Text {
-    Named(String),
-    Csv(String),
+    reference: Option<ReferenceMotion>,
+    /// The text of a reference that is to be stored.
+    text: String,
 }
 
 #[derive(Deserialize)]
@@ -78,7 +74,7 @@ fn refused(reason: impl Into<String>) -> JobError {
 }
 
 /// Reads a body. Beyond the body, only the text and the rows of the reference are held in memory.
-fn read(body: &[u8]) -> Result<Read<'_>, JobError> {
+fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
     if body.trim_ascii_start().first() != Some(&b'{') {
         return Err(refused("expected a JSON object {\"sim\": …}"));
     }
@@ -92,49 +88,53 @@ fn read(body: &[u8]) -> Result<Read<'_>, JobError> {
         return Err(JobError::TooLarge { reason });
     }
     // A member that is null counts as absent.
-    let reference = members.reference.filter(|value| value.get() != "null").map(|value| {
-        let text: String = serde_json::from_str(value.get())
-            .map_err(|_| refused("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table"))?;
-        if Kind::from_name(&text).is_some() {
-            return Ok::<_, JobError>(Text::Named(text));
-        }
-        of_csv(&text).map_err(|reason| refused(format!("`reference`: {reason}")))?;
-        Ok(Text::Csv(text))
-    });
-    Ok(Read { sim, reference: reference.transpose()? })
+    let Some(reference) = members.reference.filter(|value| value.get() != "null") else {
+        return Ok(Content { sim, reference: None, text: String::new() });
+    };
+    let text: String = serde_json::from_str(reference.get())
+        .map_err(|_| refused("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table"))?;
+    if Kind::from_name(&text).is_some() {
+        return Ok(Content { sim, reference: Some(ReferenceMotion::Named(text)), text: String::new() });
+    }
+    of_csv(&text).map_err(|reason| refused(format!("`reference`: {reason}")))?;
+    let sha256 = Sha256::digest(&text).iter().map(|byte| format!("{byte:02x}")).collect();
+    let reference = Some(ReferenceMotion::Stored { sha256, bytes: text.len() as u64 });
+    Ok(Content { sim, reference, text })
 }
 
-fn sha256(text: &str) -> String {
-    Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+/// Accepts a body's content: looks up the simulator, then begins to store the reference.
+fn accept<'a>(
+    store: &'a Store,
+    sim: &str,
+    reference: Option<ReferenceMotion>,
+    find_sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
+) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
+    let sim = find_sim(serde_json::from_str(sim)?)?;
+    let storing = match &reference {
+        Some(ReferenceMotion::Stored { sha256, bytes }) => Some(StoringReference::begin(store, sha256, *bytes)?),
+        Some(ReferenceMotion::Named(_)) | None => None,
+    };
+    Ok((DiagnosisParameters { sim, reference }, storing))
 }
 
-/// Reads a body in this process. `sim` looks up the simulator, and checks whatever else may refuse the diagnosis,
+/// Reads a body in this process. `find_sim` looks up the simulator, and checks whatever else may refuse the diagnosis,
 /// before its reference is stored.
 pub(super) fn read_here<'a>(
     store: &'a Store,
     body: &[u8],
-    sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
-) -> Result<(DiagnosisParameters, Option<Keeping<'a>>), JobError> {
-    let read = read(body)?;
-    let sim = sim(serde_json::from_str(read.sim)?)?;
-    let (reference, keeping) = match read.reference {
-        None => (None, None),
-        Some(Text::Named(name)) => (Some(GivenReference::Named(name)), None),
-        Some(Text::Csv(text)) => {
-            let (sha256, bytes) = (sha256(&text), text.len() as u64);
-            let mut keeping = Keeping::begin(store, &sha256, bytes)?;
-            for part in text.as_bytes().chunks(REFERENCE_PART_BYTES) {
-                keeping.keep(part.to_vec())?;
-            }
-            (Some(GivenReference::Kept { sha256, bytes }), Some(keeping))
-        }
-    };
-    Ok((DiagnosisParameters { sim, reference }, keeping))
+    find_sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
+) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
+    let Content { sim, reference, text } = read(body)?;
+    let (parameters, mut storing) = accept(store, sim, reference, find_sim)?;
+    if let Some(storing) = &mut storing {
+        text.as_bytes().chunks(REFERENCE_PART_BYTES).try_for_each(|part| storing.add(part.to_vec()))?;
+    }
+    Ok((parameters, storing))
 }
 
 /// A reference that is being stored: it is released if dropped before a job claims it.
 #[derive(Debug)]
-pub(super) struct Keeping<'a> {
+pub(super) struct StoringReference<'a> {
     store: &'a Store,
     id: i64,
     whole: bool,
@@ -142,13 +142,13 @@ pub(super) struct Keeping<'a> {
     is_claimed: bool,
 }
 
-impl<'a> Keeping<'a> {
+impl<'a> StoringReference<'a> {
     fn begin(store: &'a Store, sha256: &str, bytes: u64) -> Result<Self, JobError> {
         let (id, whole) = store.begin_reference(sha256, bytes)?;
         Ok(Self { store, id, whole, part: 0, is_claimed: false })
     }
 
-    fn keep(&mut self, content: Vec<u8>) -> Result<(), JobError> {
+    fn add(&mut self, content: Vec<u8>) -> Result<(), JobError> {
         if !self.whole {
             self.store.keep_reference_part(self.id, self.part, content)?;
             self.part += 1;
@@ -162,7 +162,7 @@ impl<'a> Keeping<'a> {
     }
 }
 
-impl Drop for Keeping<'_> {
+impl Drop for StoringReference<'_> {
     fn drop(&mut self) {
         if !self.is_claimed
             && let Err(error) = self.store.let_reference_go(self.id)
@@ -175,9 +175,9 @@ impl Drop for Keeping<'_> {
 
 /// The messages of the process that reads a body.
 #[derive(Debug, Serialize, Deserialize)]
-enum Word {
+enum Message {
     /// The request; a reference that is to be stored follows in parts.
-    Wish { sim: String, reference: Option<GivenReference> },
+    Request { sim: String, reference: Option<ReferenceMotion> },
     /// The next part of the reference is the frame's body.
     Part,
     /// The end of the parts.
@@ -186,42 +186,37 @@ enum Word {
     Refused { reason: String, too_large: bool },
 }
 
-/// The same in a separate process.
+/// Reads a body as [`read_here`] does, but in a separate process.
 pub(super) fn read_apart<'a>(
     store: &'a Store,
     file: &Path,
-    sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
-) -> Result<(DiagnosisParameters, Option<Keeping<'a>>), JobError> {
+    find_sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
+) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
     let work = ["wish".as_ref(), "--file".as_ref(), file.as_os_str()];
-    let mut child = Child::<Word>::start(MEMORY_BYTES, TIME.as_secs(), &work, REFERENCE_PART_BYTES as u64)
+    let mut child = Child::<Message>::start(MEMORY_BYTES, TIME.as_secs(), &work, REFERENCE_PART_BYTES as u64)
         .map_err(JobError::Process)?;
     let died = |reason: String| JobError::Died { reason };
     let begun = Instant::now();
-    let (mut sim, mut parameters, mut keeping) = (Some(sim), None, None);
+    let (mut find_sim, mut accepted) = (Some(find_sim), None);
     loop {
         match child.hear(TIME.saturating_sub(begun.elapsed())).map_err(JobError::Process)? {
-            Heard::Frame(Frame { header: Word::Wish { sim: text, reference }, .. }) => {
-                let sim = sim.take().ok_or_else(|| died("the body was read twice".to_owned()))?;
-                let sim = sim(serde_json::from_str(&text)?)?;
-                if let Some(GivenReference::Kept { sha256, bytes }) = &reference {
-                    keeping = Some(Keeping::begin(store, sha256, *bytes)?);
-                }
-                parameters = Some(DiagnosisParameters { sim, reference });
+            Heard::Frame(Frame { header: Message::Request { sim, reference }, .. }) => {
+                let find_sim = find_sim.take().ok_or_else(|| died("the body was read twice".to_owned()))?;
+                accepted = Some(accept(store, &sim, reference, find_sim)?);
             }
-            Heard::Frame(Frame { header: Word::Part, body }) => {
-                if let Some(keeping) = &mut keeping {
-                    keeping.keep(body)?;
+            Heard::Frame(Frame { header: Message::Part, body }) => {
+                if let Some((_, Some(storing))) = &mut accepted {
+                    storing.add(body)?;
                 }
             }
-            Heard::Frame(Frame { header: Word::Refused { reason, too_large: false }, .. }) => {
+            Heard::Frame(Frame { header: Message::Refused { reason, too_large: false }, .. }) => {
                 return Err(JobError::Parameters { kind: JobKind::Diagnosis.name(), reason });
             }
-            Heard::Frame(Frame { header: Word::Refused { reason, too_large: true }, .. }) => {
+            Heard::Frame(Frame { header: Message::Refused { reason, too_large: true }, .. }) => {
                 return Err(JobError::TooLarge { reason });
             }
-            Heard::Frame(Frame { header: Word::End, .. }) => {
-                let parameters = parameters.ok_or_else(|| died("nothing was read of the body".to_owned()))?;
-                return Ok((parameters, keeping));
+            Heard::Frame(Frame { header: Message::End, .. }) => {
+                return accepted.ok_or_else(|| died("nothing was read of the body".to_owned()));
             }
             Heard::Ended(ended) if ended.out_of_memory => {
                 let most = MEMORY_BYTES >> 20;
@@ -238,26 +233,21 @@ pub(super) fn read_apart<'a>(
 ///
 /// # Errors
 /// [`FrameError`], if the body cannot be read or the parent does not listen.
-pub fn answer_wish(file: &Path, mut out: impl Write) -> Result<(), FrameError> {
+pub fn answer_diagnosis_body(file: &Path, mut out: impl Write) -> Result<(), FrameError> {
     let body = std::fs::read(file)?;
-    let read = match read(&body) {
-        Ok(read) => read,
+    let Content { sim, reference, text } = match read(&body) {
+        Ok(content) => content,
         Err(error) => {
             let too_large = matches!(error, JobError::TooLarge { .. });
             let reason = if let JobError::Parameters { reason, .. } = error { reason } else { error.to_string() };
-            return write_frame(&mut out, &Word::Refused { reason, too_large }, &[]);
+            return write_frame(&mut out, &Message::Refused { reason, too_large }, &[]);
         }
     };
-    let (reference, text) = match read.reference {
-        None => (None, String::new()),
-        Some(Text::Named(name)) => (Some(GivenReference::Named(name)), String::new()),
-        Some(Text::Csv(text)) => (Some(GivenReference::Kept { sha256: sha256(&text), bytes: text.len() as u64 }), text),
-    };
-    write_frame(&mut out, &Word::Wish { sim: read.sim.to_owned(), reference }, &[])?;
+    write_frame(&mut out, &Message::Request { sim: sim.to_owned(), reference }, &[])?;
     for part in text.as_bytes().chunks(REFERENCE_PART_BYTES) {
-        write_frame(&mut out, &Word::Part, part)?;
+        write_frame(&mut out, &Message::Part, part)?;
     }
-    write_frame(&mut out, &Word::End, &[])
+    write_frame(&mut out, &Message::End, &[])
 }
 
 #[cfg(test)]
@@ -273,14 +263,18 @@ mod tests {
         let csv = "time_s,ref_gyro_x_rad_s,ref_gyro_y_rad_s,ref_gyro_z_rad_s,ref_accel_x_m_s2,ref_accel_y_m_s2,ref_accel_z_m_s2\n";
         let rows: String = (0..2000).map(|row| format!("{},0,0,0,0,0,9.8\n", f64::from(row) * 0.01)).collect();
         let body = serde_json::json!({ "sim": "model-1", "reference": format!("{csv}{rows}") }).to_string();
-        assert_eq!(
-            read(body.as_bytes()).unwrap(),
-            Read { sim: "\"model-1\"", reference: Some(Text::Csv(format!("{csv}{rows}"))) }
+        let content = read(body.as_bytes()).unwrap();
+        assert_eq!((content.sim, content.text), ("\"model-1\"", format!("{csv}{rows}")));
+        assert!(
+            matches!(content.reference, Some(ReferenceMotion::Stored { bytes, .. }) if bytes as usize == csv.len() + rows.len())
         );
-        let named = read(br#" {"reference": "tumble", "sim": 7}"#).unwrap();
-        assert_eq!(named, Read { sim: "7", reference: Some(Text::Named("tumble".to_owned())) });
+        let (text, named) = (String::new(), Some(ReferenceMotion::Named("tumble".to_owned())));
+        assert_eq!(
+            read(br#" {"reference": "tumble", "sim": 7}"#).unwrap(),
+            Content { sim: "7", reference: named, text: text.clone() }
+        );
         let none = read(br#"{"sim": {"a": 1}, "reference": null}"#).unwrap();
-        assert_eq!(none, Read { sim: "{\"a\": 1}", reference: None });
+        assert_eq!(none, Content { sim: "{\"a\": 1}", reference: None, text });
         for (body, part) in [
             ("[1, 2]", "JSON object"),
             (r#"{"sim": 1, "motion": 1}"#, "motion"),
