@@ -99,9 +99,9 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
             Err(error) if error.kind() == ProblemType::AnalysisFailed => {
                 remarks.push(format!("There is no {}: {error}.", kind.gives()));
             }
-            // Too much is asked at once, or the disk is slow: it is asked again.
+            // Too much is asked at once, or the disk is slow: it is asked again. A result that cannot be read stays so.
             Err(error) => {
-                waits = true;
+                waits |= error.kind() != ProblemType::Internal;
                 remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
             }
         }

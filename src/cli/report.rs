@@ -148,13 +148,19 @@ impl Diagnosed {
             let job = &row.job;
             let result = job.result_id.filter(|_| own.ids.len() < ENCLOSED);
             match result.map(|id| reader.result(id)).transpose()?.flatten() {
-                Some(result) => {
-                    let (report, drawings) = read_diagnosis(&result.body)?;
-                    let body = page::diagnosis_body(&report, &drawings, &[]);
-                    // On paper nothing opens.
-                    own.enclosed.push(body.replace("<details>", "<details open>"));
-                    own.ids.push(job.id);
-                }
+                Some(result) => match read_diagnosis(&result.body) {
+                    Ok((report, drawings)) => {
+                        let body = page::diagnosis_body(&report, &drawings, &[]);
+                        // On paper nothing opens.
+                        own.enclosed.push(body.replace("<details>", "<details open>"));
+                        own.ids.push(job.id);
+                    }
+                    // A newer program may have made it.
+                    Err(error) => {
+                        row.summary = Some(format!("diagnosis {} cannot be read: {error}", job.id));
+                        own.others.push(row);
+                    }
+                },
                 None => {
                     let why = job.error.as_ref().map_or_else(String::new, |why| format!(": {why}"));
                     let told = || format!("diagnosis {}, {}{why}", job.id, job.state.name());

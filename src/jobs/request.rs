@@ -173,6 +173,13 @@ mod tests {
     }
 
     #[test]
+    fn the_stored_text_has_sorted_keys() {
+        let members = serde_json::json!({"taus": "octave", "estimator": "mdev"});
+        let text = request(JobKind::Allan, members).unwrap().text().unwrap();
+        assert_eq!(text, r#"{"estimator":"mdev","taus":"octave"}"#);
+    }
+
+    #[test]
     fn the_same_request_is_the_same_text_however_it_is_written() {
         let text = |members: Value| request(JobKind::Allan, members).unwrap().text().unwrap();
         let usual = AnalysisRequest::usual(JobKind::Allan).unwrap().text().unwrap();

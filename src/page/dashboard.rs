@@ -178,9 +178,15 @@ fn storage(out: &mut String, status: &Status) {
         size(of.database_bytes as f64)
     );
     if !status.retention.planned.is_empty() {
-        let names: Vec<String> = status.retention.planned.iter().map(|one| escaped(&one.name)).collect();
-        let _ =
-            write!(out, "<p class=\"soft\">To be deleted next, to keep within the limits: {}.</p>", names.join(", "));
+        const NAMED: usize = 5;
+        let planned = &status.retention.planned;
+        let names: Vec<String> = planned.iter().take(NAMED).map(|one| escaped(&one.name)).collect();
+        let more = match status.retention.planned_total.saturating_sub(names.len() as u64) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let names = names.join(", ");
+        let _ = write!(out, "<p class=\"soft\">To be deleted next, to keep within the limits: {names}{more}.</p>");
     }
     *out += "</section>";
 }

@@ -1,7 +1,8 @@
 //! Plots: the interfaces' documents as SVG. Pure.
 //!
 //! In: documents, or plain numbers. Out: one `<svg>`, coloured by the style of the page that contains it, or [`alone`]
-//! with a separate style for light, dark and paper. Guarantees: no text of a document becomes markup, nothing that is not finite is drawn, and every axis has its unit.
+//! with a separate style for light, dark and paper. Guarantees: no text of a document becomes markup, nothing that is not
+//! finite is drawn, and every axis has its unit.
 
 mod axis;
 mod closing;

@@ -20,6 +20,9 @@ pub const RESULTS_KEPT: u32 = 10;
 /// Superseded jobs removed in one transaction: an older version of the program left all of them.
 const DROP_MAX: i64 = 100;
 
+/// The jobs of a kind that this program knows: those of a newer program wait for it.
+const KNOWN: &str = "kind IN ('allan', 'noise', 'statistics', 'diagnosis')";
+
 /// What a job computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -178,7 +181,7 @@ pub(super) fn job_of(row: &Row<'_>) -> Result<JobRow, StoreError> {
 }
 
 fn job(connection: &Connection, id: i64) -> Result<Option<JobRow>, StoreError> {
-    let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE id = ?1");
+    let sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE id = ?1 AND {KNOWN}");
     let mut statement = connection.prepare_cached(&sql)?;
     let mut rows = statement.query([id])?;
     rows.next()?.map(job_of).transpose()
@@ -204,8 +207,8 @@ impl Store {
     pub fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
-            let sql = "SELECT id FROM job WHERE state = 'queued' ORDER BY id LIMIT 1";
-            let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
+            let sql = format!("SELECT id FROM job WHERE state = 'queued' AND {KNOWN} ORDER BY id LIMIT 1");
+            let Some(id) = transaction.query_row(&sql, [], |row| row.get::<_, i64>(0)).optional()? else {
                 return Ok(None);
             };
             take_over(transaction, id)?;
@@ -461,7 +464,7 @@ impl Reader {
         state: Option<JobState>,
         page: &PageRequest,
     ) -> Result<Page<JobRow>, StoreError> {
-        let mut sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE id < ?");
+        let mut sql = format!("SELECT {JOB_COLUMNS} FROM job WHERE {KNOWN} AND id < ?");
         let mut values = vec![Sql::Integer(page.after("jobs")?.unwrap_or(i64::MAX))];
         if let Some(capture_id) = capture_id {
             sql.push_str(" AND capture_id = ?");
@@ -504,8 +507,8 @@ impl Reader {
     /// # Errors
     /// The error that the database reports.
     pub fn count_jobs(&self, state: JobState) -> Result<u64, StoreError> {
-        let sql = "SELECT count(*) FROM job WHERE state = ?1";
-        let count: i64 = self.connection.prepare_cached(sql)?.query_row([state.name()], |row| row.get(0))?;
+        let sql = format!("SELECT count(*) FROM job WHERE state = ?1 AND {KNOWN}");
+        let count: i64 = self.connection.prepare_cached(&sql)?.query_row([state.name()], |row| row.get(0))?;
         Ok(count as u64)
     }
 }
@@ -524,6 +527,27 @@ mod tests {
         assert_eq!(world.store.claim_job().unwrap().unwrap().id, id);
         world.store.finish_job(id, "{}".to_owned()).unwrap().unwrap();
         id
+    }
+
+    #[test]
+    fn a_job_of_a_kind_that_a_newer_program_has_holds_no_other_up() {
+        let names: Vec<&str> = JobKind::ALL.iter().map(|kind| kind.name()).collect();
+        assert_eq!(KNOWN, format!("kind IN ('{}')", names.join("', '")));
+        let world = World::new();
+        let id = world.capturing();
+        world.send(id, [segment(1, 0), sample(1, 0)]);
+        let unknown = world.store.submit_job(job(JobKind::Noise, serde_json::json!({})), u64::MAX).unwrap().0.id;
+        let rename = move |transaction: &rusqlite::Transaction<'_>| {
+            transaction.execute("UPDATE job SET kind = 'oracle' WHERE id = ?1", [unknown])?;
+            Ok(())
+        };
+        world.store.execute(rename).unwrap();
+        let known = world.store.submit_job(job(JobKind::Allan, serde_json::json!({})), u64::MAX).unwrap().0.id;
+        let reader = world.reader();
+        assert_eq!(reader.jobs(None, None, &PageRequest::first()).unwrap().rows.len(), 1);
+        assert!(matches!(reader.job(unknown), Err(StoreError::NoSuchJob { .. })));
+        assert_eq!(world.store.claim_job().unwrap().map(|job| job.id), Some(known));
+        assert!(world.store.claim_job().unwrap().is_none());
     }
 
     #[test]

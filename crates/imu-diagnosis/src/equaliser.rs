@@ -36,6 +36,19 @@ impl Equaliser {
         Some(self.even(transform, values, &solution))
     }
 
+    /// The part of the information about the white noise's variance at a place that the rest of the noise leaves, and by how
+    /// much the variance's logarithm moves with that of the rest's power.
+    pub(super) fn left(&self, place: usize) -> (f64, f64) {
+        let white = self.deviation[place] * self.deviation[place];
+        let (mut squares, mut products) = (0.0, 0.0);
+        for rest in &self.rest {
+            let share = white / (white + rest);
+            squares += share * share;
+            products += share * (1.0 - share);
+        }
+        (squares / self.rest.len() as f64, products / squares)
+    }
+
     /// The same, given (C + V)⁻¹ times the values: the rest at its most probable is C times that.
     fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
         let mut slow = self.filtered(transform, solution, &|s| s);

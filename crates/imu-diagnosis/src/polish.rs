@@ -110,19 +110,26 @@ pub(super) fn scedasticity(series: &mut Series<'_>) {
 
 /// The ratios of stretches that are not left out, each relative to the samples in no stretch.
 fn stretches(series: &mut Series<'_>, known: usize) {
-    const ROUNDS: usize = 8;
+    const ROUNDS: usize = 16;
     /// Change of ln of a ratio that is none.
-    const SETTLED: f64 = 0.01;
+    const SETTLED: f64 = 0.002;
+    /// The share of its last change that a ratio moves on, at most.
+    const SLOWEST: f64 = 0.95;
     if series.explanation.loud.len() <= known {
         return;
     }
-    for _ in 0..ROUNDS {
+    let mut last = vec![0.0; series.explanation.loud.len()];
+    for round in 0..ROUNDS {
         let ratios = loudness::ratios(series);
         let mut moved = 0.0f64;
-        for (loud, ratio) in series.explanation.loud.iter_mut().zip(ratios).skip(known) {
-            let ratio = ratio.unwrap_or(loud.ratio);
-            moved = moved.max((ratio / loud.ratio).ln().abs());
-            loud.ratio = ratio;
+        for ((loud, ratio), last) in series.explanation.loud.iter_mut().zip(ratios).zip(&mut last).skip(known) {
+            let change: f64 = ratio.map_or(0.0, |ratio| (ratio / loud.ratio).ln());
+            moved = moved.max(change.abs());
+            // Where the rest is louder than the white noise, the changes are a slow geometric series: its sum, each second time
+            // (Aitken 1926).
+            let share = if round % 2 == 1 && *last != 0.0 { (change / *last).clamp(0.0, SLOWEST) } else { 0.0 };
+            loud.ratio *= (change / (1.0 - share)).exp();
+            *last = change;
         }
         series.rebuild(false);
         // The separation of white noise from the rest depends on how loud the white noise is.

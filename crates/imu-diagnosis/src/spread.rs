@@ -1,7 +1,7 @@
 //! Spread: standard errors of a series' explanation.
 
 use super::course::Course;
-use super::explanation::Scedasticity;
+use super::explanation::{Loud, Scedasticity};
 use super::polish::by_time_constant;
 use super::series::Series;
 
@@ -19,6 +19,18 @@ pub struct Spread {
     pub tails: f64,
     /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
+    /// Of ln of each stretch's factor.
+    pub loud: Vec<f64>,
+}
+
+/// The error of ln of the factor on the white noise's deviation in a stretch. The rest of the noise, whose power is known to a
+/// part of [`REST_ERROR`], hides some of it.
+fn factor_error(series: &Series<'_>, loud: &Loud) -> f64 {
+    /// The error of ln of the rest's power: B and K of hours are known to about a fifth.
+    const REST_ERROR: f64 = 0.2;
+    let samples = (loud.to - loud.from) as f64;
+    let (left, slope) = series.equaliser.as_ref().map_or((1.0, 0.0), |of| of.left((loud.from + loud.to) / 2));
+    (0.5 / (samples * left)).sqrt().hypot(0.5 * slope * REST_ERROR)
 }
 
 impl Spread {
@@ -94,6 +106,7 @@ impl Spread {
             terms: explanation.law.terms.iter().map(|term| of_term(term.numbers.len())).collect(),
             tails: explanation.tails.map_or(0.0, |degrees| tails(degrees, n)),
             per_degree,
+            loud: explanation.loud.iter().map(|loud| factor_error(series, loud)).collect(),
         }
     }
 }

@@ -287,3 +287,18 @@ fn a_band_in_which_the_sensor_does_not_move_is_no_heavy_tails() {
     }
     wrong.none();
 }
+
+/// In a stretch in which the white noise almost vanishes, the rest of the noise is most of what is there.
+#[test]
+fn the_factor_of_a_quiet_stretch_is_that_of_the_white_noise() {
+    let mut wrong = Wrong::default();
+    for (factor, seed) in [(0.02, 1), (0.02, 2), (0.05, 3), (0.05, 4), (0.3, 5), (0.3, 6)] {
+        let quiet = json!({"effect": "variance_change", "from_s": 363.5, "to_s": 466.8, "factor": factor});
+        let found = found(&quiet, seed);
+        let ends = found.diagnosis.causes.first().map(|of| of.uncertainty["accel_x"][0]["factor"].clone());
+        let holds =
+            ends.as_ref().is_some_and(|of| (of[0].as_f64() <= Some(factor)) && (Some(factor) <= of[1].as_f64()));
+        wrong.expect(holds, || format!("{factor} seed {seed}: {:?} {ends:?}", names(&found)));
+    }
+    wrong.none();
+}

@@ -263,17 +263,18 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     let seconds = |sample: usize| sample as f64 / rate_hz;
     let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
     let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
-    let (intervals, bursts): (Vec<&Loud>, Vec<&Loud>) =
-        loud.iter().partition(|of| of.is_interval(samples, &prepared.bursts));
-    for one in intervals {
+    let errors = spread.loud.get(prepared.loud.len()..).unwrap_or_default();
+    let (intervals, bursts): (Vec<_>, Vec<_>) =
+        loud.iter().zip(errors).partition(|(of, _)| of.is_interval(samples, &prepared.bursts));
+    let bursts: Vec<&Loud> = bursts.into_iter().map(|(of, _)| of).collect();
+    for (one, error) in intervals {
         let (from_s, to_s) = (seconds(one.from), seconds(one.to));
         let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
         let end = (5.5 / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
-        let factor = (0.5 / (one.to - one.from) as f64).sqrt();
         let ci95 = vec![
             ("from_s", about(from_s, end)),
             ("to_s", about(to_s, end)),
-            ("factor", times(one.ratio.sqrt(), factor)),
+            ("factor", times(one.ratio.sqrt(), *error)),
         ];
         add(Kind::VarianceInterval, Arc::new(change), ci95);
     }

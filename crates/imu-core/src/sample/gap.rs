@@ -40,10 +40,6 @@ impl GapCause {
     pub fn name(self) -> &'static str {
         self.into()
     }
-    /// The cause with that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        name.parse().ok()
-    }
 }
 
 /// An interval with missing samples.

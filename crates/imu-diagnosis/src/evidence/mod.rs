@@ -97,11 +97,6 @@ impl Kind {
     pub fn repeats(self) -> bool {
         matches!(self, Self::Tone | Self::Resonance)
     }
-
-    /// Whether it happens at its own time and is not a property that a later record would also have.
-    pub fn is_transient(self) -> bool {
-        matches!(self, Self::BiasStep | Self::WarmUp | Self::Bursts | Self::VarianceInterval | Self::VarianceProfile)
-    }
 }
 
 /// An effect that may explain more.

@@ -27,6 +27,7 @@ pub use form::Noise;
 use form::Form;
 use imu_core::sample::{Channel, Triad};
 use imu_core::variants;
+use imu_model::EffectKind;
 use imu_model::simulator::{SensorModel, plateau};
 use imu_noise::NoiseReport;
 use imu_noise::fit::{Estimate, NoiseParameters};
@@ -333,23 +334,22 @@ impl ImuNoise {
             let Some(of) = model.channels.get(&channel) else { return Axis::UNKNOWN };
             let (mut gauss_markov, mut fixed) = (None, Fixed::default());
             for effect in &of.effects {
-                let number = |key: &str| {
-                    let found = effect.parameters().into_iter().find(|(name, _)| *name == key);
-                    found.and_then(|(_, value)| value.as_f64())
-                };
-                if let filter @ ("low_pass" | "moving_average") = effect.name() {
-                    behind.insert(channel, format!("a {}", filter.replace('_', " ")));
+                let number = |key: &str| effect.number(key);
+                if let filter @ (EffectKind::LowPass | EffectKind::MovingAverage) = effect.kind() {
+                    behind.insert(channel, format!("a {}", filter.name().replace('_', " ")));
                 }
                 // The first of a kind; no target accepts two of them.
-                let held = match effect.name() {
-                    "gauss_markov" => first(&mut gauss_markov, number("sigma").zip(number("tc_s"))),
-                    "resolution" => first(&mut fixed.resolution, number("step")),
-                    "temperature_bias" => first(&mut fixed.temperature, number("per_c").zip(number("reference_c"))),
+                let held = match effect.kind() {
+                    EffectKind::GaussMarkov => first(&mut gauss_markov, number("sigma").zip(number("tc_s"))),
+                    EffectKind::Resolution => first(&mut fixed.resolution, number("step")),
+                    EffectKind::TemperatureBias => {
+                        first(&mut fixed.temperature, number("per_c").zip(number("reference_c")))
+                    }
                     _ => false,
                 };
                 if !held {
                     others.push((effect.name().to_owned(), channel.name().to_owned()));
-                } else if effect.name() == "temperature_bias"
+                } else if effect.kind() == EffectKind::TemperatureBias
                     && ["per_c2", "play_c", "per_c_per_s"].into_iter().any(|key| number(key).is_some())
                 {
                     others.push(("temperature_bias beyond its slope".to_owned(), channel.name().to_owned()));

@@ -79,9 +79,10 @@ impl Effect for LowPass {
         }
         let mut started = false;
         let filter = each(move |value| {
+            let first = [*value; 2];
             for section in &mut sections {
                 if !started {
-                    (section.inputs, section.outputs) = ([*value; 2], [*value; 2]);
+                    (section.inputs, section.outputs) = (first, first);
                 }
                 *value = section.next(*value);
             }
@@ -136,6 +137,28 @@ mod tests {
             let mut values = vec![7.0; 1000];
             filter.sampler(40.0, 1.0, check::stream(1)).apply(&mut values);
             assert!(values.iter().all(|value| (value - 7.0).abs() < 1e-9), "order {order}");
+        }
+    }
+
+    /// docs/simulation.md promises the same samples in every version: all sections begin with the filter's first input.
+    #[test]
+    fn the_first_samples_stay_the_same() {
+        let mut values: Vec<f64> = (0..200).map(|t| 9.8 + (f64::from(t) * 0.7).sin()).collect();
+        let inputs = values.clone();
+        LowPass::new(10.0, 4).sampler(40.0, 1.0, check::stream(1)).apply(&mut values);
+        let warped = (PI * 10.0 / 40.0).tan();
+        let mut sections = [0, 1].map(|pair| {
+            let damping = 2.0 * (PI * f64::from(2 * pair + 1) / 8.0).sin();
+            let below = 1.0 + warped * damping + warped * warped;
+            let gain = warped * warped / below;
+            let back = [2.0 * (warped * warped - 1.0) / below, (1.0 - warped * damping + warped * warped) / below];
+            let mut section = Section::new([gain, 2.0 * gain, gain], back);
+            (section.inputs, section.outputs) = ([inputs[0]; 2], [inputs[0]; 2]);
+            section
+        });
+        for (input, found) in inputs.iter().zip(values) {
+            let expected = sections.iter_mut().fold(*input, |value, section| section.next(value));
+            assert_eq!(expected.to_bits(), found.to_bits());
         }
     }
 

@@ -17,13 +17,6 @@ pub fn allan_variance(m: u64, structure: impl Fn(u64) -> f64) -> f64 {
     (1..2 * m).map(|k| weight(k) * structure(k)).sum::<f64>() / (averaged * averaged)
 }
 
-/// Mean Allan variance over a record of `samples` for a known course: half the mean over the windows' starts i of
-/// `difference(i)`², the difference of the averages over i+m… and i…; `None` for records shorter than 2 `m`.
-pub fn allan_variance_of_course(m: u64, samples: u64, difference: impl Fn(u64) -> f64) -> Option<f64> {
-    let starts = samples.checked_sub(2 * m).filter(|_| m > 0)? + 1;
-    Some((0..starts).map(|start| difference(start).powi(2)).sum::<f64>() / (2.0 * starts as f64))
-}
-
 /// Two-sided response of the sampled Allan variance at f·dt = `cycles`: σ²(m) = ∫ S·response df.
 pub fn allan_response(m: u64, cycles: f64) -> f64 {
     let (m, x) = (m as f64, std::f64::consts::PI * cycles);

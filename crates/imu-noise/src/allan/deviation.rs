@@ -34,11 +34,6 @@ impl Estimator {
     pub fn name(self) -> &'static str {
         self.into()
     }
-
-    /// The estimator of that name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        name.parse().ok()
-    }
 }
 
 /// Phases of one segment: a leading 0 and the running sums of the samples less their mean.
@@ -264,7 +259,7 @@ mod tests {
     #[test]
     fn every_estimator_is_found_by_its_name() {
         for estimator in Estimator::ALL {
-            assert_eq!(Estimator::from_name(estimator.name()), Some(estimator));
+            assert_eq!(estimator.name().parse(), Ok(estimator));
         }
     }
 }
