@@ -111,7 +111,12 @@ fn figure(value: &Value, interval: Option<&Value>) -> String {
         (Some(value), Some(ends)) => with_interval(value, ends),
         (Some(value), None) => plain(value),
         (None, _) => {
-            let text = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+            let numbers = || value.as_array()?.iter().map(|of| of.as_f64().map(plain)).collect::<Option<Vec<String>>>();
+            let text = match (value.as_str(), numbers()) {
+                (Some(text), _) => text.to_owned(),
+                (None, Some(numbers)) => numbers.join(", "),
+                (None, None) => value.to_string(),
+            };
             let short: String = text.chars().take(LONGEST).collect();
             escaped(&if short.len() < text.len() { format!("{short}…") } else { short })
         }
