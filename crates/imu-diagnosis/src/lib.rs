@@ -29,7 +29,7 @@
 //! let recording = Recording { rate_hz, channels: vec![(Channel::GyroX, gyro_x)], ..Recording::default() };
 //!
 //! let found = diagnose(&recording, &model("")?, &Options::default())?;
-//! assert_eq!(found.diagnosis.causes[0].effect, "tone");
+//! assert_eq!(found.diagnosis.causes[0].effect.name(), "tone");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
