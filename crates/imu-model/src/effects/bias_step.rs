@@ -1,6 +1,7 @@
 //! Bias step: the level jumps once and stays.
 
-use super::spec::{ANY, Form, effect};
+use super::described::effect;
+use super::spec::{ANY, Form};
 use super::{At, Effect, Extent, Record, Sampler, Stage, Stream, each, sampled};
 
 effect! {

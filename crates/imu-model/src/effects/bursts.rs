@@ -1,6 +1,7 @@
 //! Bursts: stretches of extra noise, such as knocks and handling.
 
-use super::spec::{FROM_ZERO, Form, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form};
 use super::{Effect, Extent, Moments, Record, Sampler, Stage, Stream, each, sampled};
 
 effect! {

@@ -1,6 +1,7 @@
 //! Common mode: noise that several channels share, such as a supply's.
 
-use super::spec::{ANY, effect};
+use super::described::effect;
+use super::spec::ANY;
 use super::{Effect, Moments, Record, Sampler, Scope, Stage, Stream, each};
 
 effect! {

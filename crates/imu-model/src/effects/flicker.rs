@@ -14,7 +14,8 @@
 //! Validation: `the_spectrum_is_one_over_f_within_two_percent_from_one_over_the_record_up_to_nyquist`: ≤ 1 % for 5 h at
 //! 40 Hz, 5 h and 24 h at 800 Hz.
 
-use super::spec::{FROM_ZERO, effect};
+use super::described::effect;
+use super::spec::FROM_ZERO;
 use super::{Effect, Record, Sampler, Stage, Stream, Temperature};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, LN_2, PI};
 

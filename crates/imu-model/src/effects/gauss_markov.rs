@@ -1,6 +1,7 @@
 //! Gauss-Markov noise: exponentially correlated, the hump of an Allan curve.
 
-use super::spec::{FROM_ZERO, above, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, above};
 use super::{Effect, Moments, Record, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::PI;
 

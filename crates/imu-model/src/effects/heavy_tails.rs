@@ -1,6 +1,7 @@
 //! Heavy tails: the white part follows Student's t distribution.
 
-use super::spec::{above, effect};
+use super::described::effect;
+use super::spec::above;
 use super::{Effect, Moments, Record, Sampler, Stage, Stream, WhiteMoments, each};
 use rand_distr::ChiSquared;
 

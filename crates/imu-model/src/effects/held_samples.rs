@@ -1,6 +1,7 @@
 //! Held samples: the sensor sends its last sample again.
 
-use super::spec::{PROBABILITY, effect};
+use super::described::effect;
+use super::spec::PROBABILITY;
 use super::{Effect, Record, Sampler, Scope, Stage, Stream, each};
 use std::f64::consts::TAU;
 

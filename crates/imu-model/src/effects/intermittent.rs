@@ -1,7 +1,8 @@
 //! Intermittent: another effect that comes and goes.
 
+use super::described::described;
 use super::gauss_markov::lorentzian;
-use super::spec::{FROM_ZERO, Form, Need, Parameter, Values, above, described};
+use super::spec::{FROM_ZERO, Form, Need, Parameter, Values, above};
 use super::{
     Bursts, Effect, EffectKind, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone, White,
     profile, sampled,

@@ -1,6 +1,7 @@
 //! Low pass: the sensor's bandwidth.
 
-use super::spec::{FROM_ZERO, Form, Need, above, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form, Need, above};
 use super::{Effect, Record, Refusal, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
 use std::sync::Arc;

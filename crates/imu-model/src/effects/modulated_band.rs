@@ -1,6 +1,7 @@
 //! Modulated band: a resonance that grows and fades along a profile.
 
-use super::spec::{FROM_ZERO, Form, Parameter, above, described};
+use super::described::described;
+use super::spec::{FROM_ZERO, Form, Parameter, above};
 use super::{Effect, Extent, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, profile};
 use std::sync::Arc;
 

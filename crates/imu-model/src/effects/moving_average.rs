@@ -1,6 +1,7 @@
 //! Moving average: the mean of the last samples, as a sensor's filter computes it.
 
-use super::spec::{FROM_ZERO, Form, Need, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form, Need};
 use super::{Effect, Record, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
 use std::sync::Arc;

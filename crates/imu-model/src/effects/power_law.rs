@@ -10,7 +10,8 @@
 //! `the_density_is_the_power_law_from_one_over_the_record_to_half_the_rate`: within 2 % for 1000 samples, 5 h at 40 Hz and
 //! 24 h at 800 Hz, the most close to half the rate.
 
-use super::spec::{FROM_ZERO, Form, Range, above, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form, Range, above};
 use super::{Effect, Moments, Record, Sampler, Stage, Stream, Temperature};
 use std::f64::consts::PI;
 

@@ -1,6 +1,7 @@
 //! Quantization noise (Q): independent errors of the angle (or velocity), so that the rate shows their differences.
 
-use super::spec::{FROM_ZERO, effect};
+use super::described::effect;
+use super::spec::FROM_ZERO;
 use super::{Effect, Moments, Record, Sampler, Stage, Stream, each};
 use std::f64::consts::PI;
 

@@ -1,6 +1,7 @@
 //! Random walk of the rate (K): the sum of independent steps.
 
-use super::spec::{FROM_ZERO, effect};
+use super::described::effect;
+use super::spec::FROM_ZERO;
 use super::{Effect, Record, Sampler, Stage, Stream, each};
 use std::f64::consts::PI;
 

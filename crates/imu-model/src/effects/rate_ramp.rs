@@ -1,6 +1,7 @@
 //! Rate ramp (R): a bias that drifts steadily.
 
-use super::spec::{ANY, effect};
+use super::described::effect;
+use super::spec::ANY;
 use super::{At, Effect, Record, Sampler, Stage, Stream, each};
 
 effect! {

@@ -138,7 +138,7 @@ mod tests {
             for parameter in spec.parameters {
                 let is_plain = matches!(parameter.form, Form::Choice(_) | Form::Effect(_)) || parameter.unit.is_empty();
                 assert!(!parameter.meaning.is_empty(), "{name}: {}", parameter.name);
-                // A time or a frequency has its unit, and an instant is told apart from a length of time.
+                // Times and frequencies state a unit. Only instants have the form of a time: a length of time has another.
                 assert!(!(is_plain && parameter.name.ends_with("_s")), "{name}: {}", parameter.name);
                 let is_instant = ["at_s", "from_s", "to_s"].contains(&parameter.name);
                 assert_eq!(parameter.form == Form::Time, is_instant, "{name}: {}", parameter.name);

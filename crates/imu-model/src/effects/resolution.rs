@@ -1,6 +1,7 @@
 //! Resolution: sent values are rounded.
 
-use super::spec::{above, effect};
+use super::described::effect;
+use super::spec::above;
 use super::{At, Effect, Moments, Record, Sampler, Stage, Stream, each};
 
 effect! {

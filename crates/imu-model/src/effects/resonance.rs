@@ -1,7 +1,8 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
+use super::described::effect;
 use super::gauss_markov::Lorentzian;
-use super::spec::{ANY, FROM_ZERO, Need, above, effect};
+use super::spec::{ANY, FROM_ZERO, Need, above};
 use super::{Effect, Extent, Moments, Record, Refusal, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::{PI, TAU};
 

@@ -1,6 +1,7 @@
 //! Saturation of a channel: no sample is sent beyond its limits.
 
-use super::spec::{ANY, effect};
+use super::described::effect;
+use super::spec::ANY;
 use super::{At, Effect, Record, Refusal, Sampler, Stage, Stream, each};
 
 effect! {

@@ -168,7 +168,7 @@ impl Parameter {
     }
 
     /// Whether a model writes the value.
-    fn writes(&self, value: &Value) -> bool {
+    pub(super) fn writes(&self, value: &Value) -> bool {
         match self.need {
             Need::Unwritten(default) => value.as_f64() != Some(default),
             Need::Optional => value.as_array().is_none_or(|list| !list.is_empty()),
@@ -230,169 +230,6 @@ impl<E: ?Sized> Definition<E> {
         Ok((self.make)(&Values { spec: self.spec, map: entry }))
     }
 }
-
-/// What an effect says of itself, on a channel or a triad.
-pub trait Described {
-    /// Its name, place in the chain and parameters with their ranges.
-    fn spec(&self) -> &'static Spec;
-
-    /// Its parameters as they stand in a model's file.
-    fn parameters(&self) -> Vec<(&'static str, Value)>;
-
-    /// Its identity.
-    fn kind(&self) -> EffectKind {
-        self.spec().kind
-    }
-
-    /// The name in files and messages (docs/formats.md).
-    fn name(&self) -> &'static str {
-        self.kind().name()
-    }
-
-    /// The stage of the chain at which it acts.
-    fn stage(&self) -> Stage {
-        self.spec().stage
-    }
-
-    /// A parameter as it stands in a model's file; none of another name.
-    fn parameter(&self, name: &str) -> Option<Value> {
-        self.parameters().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
-    }
-
-    /// A parameter that is a number, in its unit; none of another form or name.
-    fn number(&self, name: &str) -> Option<f64> {
-        self.parameter(name)?.as_f64()
-    }
-
-    /// The pairs of a parameter that is a list of them.
-    fn pairs(&self, name: &str) -> Vec<(f64, f64)> {
-        self.parameter(name).iter().filter_map(Value::as_array).flatten().filter_map(pair_of).collect()
-    }
-}
-
-/// A type of parameter.
-pub(super) trait Field: Sized {
-    /// From an entry's checked values.
-    fn read(values: &Values<'_>, name: &str) -> Self;
-    /// As in an entry.
-    fn write(&self) -> Value;
-}
-
-macro_rules! fields {
-    ($($type:ty: $read:ident, |$value:ident| $write:expr;)+) => {$(
-        impl Field for $type {
-            fn read(values: &Values<'_>, name: &str) -> Self {
-                values.$read(name)
-            }
-            fn write(&self) -> Value {
-                let $value = self;
-                $write
-            }
-        }
-    )+};
-}
-
-fields! {
-    f64: number, |value| (*value).into();
-    u64: whole, |value| (*value).into();
-    Vec<f64>: numbers, |list| list.clone().into();
-    Vec<(f64, f64)>: pairs, |points| super::profile::value(points);
-    [[f64; 3]; 3]: matrix, |rows| json!(rows);
-}
-
-/// The parameters that a model writes, of values in the table's order.
-pub(super) fn written<const N: usize>(spec: &'static Spec, values: [Value; N]) -> Vec<(&'static str, Value)> {
-    let pairs = spec.parameters.iter().zip(values).filter(|(parameter, value)| parameter.writes(value));
-    pairs.map(|(parameter, value)| (parameter.name, value)).collect()
-}
-
-/// Describes a type: its stream, stage, meaning and phrases, its parameters, and how it is read and written.
-macro_rules! described {
-    (
-        $type:ident: $trait:ty, $stream:literal, $stage:expr $(, $nature:ident)?;
-        $meaning:literal $(=> $($phrase:literal),+)?;
-        [$($parameter:expr),* $(,)?] $(, $forms:expr)?;
-        |$values:ident| $make:expr, |$of:ident| $write:expr
-    ) => {
-        impl $type {
-            /// Its table.
-            pub const SPEC: &'static $crate::effects::Spec = &$crate::effects::Spec {
-                kind: $crate::effects::EffectKind::$type,
-                stream: $stream,
-                stage: $stage,
-                nature: $crate::effects::spec::described!(@nature $($nature)?),
-                parameters: &[$($parameter),*],
-                forms: $crate::effects::spec::described!(@forms $($forms)?),
-                meaning: $meaning,
-                phrases: &[$($($phrase),+)?],
-            };
-            /// Its table, and how it is made of an entry.
-            pub const DEFINITION: &'static $crate::effects::spec::Definition<$trait> =
-                &$crate::effects::spec::Definition { spec: Self::SPEC, make: |$values| std::sync::Arc::new($make) };
-        }
-
-        impl $crate::effects::spec::Described for $type {
-            fn spec(&self) -> &'static $crate::effects::Spec {
-                Self::SPEC
-            }
-            fn parameters(&self) -> Vec<(&'static str, serde_json::Value)> {
-                let $of = self;
-                $write
-            }
-        }
-    };
-    (@nature) => {
-        $crate::effects::spec::Nature::Other
-    };
-    (@nature $nature:ident) => {
-        $crate::effects::spec::Nature::$nature
-    };
-    (@forms) => {
-        &[]
-    };
-    (@forms $forms:expr) => {
-        $forms
-    };
-}
-pub(super) use described;
-
-/// Defines the type of an effect whose fields are its parameters, and describes it.
-macro_rules! effect {
-    (
-        $(#[$meta:meta])*
-        pub struct $type:ident: $trait:ty, $stream:literal, $stage:expr $(, $nature:ident)?;
-        $meaning:literal $(=> $($phrase:literal),+)?;
-        $($field:ident $(as $key:literal)?: $of:ty = $form:expr, $unit:literal, $words:literal $(, $need:expr)?;)+
-    ) => {
-        $(#[$meta])*
-        pub struct $type {
-            $(#[doc = $words] pub $field: $of,)+
-        }
-
-        $crate::effects::spec::described! {
-            $type: $trait, $stream, $stage $(, $nature)?;
-            $meaning $(=> $($phrase),+)?;
-            [$($crate::effects::spec::Parameter::new(
-                $crate::effects::spec::effect!(@key $field $($key)?), $form, $unit, $words
-            )$(.needed($need))?),+];
-            |values| $type {
-                $($field: $crate::effects::spec::Field::read(
-                    values, $crate::effects::spec::effect!(@key $field $($key)?)
-                )),+
-            },
-            |of| $crate::effects::spec::written(
-                Self::SPEC, [$($crate::effects::spec::Field::write(&of.$field)),+]
-            )
-        }
-    };
-    (@key $field:ident) => {
-        stringify!($field)
-    };
-    (@key $field:ident $key:literal) => {
-        $key
-    };
-}
-pub(super) use effect;
 
 impl Spec {
     /// The name in files and messages.
@@ -696,7 +533,7 @@ fn move_time(value: &mut Value, by_s: f64) {
     }
 }
 
-fn pair_of(value: &Value) -> Option<(f64, f64)> {
+pub(super) fn pair_of(value: &Value) -> Option<(f64, f64)> {
     match value.as_array()?.as_slice() {
         [first, second] => Some((first.as_f64()?, second.as_f64()?)),
         _ => None,

@@ -5,7 +5,8 @@
 //! the rate are smoothed. The filter runs by overlap-save in blocks of its own length, for any blocks that are requested. All
 //! input that it reaches back to is drawn first, so that the noise is stationary from the start.
 
-use super::spec::{Form, Need, effect};
+use super::described::effect;
+use super::spec::{Form, Need};
 use super::{Effect, Moments, Record, Refusal, Sampler, Stage, Stream, Temperature, profile, sampled};
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};

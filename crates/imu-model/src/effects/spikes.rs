@@ -1,6 +1,7 @@
 //! Spikes: single samples far off.
 
-use super::spec::{FROM_ZERO, Form, Need, Range, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form, Need, Range};
 use super::{Effect, Moments, Record, Refusal, Sampler, Stage, Stream, each};
 
 effect! {

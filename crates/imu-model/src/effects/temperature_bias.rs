@@ -1,6 +1,7 @@
 //! Temperature bias: a level that follows the sensor's temperature.
 
-use super::spec::{ANY, FROM_ZERO, Need, above, effect};
+use super::described::effect;
+use super::spec::{ANY, FROM_ZERO, Need, above};
 use super::{At, Effect, Record, Sampler, Stage, Stream, Temperature};
 
 effect! {

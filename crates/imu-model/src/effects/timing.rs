@@ -1,6 +1,7 @@
 //! Timing: stamps that scatter, samples that get lost.
 
-use super::spec::{FROM_ZERO, Need, PROBABILITY, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Need, PROBABILITY};
 use super::{Effect, Record, Refusal, Sampler, Scope, Stage, Stream, each};
 
 effect! {

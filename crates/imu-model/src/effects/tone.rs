@@ -1,6 +1,7 @@
 //! Tones: a sine, and a comb of one fundamental and its harmonics, with random phases.
 
-use super::spec::{FROM_ZERO, Form, Range, above, effect};
+use super::described::effect;
+use super::spec::{FROM_ZERO, Form, Range, above};
 use super::{At, Effect, Extent, Line, Moments, Record, Refusal, Sampler, Stage, Stream, each};
 use std::f64::consts::{PI, TAU};
 

@@ -1,6 +1,7 @@
 //! Change of variance: the white part's amplitude depends on time or temperature.
 
-use super::spec::{ANY, FROM_ZERO, Form, Need, Parameter, above, described};
+use super::described::described;
+use super::spec::{ANY, FROM_ZERO, Form, Need, Parameter, above};
 use super::{
     Effect, Extent, Moments, Record, Sampler, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments, profile,
 };

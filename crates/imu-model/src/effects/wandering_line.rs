@@ -1,7 +1,8 @@
 //! Wandering line: a line whose frequency and amplitude drift to and fro.
 
+use super::described::effect;
 use super::gauss_markov::lorentzian;
-use super::spec::{FROM_ZERO, above, effect};
+use super::spec::{FROM_ZERO, above};
 use super::{Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::TAU;
 use std::sync::Arc;

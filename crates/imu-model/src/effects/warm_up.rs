@@ -1,6 +1,7 @@
 //! Warm-up: the bias after switching on, dying away.
 
-use super::spec::{ANY, above, effect};
+use super::described::effect;
+use super::spec::{ANY, above};
 use super::{At, Effect, Extent, Record, Sampler, Stage, Stream, each};
 
 effect! {

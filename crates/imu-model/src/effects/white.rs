@@ -1,6 +1,7 @@
 //! White noise (N): angle random walk of a gyroscope, velocity random walk of an accelerometer.
 
-use super::spec::{FROM_ZERO, effect};
+use super::described::effect;
+use super::spec::FROM_ZERO;
 use super::{Effect, Moments, Record, Sampler, Stage, Stream, Temperature, each};
 
 effect! {

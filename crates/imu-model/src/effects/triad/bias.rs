@@ -2,7 +2,8 @@
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
 use crate::effects::Stage;
-use crate::effects::spec::{ANY, Parameter, described};
+use crate::effects::described::described;
+use crate::effects::spec::{ANY, Parameter};
 use imu_core::sample::Triad;
 
 /// A constant per axis, beside each channel's own `bias`.

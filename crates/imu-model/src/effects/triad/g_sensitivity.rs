@@ -2,7 +2,8 @@
 
 use super::{Axes, Drive, TriadEffect};
 use crate::effects::Stage;
-use crate::effects::spec::{Form, effect};
+use crate::effects::described::effect;
+use crate::effects::spec::Form;
 use imu_core::sample::Triad;
 
 effect! {

@@ -1,7 +1,8 @@
 //! Latency: the triad shows the motion of a moment ago.
 
 use super::{Axes, TriadEffect};
-use crate::effects::spec::{FROM_ZERO, effect};
+use crate::effects::described::effect;
+use crate::effects::spec::FROM_ZERO;
 use crate::effects::{Described, Refusal, Stage};
 use imu_core::sample::Triad;
 use std::collections::VecDeque;

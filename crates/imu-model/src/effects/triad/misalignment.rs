@@ -2,7 +2,8 @@
 
 use super::{Axes, Drive, TriadEffect, xyz};
 use crate::effects::Stage;
-use crate::effects::spec::{ANY, Parameter, described, effect};
+use crate::effects::described::{described, effect};
+use crate::effects::spec::{ANY, Parameter};
 
 /// The triad as a whole is turned by a small rotation vector θ: measured = true + θ × true.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,8 @@
 
 use super::TriadEffect;
 use crate::effects::Stage;
-use crate::effects::spec::{above, effect};
+use crate::effects::described::effect;
+use crate::effects::spec::above;
 use imu_core::sample::Triad;
 
 effect! {

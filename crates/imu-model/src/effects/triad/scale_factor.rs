@@ -2,7 +2,8 @@
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
 use crate::effects::Stage;
-use crate::effects::spec::{ANY, Parameter, described};
+use crate::effects::described::described;
+use crate::effects::spec::{ANY, Parameter};
 
 /// Each axis shows (1 + s) times its input.
 ///

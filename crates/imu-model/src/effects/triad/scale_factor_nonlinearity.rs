@@ -2,7 +2,8 @@
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
 use crate::effects::Stage;
-use crate::effects::spec::{ANY, Form, Parameter, above, described};
+use crate::effects::described::described;
+use crate::effects::spec::{ANY, Form, Parameter, above};
 
 /// Each axis deviates by a fraction x of full scale F at full scale: x·ω²/F, or x·ω·|ω|/F.
 ///
