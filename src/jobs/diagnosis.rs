@@ -167,7 +167,7 @@ impl<'a> DiagnosisDocument<'a> {
     }
 }
 
-/// What the page of a result shows: the report, and the data of its pictures.
+/// Reads the report of a result and the data of its pictures.
 ///
 /// # Errors
 /// [`JobError::Json`] if the text is no such result.

@@ -81,6 +81,12 @@ struct OfRate {
 }
 
 impl Plan {
+    /// Returns the next channels after the first `done`, at most `count`.
+    pub(super) fn channels_after(&self, done: usize, count: usize) -> &[Channel] {
+        let rest = self.channels.get(done..).unwrap_or_default();
+        rest.get(..count.min(rest.len())).unwrap_or_default()
+    }
+
     /// The plan for the capture's samples below `end_seq` and the requested channels.
     ///
     /// # Errors

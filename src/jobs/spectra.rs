@@ -104,9 +104,7 @@ impl Spectra {
 
     /// The channels that are summed in this pass.
     fn pass_channels(&self) -> &[Channel] {
-        let from = self.done.len().min(self.plan.channels.len());
-        let to = (from + self.group).min(self.plan.channels.len());
-        self.plan.channels.get(from..to).unwrap_or_default()
+        self.plan.channels_after(self.done.len(), self.group)
     }
 
     fn begin_pass(&mut self) {

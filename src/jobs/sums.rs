@@ -121,9 +121,7 @@ impl Pass for Summation {
         Some(&self.plan)
     }
     fn read_channels(&self) -> &[Channel] {
-        let from = self.done.len().min(self.plan.channels.len());
-        let to = (from + self.group).min(self.plan.channels.len());
-        self.plan.channels.get(from..to).unwrap_or_default()
+        self.plan.channels_after(self.done.len(), self.group)
     }
     fn take(&mut self, chunk: &Chunk) {
         let runs = self.plan.runs(chunk);
