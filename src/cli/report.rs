@@ -157,7 +157,9 @@ impl Diagnosed {
                     }
                     // A newer program may have made it.
                     Err(error) => {
-                        row.summary = Some(format!("diagnosis {} cannot be read: {error}", job.id));
+                        let id = job.id;
+                        row.summary =
+                            Some(format!("diagnosis {id} cannot be read by this version, run it again: {error}"));
                         own.others.push(row);
                     }
                 },

@@ -23,8 +23,8 @@ pub struct Spread {
     pub loud: Vec<f64>,
 }
 
-/// The error of ln of the factor on the white noise's deviation in a stretch. The rest of the noise, whose power is known to a
-/// part of [`REST_ERROR`], hides some of it.
+/// Returns the error of ln of the factor on the white noise's deviation in a stretch. The rest of the noise hides a part of it,
+/// and its power is itself known only to `REST_ERROR`.
 fn factor_error(series: &Series<'_>, loud: &Loud) -> f64 {
     /// The error of ln of the rest's power: B and K of hours are known to about a fifth.
     const REST_ERROR: f64 = 0.2;
