@@ -40,8 +40,6 @@ impl Series<'_> {
         /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
         const ENOUGH: f64 = 1e-3;
         const IN_A_ROW: usize = 4;
-        /// Samples that count as near.
-        const REACH: usize = 512;
         /// If a record has more excluded samples than this part, too little is left to determine its noise.
         const MOST: f64 = 0.9;
         let places = self.excluded();
@@ -59,8 +57,10 @@ impl Series<'_> {
         for (place, value) in places.iter().zip(guess) {
             difference[*place] = value;
         }
-        let kernel = self.kernel(REACH);
-        let near = Preconditioner::of(&kernel, &places);
+        let kernel = self.kernel(n);
+        let near = Preconditioner::of(&kernel, &places, n);
+        // With the whole matrix factored, a round gives half the square but for rounding.
+        let is_known = near.as_ref().is_some_and(|near| near.is_whole);
         let nearly = |residual: &[f64]| near.as_ref().map_or_else(|| residual.to_vec(), |near| near.solve(residual));
         let mut precision = |values: &[f64]| -> Vec<f64> {
             let mut c = values.to_vec();
@@ -74,7 +74,7 @@ impl Series<'_> {
         let mut spread = vec![0.0; n];
         let mut idle = 0;
         for _ in 0..ROUNDS.min(WORK / n) {
-            if idle >= IN_A_ROW || square == 0.0 {
+            if idle >= IN_A_ROW || square == 0.0 || (is_known && 0.5 * square < ENOUGH) {
                 break;
             }
             for (place, value) in places.iter().zip(&direction) {

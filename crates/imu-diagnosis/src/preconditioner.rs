@@ -1,23 +1,27 @@
-//! Preconditioner: the precision matrix among some samples, restricted to pairs that are near one another.
+//! Preconditioner: the precision matrix among some samples; of many, restricted to pairs that are near one another.
 
-/// The Cholesky factor of a matrix that is a function of the distance between places, tapered so that far ones have none of it.
+/// The Cholesky factor of a matrix that is a function of the distance between places, reflected at the record's ends.
 ///
-/// Parzen's window is a positive definite function, so that the tapered matrix is positive definite where the whole one is
-/// (Schur's product theorem); its transform falls with the fourth power, so that a zero of a filter hides little beside itself.
+/// Among many places it is tapered, so that far ones have none of it. Parzen's window is a positive definite function, so that
+/// the tapered matrix is positive definite where the whole one is (Schur's product theorem); its transform falls with the fourth
+/// power, so that a zero of a filter hides little beside itself.
 #[derive(Debug, Clone)]
 pub(super) struct Preconditioner {
     /// By row: the first column, and the factor's entries from there to the diagonal.
     rows: Vec<(usize, Vec<f64>)>,
+    /// Whether no pair of places is left out.
+    pub(super) is_whole: bool,
 }
 
 impl Preconditioner {
-    /// Factors the matrix among `places` (in order); `kernel` is the matrix by distance, from 0 on. `None` if there is
-    /// no factor in numbers.
-    pub(super) fn of(kernel: &[f64], places: &[usize]) -> Option<Self> {
+    /// Factors the matrix among `places` (in order) of a record of `length` samples; `kernel` is the matrix by distance, from 0
+    /// on. `None` if there is no factor in numbers.
+    pub(super) fn of(kernel: &[f64], places: &[usize], length: usize) -> Option<Self> {
         /// Products that making the factor takes, about: of long runs only nearer samples are looked at.
         const WORK: usize = 30_000_000;
+        /// Distance of places that count as near among many.
+        const REACH: usize = 512;
         const LEAST: usize = 8;
-        let mut reach = kernel.len();
         let firsts = |reach: usize| {
             let mut first = 0;
             let of = move |place: &usize| {
@@ -30,15 +34,21 @@ impl Preconditioner {
         };
         let work =
             |firsts: &[usize]| firsts.iter().enumerate().map(|(row, first)| (row - first + 1).pow(2)).sum::<usize>();
+        let is_whole = work(&vec![0; places.len()]) <= WORK;
+        let mut reach = if is_whole { length } else { REACH };
         let mut first = firsts(reach);
-        while reach > LEAST && work(&first) > WORK {
+        while !is_whole && reach > LEAST && work(&first) > WORK {
             reach /= 2;
             first = firsts(reach);
         }
-        let tapered = |distance: usize| kernel[distance] * parzen(distance as f64 / reach as f64);
+        let at = |distance: usize| kernel.get(distance).copied().unwrap_or_default();
+        let entry = |i: usize, j: usize| match is_whole {
+            true => at(i - j) + at(i + j + 1) + at(2 * length - 1 - i - j),
+            false => at(i - j) * parzen((i - j) as f64 / reach as f64),
+        };
         let mut rows: Vec<(usize, Vec<f64>)> = Vec::with_capacity(places.len());
         for (row, first) in first.into_iter().enumerate() {
-            let mut own: Vec<f64> = (first..=row).map(|column| tapered(places[row] - places[column])).collect();
+            let mut own: Vec<f64> = (first..=row).map(|column| entry(places[row], places[column])).collect();
             for column in first..row {
                 let (begin, other) = &rows[column];
                 let from = first.max(*begin);
@@ -54,10 +64,10 @@ impl Preconditioner {
             *diagonal = diagonal.sqrt();
             rows.push((first, own));
         }
-        Some(Self { rows })
+        Some(Self { rows, is_whole })
     }
 
-    /// Solves the tapered equations.
+    /// Solves the equations of the matrix that was factored.
     pub(super) fn solve(&self, right: &[f64]) -> Vec<f64> {
         let mut x = right.to_vec();
         for (row, (first, own)) in self.rows.iter().enumerate() {
@@ -84,26 +94,45 @@ fn parzen(part: f64) -> f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn near_places_are_solved_as_all_of_the_tapered_matrix_is() {
-        let kernel: Vec<f64> =
-            (0..40).map(|lag| (-0.3 * f64::from(lag)).exp() * (0.7 * f64::from(lag)).cos()).collect();
-        let places = [3, 4, 9, 30, 31, 33, 80, 120];
-        let near = Preconditioner::of(&kernel, &places).unwrap();
-        let wanted: Vec<f64> = (0..places.len()).map(|at| (at as f64 - 3.0) * 0.7).collect();
-        let entry = |i: usize, j: usize| {
-            let distance = places[i].abs_diff(places[j]);
-            if distance < 40 { kernel[distance] * parzen(distance as f64 / 40.0) } else { 0.0 }
-        };
-        let row = |i: usize| (0..places.len()).map(|j| entry(i, j) * wanted[j]).sum::<f64>();
+    fn kernel(lags: i32) -> Vec<f64> {
+        (0..lags).map(|lag| (-0.3 * f64::from(lag)).exp() * (0.7 * f64::from(lag)).cos()).collect()
+    }
+
+    /// Solves for a right side that is made of a known solution.
+    fn assert_solves(near: &Preconditioner, places: &[usize], entry: impl Fn(usize, usize) -> f64) {
+        let wanted: Vec<f64> = (0..places.len()).map(|at| (at as f64 % 7.0 - 3.0) * 0.7).collect();
+        let row = |i: usize| places.iter().zip(&wanted).map(|(j, value)| entry(places[i], *j) * value).sum::<f64>();
         let right: Vec<f64> = (0..places.len()).map(row).collect();
         let found = near.solve(&right);
-        assert!(found.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+        assert!(found.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 1e-11), "{found:?}");
+    }
+
+    #[test]
+    fn few_places_are_solved_exactly_with_the_reflection_at_the_ends() {
+        let (kernel, length) = (kernel(200), 200);
+        let places = [0, 3, 4, 9, 30, 31, 33, 80, 120, 199];
+        let near = Preconditioner::of(&kernel, &places, length).unwrap();
+        assert!(near.is_whole);
+        let at = |distance: usize| kernel.get(distance).copied().unwrap_or_default();
+        assert_solves(&near, &places, |i, j| at(i.abs_diff(j)) + at(i + j + 1) + at(2 * length - 1 - i - j));
+    }
+
+    #[test]
+    fn many_places_are_solved_as_the_tapered_matrix_is() {
+        let kernel = kernel(1000);
+        let places: Vec<usize> = (0..2000).map(|at| 50 * at).collect();
+        let near = Preconditioner::of(&kernel, &places, 100_000).unwrap();
+        assert!(!near.is_whole);
+        let entry = |i: usize, j: usize| {
+            let distance = i.abs_diff(j);
+            if distance < 512 { kernel[distance] * parzen(distance as f64 / 512.0) } else { 0.0 }
+        };
+        assert_solves(&near, &places, entry);
     }
 
     #[test]
     fn what_is_not_positive_definite_has_no_factor() {
-        assert!(Preconditioner::of(&[1.0, 2.0, 2.0, 2.0], &[0, 1, 2]).is_none());
-        assert!(Preconditioner::of(&[f64::NAN], &[0]).is_none());
+        assert!(Preconditioner::of(&[1.0, 2.0, 2.0, 2.0], &[20, 21, 22], 100).is_none());
+        assert!(Preconditioner::of(&[f64::NAN], &[0], 1).is_none());
     }
 }
