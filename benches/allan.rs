@@ -15,7 +15,7 @@ fn main() {
     divan::main();
 }
 
-/// White noise of a VN-100's size with a slow walk, in rad/s, as the floats of its binary output.
+/// Returns white noise of a VN-100's size with a slow walk, in rad/s, as the floats of its binary output.
 fn gyro(count: usize) -> Vec<f64> {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut uniform = move || {
@@ -52,7 +52,7 @@ fn exact_hundred_taus(bencher: Bencher) {
     });
 }
 
-/// As ASCII output brings it: six decimals and a scale of six decimals.
+/// Values as ASCII output sends them: six decimals and a scale of six decimals.
 #[divan::bench]
 fn exact_hundred_taus_of_decimals(bencher: Bencher) {
     let (samples, grid) = (gyro(SAMPLES), hundred());
@@ -66,7 +66,7 @@ fn exact_hundred_taus_of_decimals(bencher: Bencher) {
     });
 }
 
-/// What any estimator has to do at least: one pass per averaging time over phases in doubles, not exact.
+/// Does the minimum work of any estimator: one pass per averaging time over phases in doubles, not exact.
 #[divan::bench]
 fn floor_doubles_one_pass_per_tau(bencher: Bencher) {
     let (samples, grid) = (gyro(SAMPLES), hundred());
@@ -131,7 +131,7 @@ fn exact_hundred_taus_of_fourteen_million(bencher: Bencher) {
     });
 }
 
-/// From sums to parameters: what a request for a running capture costs on top of its sums, per channel.
+/// Measures the step from sums to parameters: the cost of a request for a running capture beyond its sums, per channel.
 #[divan::bench(sample_count = 20)]
 fn parameters_from_sums(bencher: Bencher) {
     let mut estimator = Overlapping::new(FixedPoint::for_channel(Channel::GyroX), hundred());

@@ -1,9 +1,9 @@
-//! What reading ROS recordings costs: a ROS 1 bag, a ROS 2 `.db3` and an MCAP file with the same messages, read whole as an
-//! import reads them (both passes and the accounting, without the database), time and peak of the heap.
+//! The cost of reading ROS recordings: a ROS 1 bag, a ROS 2 `.db3` and an MCAP file with the same messages, read whole
+//! as an import reads them (both passes and the accounting, without the database), time and peak of the heap.
 //!
-//! `cargo bench --bench bags` reads recordings that it makes itself; `python3 benches/bags.py` has rosbags make them, and runs
-//! that program on them beside this one. With `BAGS_DIR` set, its `imu.bag`, `imu.db3` and `imu.mcap` are read instead, and
-//! the figures are left there.
+//! `cargo bench --bench bags` reads recordings that it makes itself. `python3 benches/bags.py` lets rosbags make them,
+//! and runs rosbags beside this bench. With `BAGS_DIR` set, its `imu.bag`, `imu.db3` and `imu.mcap` are read instead,
+//! and the figures are written there.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
@@ -18,11 +18,11 @@ use vn100_testkit::{bag, ros2};
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 const ROUNDS: usize = 5;
-/// Messages of an own recording.
+/// Messages of a generated recording.
 const MESSAGES: usize = 200_000;
 const START_NS: u64 = 1_700_000_000_000_000_000;
 const STEP_NS: u64 = 5_000_000;
-/// What a chunk of a recorder holds of these messages: about 768 KiB.
+/// The number of these messages in a recorder's chunk of about 768 KiB.
 const PER_CHUNK: usize = 2400;
 
 fn main() {
@@ -59,7 +59,7 @@ fn main() {
     }
 }
 
-/// Samples of a recording, as an import takes them.
+/// Returns the number of samples of a recording, read as an import does.
 fn read(file: &Path) -> u64 {
     let recording = Recording::open(file, Options::default()).unwrap();
     let mut accountant = RecordingAccountant::new(recording.info());
@@ -73,7 +73,7 @@ fn read(file: &Path) -> u64 {
     samples
 }
 
-/// Processor time so far, s: what other work on the machine does not lengthen.
+/// Returns the processor time so far, s: other work on the machine does not lengthen it.
 fn processor_s() -> f64 {
     let time = clock_gettime(ClockId::ProcessCPUTime);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
@@ -88,7 +88,7 @@ fn make(folder: &Path, messages: usize) {
     let topics = [("/imu/data", "sensor_msgs/msg/Imu", Some(ros2::IMU_DEFINITION))];
     std::fs::write(folder.join("imu.db3"), ros2::db3(&topics, &second)).unwrap();
     std::fs::write(folder.join("imu.mcap"), ros2::mcap(&topics, &second, true, PER_CHUNK)).unwrap();
-    // ROS 1 has no alignment, and a number in the header.
+    // ROS 1 has no alignment, and its header contains a number.
     let ros1 = |index: usize| {
         let mut data = (index as u32).to_le_bytes().to_vec();
         data.extend(bag::time(stamp_ns(index)));

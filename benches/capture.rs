@@ -1,7 +1,7 @@
-//! What a capture costs: the built daemon records an emulated sensor at 800 Hz binary (70 bytes a frame, 921,600 baud)
-//! in real time; its processor time and peak memory are read from /proc.
+//! The cost of a capture: the built daemon records an emulated sensor at 800 Hz binary (70 bytes per frame, 921,600
+//! baud) in real time; its processor time and peak memory are read from /proc.
 //!
-//! `cargo bench --bench capture`; `VN100D_BENCH_S=60` measures for another time than 20 s.
+//! `cargo bench --bench capture`; `VN100D_BENCH_S=60` measures for 60 s instead of 20 s.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 /// The kernel's clock ticks per second in /proc/PID/stat (`getconf CLK_TCK`; 100 on every Linux architecture but alpha).
 const TICKS_PER_SECOND: f64 = 100.0;
-/// What the project asks for.
+/// The project's limit.
 const CORE_SHARE_MAX: f64 = 0.03;
 const MEMORY_MIB_MAX: f64 = 64.0;
 

@@ -1,5 +1,5 @@
-//! Decoder throughput: lines and binary frames as a sensor sends them, in the 4 kB that a read of a serial port gives.
-//! Goal: 200 MB/s of lines, 400 MB/s of binary frames.
+//! Decoder throughput: lines and binary frames as a sensor sends them, in pieces of 4 kB, as a read of a serial port
+//! returns them. Goal: 200 MB/s of lines, 400 MB/s of binary frames.
 
 use divan::counter::BytesCount;
 use divan::{Bencher, black_box};
@@ -22,7 +22,7 @@ fn header(text: &str) -> BinaryHeader {
     }
 }
 
-/// A stream of one message with changing values.
+/// Returns a stream of one message with changing values.
 fn stream(kind: MeasurementKind) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut tick = 0_u32;
@@ -65,7 +65,7 @@ fn binary(bencher: Bencher, fields: &str) {
     decode(bencher, &stream(MeasurementKind::Binary(header)), BinaryAcceptance::Only(header));
 }
 
-/// Bytes of no frame: a wrong baud rate must not load the machine.
+/// Bytes that form no frame: a wrong baud rate must not load the machine.
 #[divan::bench]
 fn garbage(bencher: Bencher) {
     let mut state = 1_u64;
@@ -84,7 +84,7 @@ fn crc16(bencher: Bencher) {
     bencher.counter(BytesCount::new(bytes.len())).bench_local(|| checksum::crc16(black_box(&bytes)));
 }
 
-/// The emulator's side.
+/// Measures the emulator's side.
 #[divan::bench(args = [true, false])]
 fn encode_frames(bencher: Bencher, ascii: bool) {
     let kind = if ascii { MeasurementKind::Ascii(AsciiType::Ymr) } else { MeasurementKind::Binary(header("01,0609")) };

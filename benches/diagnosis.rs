@@ -1,6 +1,7 @@
-//! What a diagnosis costs: nine channels of five hours at 40 Hz with one effect, two channels of 27 minutes, the exact
-//! calibration at that size, and 20 minutes on a rate table at 100 Hz against their reference; time, processor time and peak of
-//! the heap, beside cosine transforms of the same samples, of which whitening takes at least one. `cargo bench --bench diagnosis`.
+//! The cost of a diagnosis: nine channels of five hours at 40 Hz with one effect, two channels of 27 minutes, the exact
+//! calibration at that size, and 20 minutes on a rate table at 100 Hz against their reference; time, processor time and
+//! peak of the heap, beside cosine transforms of the same samples, of which whitening takes at least one. `cargo bench
+//! --bench diagnosis`.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
@@ -22,13 +23,14 @@ static ALLOCATOR: PeakAlloc = PeakAlloc;
 
 const RATE_HZ: f64 = 40.0;
 
-/// Processor time of all threads so far, s: what other work on the machine does not lengthen.
+/// Returns the processor time of all threads so far, s: other work on the machine does not lengthen it.
 fn processor_s() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }
 
-/// A record of some channels of the demonstration's sensor at rest, on whose first there is a tone, and the model without it.
+/// Returns a record of some channels of the demonstration's sensor at rest, with a tone on the first channel, and the
+/// model without the tone.
 fn record(channels: &[Channel], samples: usize) -> (Recording, SensorModel) {
     let mut model = default_model();
     model.channels.retain(|channel, _| channels.contains(channel));
@@ -52,7 +54,8 @@ fn record(channels: &[Channel], samples: usize) -> (Recording, SensorModel) {
     (real, model)
 }
 
-/// A record on a rate table whose gyro has a scale factor that the model has not, and what drove it.
+/// Returns a record on a rate table whose gyro has a scale factor that is missing in the model, the reference motion,
+/// and the model.
 fn on_a_table(length_s: f64, rate_hz: f64) -> (Recording, Reference, SensorModel) {
     let mut model = default_model();
     model.channels.retain(|channel, _| matches!(channel.triad(), Some(Triad::Gyro | Triad::Accel)));
@@ -122,7 +125,7 @@ fn with_a_motion(what: &str, length_s: f64, rate_hz: f64, rounds: usize) {
 }
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     if quick {
         at_rest("two channels", &[Channel::AccelZ, Channel::GyroX], 20_000, 1);

@@ -1,9 +1,9 @@
-//! How fast a capture leaves the database: `vn100d export` in each format, ten channels and their times, five hours at 40 Hz;
-//! prints figures, `cargo bench --bench export`. `python3 benches/export.py` runs that and pandas on the same database.
+//! The speed of exports: `vn100d export` in each format, ten channels and their times, five hours at 40 Hz; prints
+//! figures, `cargo bench --bench export`. `python3 benches/export.py` runs that and pandas on the same database.
 //!
-//! Two captures of the demonstration's sensor: values as its ASCII output rounds them, and as the floats of its binary output.
-//! Times are those of the whole command, from its start to the file under its name; beside them stands what reading the samples alone
-//! takes. With `EXPORT_DIR` set, the database and the figures are left there.
+//! Two captures of the demonstration's sensor: values as its ASCII output rounds them, and as the floats of its binary
+//! output. Times are those of the whole command, from its start to the file under its name, beside the time for reading
+//! only the samples. With `EXPORT_DIR` set, the database and the figures are written there.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
@@ -19,7 +19,7 @@ const RATE_HZ: f64 = 40.0;
 const FORMATS: [&str; 4] = ["parquet", "csv", "ndjson", "mcap"];
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     let (samples, rounds) = if quick { (20_000, 1) } else { (720_000, 7) };
     let temporary = tempfile::tempdir().unwrap();
@@ -75,7 +75,7 @@ fn median(times: &mut [f64]) -> f64 {
     times[times.len() / 2]
 }
 
-/// A value as the sensor's binary output has it, or as its `$VN…` lines have it behind the point.
+/// Returns a value as the sensor's binary output has it, or with the decimals of its `$VN…` lines.
 fn written(channel: Channel, value: f64, binary: bool) -> f64 {
     if binary {
         return f64::from(value as f32);
@@ -89,7 +89,7 @@ fn written(channel: Channel, value: f64, binary: bool) -> f64 {
     (value * steps).round() / steps
 }
 
-/// Reads the samples with their clocks; seconds.
+/// Reads the samples with their clocks; returns the time in s.
 fn read(database: &Path, name: &str, channels: &[Channel], samples: u64) -> f64 {
     let reader = Reader::open(database).unwrap();
     let id = reader.resolve(name).unwrap();
@@ -101,7 +101,7 @@ fn read(database: &Path, name: &str, channels: &[Channel], samples: u64) -> f64 
     begun.elapsed().as_secs_f64()
 }
 
-/// Runs `vn100d export` to its end and answers the most memory it held, kB.
+/// Runs `vn100d export` to its end and returns its peak memory, kB.
 fn export(data_dir: &Path, capture: &str, out: &Path) -> u64 {
     let mut child = Command::new(env!("CARGO_BIN_EXE_vn100d"))
         .args(["--data-dir", data_dir.to_str().unwrap(), "--json", "export", capture, "--force"])
@@ -111,7 +111,7 @@ fn export(data_dir: &Path, capture: &str, out: &Path) -> u64 {
         .unwrap();
     let mut peak = 0;
     loop {
-        // What a process that has ended held can no longer be read: the last look before its end counts.
+        // The memory of a process that has ended cannot be read: the last reading before its end counts.
         peak = peak.max(peak_kb(&child.id().to_string()));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success());
@@ -121,7 +121,7 @@ fn export(data_dir: &Path, capture: &str, out: &Path) -> u64 {
     }
 }
 
-/// Most memory that a process held since it began, kB; 0 where it has ended.
+/// Returns the peak memory of a process, kB; 0 if it has ended.
 fn peak_kb(process: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

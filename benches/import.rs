@@ -1,9 +1,9 @@
-//! How fast a CSV becomes a capture: ten channels with stamps, as docs/formats.md has them. Prints rows per second of one
-//! pass over the file, of the pass that also finds the rate and what is odd, and of a whole import into SQLite (hash, both
-//! passes, every transaction synced to the disk under `TMPDIR`), with processor times.
+//! The speed of a CSV's import: ten channels with stamps, as in docs/formats.md. Prints rows per second of one pass
+//! over the file, of the pass that also finds the rate and irregularities, and of a whole import into SQLite (hash,
+//! both passes, every transaction synced to the disk under `TMPDIR`), with processor times.
 //!
-//! `cargo bench --bench import`; `python3 benches/import.py` runs it beside pandas' `read_csv` and `to_sql` on the same file,
-//! which `IMPORT_DIR` has left there.
+//! `cargo bench --bench import`; `python3 benches/import.py` runs it beside pandas' `read_csv` and `to_sql` on the same
+//! file, which this bench writes to `IMPORT_DIR`.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
@@ -16,7 +16,7 @@ use vn100d::clock::SystemClock;
 use vn100d::daemon::import::{Source, import};
 use vn100d::store::{Store, StoreOptions};
 
-/// What a row has behind its stamp: a column, its decimals, the size of its values.
+/// The columns of a row after its stamp: name, decimals, size of the values.
 const COLUMNS: [(&str, usize, f64); 10] = [
     ("mag_x_gauss", 4, 0.5),
     ("mag_y_gauss", 4, 0.5),
@@ -31,7 +31,7 @@ const COLUMNS: [(&str, usize, f64); 10] = [
 ];
 const ROUNDS: usize = 5;
 
-/// Times of one thing: on the clock, and of all processors, s.
+/// Measures work: its duration and the time of all processors, s.
 fn timed<T>(work: impl FnOnce() -> T) -> (f64, f64, T) {
     let processor = || {
         let time = clock_gettime(ClockId::ProcessCPUTime);
@@ -42,7 +42,7 @@ fn timed<T>(work: impl FnOnce() -> T) -> (f64, f64, T) {
     (begun.elapsed().as_secs_f64(), processor() - worked, result)
 }
 
-/// The middle one of several rounds by its time.
+/// Prints the median of several rounds by their time.
 fn tell(what: &str, rows: u64, mut rounds: Vec<(f64, f64)>) {
     rounds.sort_by(|one, other| one.0.total_cmp(&other.0));
     let (took_s, worked_s) = rounds[rounds.len() / 2];
@@ -67,7 +67,7 @@ fn write_csv(path: &Path, rows: u64) {
 }
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     let (rows, rounds) = if quick { (20_000, 1) } else { (2_000_000, ROUNDS) };
     let folder = tempfile::tempdir().unwrap();

@@ -1,12 +1,12 @@
-//! The overlapping Allan deviation of one recording beside other programs', in one run and on one thread: 720,000 samples
-//! (five hours at 40 Hz) at 100 averaging times, and 14.4 million (at 800 Hz) at all those of the usual grid that have full
-//! overlap. Prints processor times, ratios and how far the results differ.
+//! The overlapping Allan deviation of one recording compared with other programs, in one run and on one thread: 720,000
+//! samples (five hours at 40 Hz) at 100 averaging times, and 14.4 million (at 800 Hz) at all those of the usual grid
+//! that have full overlap. Prints processor times, ratios and how far the results differ.
 //!
 //! `cargo bench --bench peers` compares with the crates `allan-tools` and `allan` and with floors;
 //! `python3 benches/peers.py` runs that and allantools on the same samples.
 //!
-//! Everybody starts from rate samples in memory; where a peer takes phases, integrating is part of its time. With
-//! `PEERS_DIR` set, the samples, the averaging factors and the results are left there.
+//! All programs start from rate samples in memory; if a peer takes phases, integrating is part of its time. With
+//! `PEERS_DIR` set, the samples, the averaging factors and the results are written there.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
@@ -17,11 +17,11 @@ use rustix::time::{ClockId, clock_gettime};
 use std::hint::black_box;
 use std::path::Path;
 
-/// Who computes, in how many rounds, and the deviations of one of them.
+/// A program's name, the number of its rounds, and its deviations.
 type Contender<'a> = (&'static str, usize, Box<dyn Fn() -> Vec<f64> + 'a>);
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     let directory = std::env::var_os("PEERS_DIR");
     let (short, long, rounds) = if quick { (7200, 20_000, [1, 1]) } else { (720_000, 14_400_000, [21, 5]) };
@@ -31,7 +31,7 @@ fn main() {
     beside(&grid, long, if quick { rounds } else { [3, 1] }, None);
 }
 
-/// `rounds`: of those that are fast, and of those that are not.
+/// Compares the programs; `rounds` are the numbers for fast and for slow ones.
 fn beside(grid: &TauGrid, count: usize, [fast, slow]: [usize; 2], directory: Option<&Path>) {
     let samples = gyro(count);
     let decimals: Vec<f64> = samples.iter().map(|value| (value * 1e6).round() / 1e6).collect();
@@ -52,7 +52,7 @@ fn beside(grid: &TauGrid, count: usize, [fast, slow]: [usize; 2], directory: Opt
         let phases = integrate(black_box(&samples));
         allan_tools::deviation(&phases, &taus, allan_tools::Deviation::Allan, 1.0, false, true).unwrap().0
     };
-    // It has no list of averaging times: one instance for each.
+    // The crate accepts no list of averaging times: one instance for each.
     let allan = || -> Vec<f64> {
         let phases = integrate(black_box(&samples));
         let one = |m: &usize| {
@@ -109,13 +109,13 @@ fn beside(grid: &TauGrid, count: usize, [fast, slow]: [usize; 2], directory: Opt
     }
 }
 
-/// Time that this thread was on a processor, s: others on the machine cost it less than they cost the clock on the wall.
+/// Returns the processor time of this thread, s: other work on the machine affects it less than the wall clock.
 fn processor_s() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// White noise of a VN-100's size with a slow walk, in rad/s, as the floats of its binary output.
+/// Returns white noise of a VN-100's size with a slow walk, in rad/s, as the floats of its binary output.
 fn gyro(count: usize) -> Vec<f64> {
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut uniform = move || {
@@ -133,7 +133,7 @@ fn gyro(count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Twenty to the decade up to a quarter, filled up to a hundred.
+/// Returns twenty averaging times per decade up to a quarter, filled up to a hundred.
 fn hundred(count: usize) -> TauGrid {
     let grid = TauGrid::log(count as u64).unwrap();
     let missing = 100usize.saturating_sub(grid.factors().len());
@@ -153,8 +153,8 @@ fn integrate(samples: &[f64]) -> Vec<f64> {
     phases
 }
 
-/// What any estimator has to do at least: doubles, each block of phases with all averaging times while it is in the cache, by
-/// the widest instructions there are.
+/// Does the minimum work of any estimator: doubles, each block of phases with all averaging times while it is in the
+/// cache, by the widest available instructions.
 fn floor(samples: &[f64], factors: &[usize]) -> Vec<f64> {
     let level = Level::new();
     #[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
@@ -192,7 +192,7 @@ fn deviation(squares: f64, phases: usize, m: usize) -> f64 {
     (squares / (2.0 * (phases - 2 * m) as f64)).sqrt() / m as f64
 }
 
-/// The sum of squared second differences whose newest phases are `range`.
+/// Returns the sum of squared second differences whose newest phases are `range`.
 #[inline(always)]
 fn squares(x: &[f64], range: std::ops::Range<usize>, m: usize) -> f64 {
     const LANES: usize = 32;

@@ -1,8 +1,8 @@
-//! From SQLite to noise parameters: how long it takes, and how much memory; prints figures, `cargo bench --bench record`.
+//! From SQLite to noise parameters: time and memory; prints figures, `cargo bench --bench record`.
 //!
-//! Two records of the demonstration's sensor: the six inertial channels of five hours at 40 Hz, and nine channels of five hours
-//! at 800 Hz (`--long`, 14.4 million samples, 2.7 GB under `TMPDIR`). Each is analysed by a background job and by
-//! `vn100d noise`. Beside the job stands what reading the samples alone takes.
+//! Two records of the demonstration's sensor: the six inertial channels of five hours at 40 Hz, and nine channels of
+//! five hours at 800 Hz (`--long`, 14.4 million samples, 2.7 GB under `TMPDIR`). Each is analysed by a background job
+//! and by `vn100d noise`. The time for reading only the samples is printed beside the job's.
 
 #![expect(clippy::unwrap_used, reason = "a bench that cannot go on ends")]
 
@@ -16,7 +16,7 @@ use vn100d::jobs::{AnalysisRequest, JobKind, Jobs, JobsOptions};
 use vn100d::store::{CaptureState, JobState, NewCapture, Store, StoreOptions};
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     let long = std::env::args().any(|argument| argument == "--long");
     let inertial = &Channel::ANALYSED[3..9];
@@ -35,7 +35,7 @@ fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds:
     let reader = store.reader().unwrap();
     let (mut reading, mut working, mut waiting, mut job_peak, mut command_peak) = (vec![], vec![], vec![], 0, 0);
     for _ in 0..rounds {
-        // The same wish twice is the same job, so each round has a capture of its own.
+        // The same request twice is the same job, so each round has a separate capture.
         let capture = NewCapture::new("bench", CaptureState::Imported);
         let id = made::capture(&store, capture, channels, rate_hz, samples, |_, value| f64::from(value as f32));
         let begun = Instant::now();
@@ -73,7 +73,7 @@ fn measure(what: &str, channels: &[Channel], rate_hz: f64, samples: u64, rounds:
     );
 }
 
-/// Runs `vn100d noise latest` to its end and answers the most memory it held, kB.
+/// Runs `vn100d noise latest` to its end and returns its peak memory, kB.
 fn command(data_dir: &Path) -> u64 {
     let mut child = Command::new(env!("CARGO_BIN_EXE_vn100d"))
         .args(["--data-dir", data_dir.to_str().unwrap(), "--json", "noise", "latest"])
@@ -82,7 +82,7 @@ fn command(data_dir: &Path) -> u64 {
         .unwrap();
     let mut peak = 0;
     loop {
-        // What a process that has ended held can no longer be read: the last look before its end counts.
+        // The memory of a process that has ended cannot be read: the last reading before its end counts.
         peak = peak.max(peak_kb(&child.id().to_string()));
         if let Some(status) = child.try_wait().unwrap() {
             assert!(status.success());
@@ -92,7 +92,7 @@ fn command(data_dir: &Path) -> u64 {
     }
 }
 
-/// Most memory that a process held since it began or [`reset_peak`], kB; 0 where it has ended.
+/// Returns the peak memory of a process since its start or [`reset_peak`], kB; 0 if it has ended.
 fn peak_kb(process: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

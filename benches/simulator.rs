@@ -1,6 +1,6 @@
-//! What a simulation costs: five hours of nine channels with N, B and K, at 40 Hz and at 800 Hz, and through the sensor's
-//! boxcar; time, processor time and peak of the heap. `cargo bench --bench simulator`; `benches/simulator.py` runs it beside NumPy
-//! doing the same.
+//! The cost of a simulation: five hours of nine channels with N, B and K, at 40 Hz and at 800 Hz, and through the
+//! sensor's boxcar; time, processor time and peak of the heap. `cargo bench --bench simulator`; `benches/simulator.py`
+//! runs it beside the same work in NumPy.
 
 #![expect(clippy::expect_used, reason = "a bench that cannot go on ends")]
 
@@ -20,7 +20,7 @@ fn nine() -> SensorModel {
     model
 }
 
-/// Processor time of all threads so far, s: what other work on the machine does not lengthen.
+/// Returns the processor time of all threads so far, s: other work on the machine does not lengthen it.
 fn processor_s() -> f64 {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64

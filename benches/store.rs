@@ -1,4 +1,4 @@
-//! How fast the store takes samples in and gives them out; prints figures, `cargo bench --bench store`.
+//! The speed at which the store writes and reads samples; prints figures, `cargo bench --bench store`.
 //!
 //! The writer's figure holds for the disk under `TMPDIR`: every batch is synced.
 
@@ -40,7 +40,7 @@ fn record(seq: u64) -> Record {
 }
 
 fn main() {
-    // `cargo test --benches` only wants to know that it runs.
+    // `cargo test --benches` only checks that it runs.
     let quick = !std::env::args().any(|argument| argument == "--bench");
     let samples: u64 = if quick { 20_000 } else { 2_000_000 };
     let directory = tempfile::tempdir().unwrap();
@@ -89,7 +89,7 @@ fn main() {
     analyse(&path, samples);
 }
 
-/// An import of five hours at 40 Hz and its jobs, everything counted: reading, sums, checkpoints, the result.
+/// Runs an import of five hours at 40 Hz and its jobs, including reading, sums, checkpoints and the result.
 fn analyse(path: &std::path::Path, samples: u64) {
     let store = Store::open(path, StoreOptions::default()).unwrap();
     let begun = Instant::now();

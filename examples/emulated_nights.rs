@@ -4,8 +4,9 @@
 //! cargo run --release --example emulated_nights -- --nights 40 [--first 1] [--seconds 3600] [--rates 800,400,200,100,50]
 //! ```
 //!
-//! The sensor samples at 800 Hz, sends means of 4 samples (register 85), and its own densities are those of `MODEL`. N is the plateau as sampled: with d = 800 Hz / rate
-//! it is the sensor's own times √(d/4), and the sensor's own up to d = 4. docs/validation.md has the table.
+//! The sensor samples at 800 Hz, sends means of 4 samples (register 85), and its own densities are those of `MODEL`. N
+//! is the plateau as sampled: with d = 800 Hz / rate it is the sensor's own N times √(d/4), and the sensor's own N up
+//! to d = 4. docs/validation.md has the table.
 
 use imu_model::simulator::SensorModel;
 use std::sync::Arc;
@@ -20,12 +21,12 @@ use vn100d::emulator::source::Source;
 use vn100d::emulator::terminal::{Terminal, TerminalOptions};
 use vn100d::emulator::{SensorOptions, VirtualSensor};
 
-/// The densities of a VN-100 in front of its filter, with a walk that an hour shows.
+/// The densities of a VN-100 before its filter, with a walk that an hour shows.
 const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "emulated", "rate_hz": 800,
   "sampling": {"internal_rate_hz": 800, "filter_window": 4}, "channels": {
   "gyro_x": {"N": 6e-5, "B": 2.6e-5, "K": 1.5e-6}, "gyro_y": {"N": 6e-5, "B": 2.5e-5}, "gyro_z": {"N": 5.5e-5, "K": 1.7e-6},
   "accel_x": {"N": 1.05e-3, "B": 1.1e-3}, "accel_y": {"N": 8.5e-4}, "accel_z": {"N": 1.4e-3, "K": 6e-4, "bias": -9.79}}}"#;
-/// Samples to a second of real time: what terminal, daemon and database take without falling behind.
+/// Samples per second of real time: terminal, daemon and database keep up with this rate.
 const PACE: f64 = 50_000.0;
 const BAUD: u32 = 921_600;
 const INTERNAL_RATE_HZ: f64 = 800.0;
@@ -33,7 +34,7 @@ const WINDOW: f64 = 4.0;
 
 type Failed = Box<dyn std::error::Error + Send + Sync>;
 
-/// What was found of one rate.
+/// The results for one rate.
 #[derive(Default)]
 struct Found {
     channels: u32,
@@ -44,7 +45,8 @@ struct Found {
     /// Sum of (N − truth)/truth, and of its square.
     error: f64,
     square: f64,
-    /// Of B and K with a value: intervals that hold, and how many; limits below the truth.
+    /// For B and K with a value: the number of intervals that contain the truth, the number of intervals, and limits
+    /// below the truth.
     slow: [u32; 3],
 }
 
@@ -56,7 +58,7 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
     let mut config = Config::default();
     config.sensor.device = Device::Path(terminal.path().to_owned());
     config.sensor.rate_hz = rate_hz;
-    // 800 Hz do not fit 115,200 baud.
+    // 800 Hz does not fit 115,200 baud.
     let mut sensor = VirtualSensor::new(&SensorOptions::default());
     sensor.registers_mut().set_baud(BAUD);
     config.sensor.baud = Baud::Fixed(BAUD);
@@ -78,7 +80,7 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
         }));
         let address = started.await?;
         let noise = tokio::task::spawn_blocking(move || {
-            // 404 until the capture begins, a preliminary answer while it runs, 202 while its job runs.
+            // The status is 404 until the capture begins, a preliminary answer while it runs, 202 while its job runs.
             loop {
                 std::thread::sleep(Duration::from_millis(200));
                 let Ok(mut answer) = ureq::get(format!("http://{address}/v1/captures/latest/noise")).call() else {

@@ -1,4 +1,4 @@
-//! Draws spectra of one channel in several recordings over each other: a sensor's, its model's, its corrected model's.
+//! Draws spectra of one channel in several recordings into one picture: a sensor's, its model's, its corrected model's.
 //!
 //! ```text
 //! cargo run --release --example gap_picture -- accel_y 40 real=desk.txt.gz "N, B, K=plain.csv" corrected=better.csv > docs/gap-desk.svg
@@ -17,12 +17,13 @@ const RIGHT: f64 = 20.0;
 const TOP: f64 = 40.0;
 const BOTTOM: f64 = 60.0;
 const COLOURS: [&str; 4] = ["#222222", "#c4531d", "#0b6e99", "#4a7c2c"];
-/// Samples of a transform.
+/// Number of samples of a transform.
 const LENGTH: usize = 8192;
-/// Points of a curve.
+/// Number of points of a curve.
 const POINTS: usize = 220;
 
-/// Frequencies and densities, two-sided, Hann windows that overlap by half (Welch 1967, IEEE Trans. Audio 15).
+/// Returns frequencies and two-sided densities, by Hann windows that overlap by half (Welch 1967, IEEE Trans. Audio
+/// 15).
 fn spectrum(values: &[f64], rate_hz: f64) -> Vec<(f64, f64)> {
     let mut planner = RealFftPlanner::<f64>::new();
     let transform = planner.plan_fft_forward(LENGTH);
@@ -40,11 +41,11 @@ fn spectrum(values: &[f64], rate_hz: f64) -> Vec<(f64, f64)> {
         count += 1.0;
     }
     let step_hz = rate_hz / LENGTH as f64;
-    // Below the third line the window shows the mean that was taken off.
+    // Below the third line the window shows the removed mean.
     sums.iter().enumerate().skip(3).map(|(k, sum)| (k as f64 * step_hz, sum / count)).collect()
 }
 
-/// Means over steps of even ratio; the greatest density instead where a step has a line.
+/// Returns means over steps of even ratio; the greatest density instead if a step has a line.
 fn thinned(of: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let (Some(first), Some(last)) = (of.first(), of.last()) else { return Vec::new() };
     let ratio = (last.0 / first.0).powf(1.0 / POINTS as f64);

@@ -1,15 +1,16 @@
-//! The noise fit against truth: many simulated records, and the exact maximum-likelihood fit of the same records beside it.
+//! Compares the noise fit with the truth over many simulated records, and with the exact maximum-likelihood fit of the
+//! same records.
 //!
 //! ```text
 //! cargo run --release --example noise_monte_carlo -- --seeds 1000 [--first 1] [--scenario A] [--threads 2] [--samples 720000]
 //! ```
 //!
-//! Records come from the simulator's own effects. "Exact" is the Whittle likelihood of every single DST coefficient, without
-//! bins and with the true set of terms given, maximised by scoring from the truth; "bound" is the inverse of its Fisher
-//! information at the truth (Cramér–Rao). It shares two things with the fit that it is beside: the constants for what flicker's
-//! differences leak at the first four k, and the formula for a Gauss–Markov process at a stretch's ends. An error in these would
-//! show in the bias of both, not in their ratio. Errors are in percent of the truth, over the records in which the fit names the
-//! parameter; those of the exact fit over the same records.
+//! Records come from the simulator's own effects. "Exact" is the Whittle likelihood of every single DST coefficient,
+//! without bins and with the true set of terms given, maximised by scoring from the truth; "bound" is the inverse of
+//! its Fisher information at the truth (Cramér–Rao). It shares two things with the noise fit: the constants for the
+//! leakage of flicker's differences at the first four k, and the formula for a Gauss–Markov process at a stretch's
+//! ends. An error in these would show in the bias of both, not in their ratio. Errors are in percent of the truth, over
+//! the records in which the fit names the parameter; those of the exact fit over the same records.
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
@@ -34,12 +35,11 @@ struct Scenario {
     k: f64,
     /// σ and Tc.
     gauss_markov: Option<(f64, f64)>,
-    /// R; the exact fit is given the record without it.
+    /// R; the exact fit receives the record without the ramp.
     ramp: f64,
 }
 
-/// A to D as ruled; E: a ramp beside a walk; F: a shorter correlation time; G: no
-/// walk; H: white alone.
+/// A to D as specified; E: a ramp beside a walk; F: a shorter correlation time; G: no walk; H: white noise alone.
 const SCENARIOS: [Scenario; 8] = [
     Scenario { name: 'A', n: 3.5e-3, b: 1e-3, k: 5e-5, gauss_markov: None, ramp: 0.0 },
     Scenario { name: 'B', n: 3.5e-3, b: 0.0, k: 5e-5, gauss_markov: None, ramp: 0.0 },
@@ -64,7 +64,7 @@ impl Scenario {
         }
     }
 
-    /// What the exact fit fits.
+    /// Returns the parameters that the exact fit fits.
     fn letters(&self) -> Vec<&'static str> {
         ["N", "B", "K", "σ", "Tc"].into_iter().filter(|letter| self.truth(letter) > 0.0).collect()
     }
@@ -92,14 +92,14 @@ impl Scenario {
     }
 }
 
-/// What each coefficient is expected to give, k by k.
+/// The expected power of each coefficient, k by k.
 struct Exact {
     letters: Vec<&'static str>,
     truth: Vec<f64>,
     samples: usize,
     /// 4 sin²(πk/2n).
     sine: Vec<f64>,
-    /// Flicker of B = 1, with what its differences leak (the fit's own constants for k ≤ 4, its series beyond).
+    /// Flicker of B = 1, with the leakage of its differences (the fit's own constants for k ≤ 4, its series beyond).
     flicker: Vec<f64>,
 }
 
@@ -124,7 +124,7 @@ impl Exact {
         }
     }
 
-    /// Expected spectrum at k (from 0) and its derivatives by the logarithm of every coefficient.
+    /// Returns the expected spectrum at k (from 0), and computes its derivatives by the logarithm of every coefficient.
     fn expected(&self, at: usize, coefficients: &[f64], derivatives: &mut [f64]) -> f64 {
         let mut sum = 0.0;
         for (index, letter) in self.letters.iter().enumerate() {
@@ -154,7 +154,7 @@ impl Exact {
         sum
     }
 
-    /// Fisher information and score by the logarithms of the coefficients.
+    /// Returns the Fisher information and the score by the logarithms of the coefficients.
     fn information(&self, coefficients: &[f64], powers: Option<&[f64]>) -> (DMatrix<f64>, DVector<f64>) {
         let count = coefficients.len();
         let (mut information, mut score) = (DMatrix::zeros(count, count), DVector::zeros(count));
@@ -173,19 +173,20 @@ impl Exact {
         (information, score)
     }
 
-    /// The bound on every coefficient's relative standard deviation.
+    /// Returns the bound on every coefficient's relative standard deviation.
     fn bound(&self) -> Vec<f64> {
         let (information, _) = self.information(&self.truth, None);
         let covariance = information.try_inverse().expect("an information matrix has an inverse");
         covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
     }
 
-    /// The maximum of the likelihood. Logarithms cannot cross 0: a coefficient that the data does not want ends far below.
+    /// Returns the maximum of the likelihood. Logarithms cannot cross 0: a coefficient without support in the data ends
+    /// far below the truth.
     fn fit(&self, powers: &[f64]) -> Vec<f64> {
         let mut coefficients = self.truth.clone();
         for _ in 0..60 {
             let (mut information, score) = self.information(&coefficients, Some(powers));
-            // Scoring in squares converges at the boundary too; a little damping keeps logarithms from running away.
+            // Scoring in squares converges at the boundary too; a little damping keeps the logarithms from diverging.
             for at in 0..coefficients.len() {
                 information[(at, at)] += 1e-3;
             }
@@ -196,7 +197,7 @@ impl Exact {
                 *coefficient = (*coefficient * (shorten * step).exp()).max(truth * 1e-3);
             }
             let settled = step.iter().zip(&coefficients).zip(&self.truth).all(|((step, coefficient), truth)| {
-                // At the floor the step has nowhere to go.
+                // A coefficient at the floor cannot decrease further.
                 (step * shorten).abs() < 2e-4 || *coefficient <= 1.01e-3 * truth
             });
             if settled {
@@ -212,7 +213,7 @@ impl Exact {
     }
 }
 
-/// What one record gave.
+/// The results of one record.
 struct Outcome {
     parameters: NoiseParameters,
     exact: Vec<f64>,
@@ -246,7 +247,7 @@ fn estimate<'a>(parameters: &'a NoiseParameters, letter: &str) -> Option<&'a Est
     }
 }
 
-/// Bias and root mean square in percent.
+/// Returns bias and root mean square in percent.
 fn errors(of: &[f64]) -> (f64, f64) {
     let count = of.len().max(1) as f64;
     (100.0 * of.iter().sum::<f64>() / count, 100.0 * (of.iter().map(|e| e * e).sum::<f64>() / count).sqrt())
@@ -310,7 +311,7 @@ fn report(scenario: &Scenario, bound: &[f64], outcomes: &[Outcome]) {
         1e3 * took
     );
     if scenario.b > 0.0 || scenario.k > 0.0 {
-        // Everybody's values for those that look further.
+        // Over all records, not only those in which the noise fit names the parameter.
         let all: Vec<Vec<f64>> = outcomes.iter().map(|outcome| outcome.exact.clone()).collect();
         for (place, letter) in scenario.letters().iter().enumerate() {
             let of: Vec<f64> = all.iter().map(|exact| exact[place] / scenario.truth(letter) - 1.0).collect();

@@ -1,13 +1,13 @@
-//! The noise fit on records whose noise went through a filter, against truth.
+//! Compares the noise fit on records whose noise went through a filter with the truth.
 //!
 //! ```text
 //! cargo run --release --example noise_worlds -- --seeds 100 [--first 1] [--world boxcar-4] [--samples 144000] [--slow 1] [--threads 2]
 //! ```
 //!
-//! Records come from this program alone: normal numbers of ChaCha20, flicker by a Fourier series four times as long as the
-//! record, filters as difference equations. Nothing of the simulator takes part. "known" is the Cramér–Rao bound on N, the
-//! plateau, with the filter known, and "free" with its cutoff as a further parameter; white noise behind it is one where there is
-//! some.
+//! Records come from this program alone: normal numbers of ChaCha20, flicker by a Fourier series four times as long as
+//! the record, filters as difference equations. The simulator is not used. "known" is the Cramér–Rao bound on N, the
+//! plateau, with the filter known, and "free" the bound with its cutoff as a further parameter; white noise behind the
+//! filter, if any, is a parameter too.
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
@@ -28,7 +28,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 const RATE_HZ: f64 = 40.0;
-/// Scenarios A and D, with K such that an hour shows it.
+/// Scenarios A and D, with a K that an hour shows.
 const N: f64 = 3.5e-3;
 const B: f64 = 1e-3;
 const K: f64 = 5e-5;
@@ -113,7 +113,7 @@ fn convolve(values: &[f64], taps: &[f64]) -> Vec<f64> {
     (0..values.len()).map(|i| taps.iter().zip(0..=i).map(|(tap, lag)| tap * values[i - lag]).sum()).collect()
 }
 
-/// N, B and K in front of the filter, and white noise behind it; `slow`: factor on B and K.
+/// Makes a record with N, B and K before the filter, and white noise behind it; `slow`: factor on B and K.
 fn record(filter: Filter, behind: f64, slow: f64, samples: usize, seed: u64) -> Vec<f64> {
     let mut rng = ChaCha20Rng::seed_from_u64(0x9e37_79b9_7f4a_7c15 ^ seed);
     let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
@@ -141,7 +141,7 @@ fn record(filter: Filter, behind: f64, slow: f64, samples: usize, seed: u64) -> 
     filtered.iter().skip(LEAD).map(|value| value + behind * RATE_HZ.sqrt() * normal()).collect()
 }
 
-/// |H|² on a grid of u from 0 to 1/2.
+/// Returns |H|² on a grid of u from 0 to 1/2.
 fn gains(filter: Filter) -> Vec<f64> {
     const LONG: usize = 8192;
     let mut impulse = vec![0.0; LONG];
@@ -153,8 +153,8 @@ fn gains(filter: Filter) -> Vec<f64> {
     output.iter().map(|value| value.norm_sqr().max(1e-12)).collect()
 }
 
-/// The relative bound on N, the plateau, where B, K and, if there is any, the white noise behind the filter are fitted with it;
-/// `free`: the cutoff as well.
+/// Returns the relative bound on N, the plateau, if B, K and, if present, the white noise behind the filter are fitted
+/// with it; `free`: also the cutoff.
 fn bound(filter: Filter, behind: f64, slow: f64, samples: usize, free: bool) -> f64 {
     const STEP: f64 = 1e-3;
     let moved = match filter {
@@ -178,7 +178,7 @@ fn bound(filter: Filter, behind: f64, slow: f64, samples: usize, free: bool) -> 
         let u = k as f64 / (2.0 * samples as f64);
         let gain = at(&table, u);
         let sine = 4.0 * (PI * u).sin().powi(2);
-        // By the squares of the plateau, B, K and the density behind, and by the cutoff.
+        // The parameters are the squares of the plateau, B, K and the density behind the filter, and the cutoff.
         let mut slopes = [gain * RATE_HZ, gain / (2.0 * PI * u), gain / RATE_HZ / sine, (1.0 - gain) * RATE_HZ, 0.0];
         let sum: f64 = slopes.iter().zip(squares).map(|(slope, square)| slope * square).sum();
         if let Some(moved) = &moved {
@@ -190,7 +190,7 @@ fn bound(filter: Filter, behind: f64, slow: f64, samples: usize, free: bool) -> 
             }
         }
     }
-    // Scaled: the parameters are of very different sizes.
+    // The information is scaled, because the parameters are of very different sizes.
     let size: Vec<f64> = (0..count).map(|at| information[(at, at)].sqrt()).collect();
     let scaled = DMatrix::from_fn(count, count, |one, other| information[(one, other)] / size[one] / size[other]);
     let covariance = scaled.try_inverse().expect("an information matrix has an inverse");

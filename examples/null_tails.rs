@@ -1,4 +1,4 @@
-//! What a diagnosis finds by chance in records of noise alone: the table of `crates/imu-diagnosis/src/prices.rs`.
+//! The findings of a diagnosis by chance in records of noise alone: the table of `crates/imu-diagnosis/src/prices.rs`.
 //!
 //! `cargo run --release --example null_tails -- 65536 240` prints for each effect and statistic quantiles and the tail.
 //! Records: white noise, flicker and random walk between half and twice a VN-100's at 40 Hz, a warm-up's temperature in steps

@@ -1,14 +1,15 @@
-//! One N: whether `noise`, `model fit` and `diagnose` agree on N, B and K of one recording.
+//! One N: checks whether `noise`, `model fit` and `diagnose` agree on N, B and K of one recording.
 //!
 //! ```text
 //! cargo build --release && cargo run --release --example one_n -- [--worlds 200] [--first 1] [--samples 32768] [--all]
 //! VN100D_REAL_DATA=folder cargo run --release --example one_n -- --worlds 0
 //! ```
 //!
-//! The three commands run on the same file: those of the folder `VN100D_REAL_DATA` that can be read, and records that the
-//! simulator makes with lines, bands, knocks, shared noise and filters. `diagnose` is given a model of N, B and K alone, wrong by a
-//! fifth. Two answers agree if their 95 % intervals meet; a limit is an interval from 0. Printed are disagreements, with
-//! `--all` everything. `--keep` leaves each record in a folder, `--only WORD` takes the worlds and recordings with it in their name.
+//! The three commands run on the same file: those of the folder `VN100D_REAL_DATA` that can be read, and records that
+//! the simulator makes with lines, bands, knocks, shared noise and filters. `diagnose` is given a model of N, B and K
+//! alone, wrong by a fifth. Two answers agree if their 95 % intervals meet; a limit is an interval from 0.
+//! Disagreements are printed, with `--all` all answers. `--keep` leaves each record in a folder, `--only WORD` selects
+//! the worlds and recordings whose name contains the word.
 
 #![expect(clippy::expect_used, reason = "a program for the workbench ends where it cannot go on")]
 
@@ -23,17 +24,17 @@ use std::process::Command;
 
 const RATE_HZ: f64 = 40.0;
 const CHANNELS: [&str; 3] = ["gyro_x", "gyro_y", "gyro_z"];
-/// As a VN-100's gyroscope, B and K larger, so that records of minutes show them.
+/// As a VN-100's gyroscope, with larger B and K, so that records of minutes show them.
 const N: f64 = 1.2e-4;
 const B: f64 = 3.4e-5;
 const K: f64 = 3.4e-6;
-/// By how much the model that is diagnosed is wrong.
+/// The error factors of the diagnosed model.
 const WRONG: [f64; 3] = [1.2, 0.8, 0.8];
 const WORLDS: [&str; 8] = ["plain", "lines", "band", "knocks", "shared", "filter", "filter behind", "everything"];
-/// Recordings whose stamps tell no rate.
+/// Recordings whose stamps do not show the rate.
 const RATES: [(&str, &str); 1] = [("adis16405", "100")];
 
-/// What a command says of a parameter: a value if it has one, and from where to where it may be.
+/// A command's answer for a parameter: its value, if it has one, and its range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Answer {
     value: Option<f64>,
@@ -63,7 +64,7 @@ fn pair(value: &Value) -> Option<[f64; 2]> {
     Some([number(&value[0])?, number(&value[1])?])
 }
 
-/// N, B or K of `noise`'s document.
+/// Returns N, B or K of `noise`'s document.
 fn of_noise(channel: &Value, letter: &str) -> Option<Answer> {
     let of = &channel[letter];
     match (number(&of["value"]), pair(&of["ci95"]), number(&of["upper_limit95"])) {
@@ -73,7 +74,7 @@ fn of_noise(channel: &Value, letter: &str) -> Option<Answer> {
     }
 }
 
-/// The same of a model. N is the plateau, between those of the ends of its own N.
+/// Returns N, B or K of a model. N is the plateau, between the values for the ends of its own N.
 fn of_model(model: &SensorModel, channel: Channel, letter: &str, samples: u64) -> Option<Answer> {
     let own = model.channels.get(&channel)?;
     let told = match letter {
@@ -93,7 +94,7 @@ fn of_model(model: &SensorModel, channel: Channel, letter: &str, samples: u64) -
     }
 }
 
-/// What `diagnose` reports as off.
+/// Returns a parameter that `diagnose` reports as different.
 fn of_diagnosis(diagnosis: &Value, channel: &str, letter: &str) -> Option<Answer> {
     let list = diagnosis["parameters"].as_array()?;
     let of = list.iter().find(|of| of["channel"] == channel && of["parameter"] == letter)?;
@@ -106,14 +107,14 @@ struct Bench {
     all: bool,
     counts: BTreeMap<String, [u32; 4]>,
     withheld: u32,
-    /// Of a record that the simulator made.
+    /// The model of a record that the simulator made.
     truth: Option<SensorModel>,
 }
 
 impl Bench {
     fn run(&self, arguments: &[&str]) -> Result<String, String> {
         let output = Command::new(&self.program).args(arguments).output().expect("the program runs");
-        // 3: lines were rejected on the way in.
+        // 3: the import rejected lines.
         match output.status.code() {
             Some(0 | 3) => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
             _ => Err(String::from_utf8_lossy(&output.stderr).lines().next().unwrap_or_default().to_owned()),
@@ -124,7 +125,7 @@ impl Bench {
         self.folder.join(name).display().to_string()
     }
 
-    /// Asks all three of a recording, and counts.
+    /// Runs all three commands on a recording, and counts.
     fn ask(&mut self, world: &str, name: &str, recording: &str, rate: Option<&str>) {
         let rate: Vec<&str> = rate.iter().flat_map(|rate| ["--rate", *rate]).collect();
         let with = |arguments: &[&str]| self.run(&[arguments, &rate].concat());
@@ -185,7 +186,8 @@ impl Bench {
                     ("diagnose", of_diagnosis(&diagnosis, channel, letter)),
                     ("corrected", of_model(&corrected, own, letter, samples)),
                 ];
-                // An N that is a fifth wrong is far beyond its interval: who does not report it has not seen it.
+                // An N that is wrong by a fifth is far beyond its interval: a diagnosis that does not report it has
+                // missed it.
                 let met = others.map(|(_, other)| other.map_or(letter != "N", |other| noise.meets(other)));
                 let count = self.counts.entry(format!("{world:<14} {letter}")).or_default();
                 count[0] += 1;
@@ -218,13 +220,13 @@ impl Bench {
     }
 }
 
-/// The effects of a world, one list per channel.
+/// Returns the effects of a world, one list per channel.
 fn effects(world: &str, rng: &mut ChaCha20Rng, length_s: f64) -> [Vec<Value>; 3] {
     let white = N * RATE_HZ.sqrt();
     let mut between = |low: f64, high: f64| low * (high / low).powf(rng.random::<f64>());
     let mut lists: [Vec<Value>; 3] = Default::default();
     let has = |own: &str| world == own || world == "everything";
-    // A source is the same on all channels that share it, with sizes of their own.
+    // A source is the same on all channels that share it, with a separate size on each.
     if has("shared") {
         for list in &mut lists {
             list.push(json!({"effect": "common_mode", "sigma": white * between(0.3, 1.5)}));

@@ -1,10 +1,11 @@
-//! What `vn100d noise` says of the recordings in a folder, a row each: the table in docs/validation.md.
+//! Prints the results of `vn100d noise` for the recordings in a folder, one row each: the table in docs/validation.md.
 //!
 //! ```text
 //! cargo build --release && VN100D_REAL_DATA=folder cargo run --release --example real_noise
 //! ```
 //!
-//! A channel is usable if what was fitted lies inside the measured Allan deviation's band at every averaging time, as one test at 1 %.
+//! A channel is usable if the fit lies inside the measured Allan deviation's band at every averaging time, as one test
+//! at 1 %.
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ use std::process::Command;
 
 /// Recordings without stamps, and their rates.
 const RATES: [(&str, &str); 1] = [("adis16405", "100")];
-/// References and curves: no recordings of a sensor.
+/// References and curves, which are not recordings of a sensor.
 const OTHERS: [&str; 6] = [".optical.", ".vicon.", ".encoder.", "oadev_", "allan-curves", ".json"];
 
 fn files(folder: &Path, into: &mut Vec<PathBuf>) -> std::io::Result<()> {

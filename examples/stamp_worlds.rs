@@ -1,9 +1,9 @@
-//! What recordings with coarse, jittering, late and paired stamps tell of their rate, duration and missing samples.
+//! Tests the rate, duration and missing samples found in recordings with coarse, jittering, late and paired stamps.
 //!
 //! `cargo run --release --example stamp_worlds -- --seeds 3 --first 1 --length 600`
 //!
 //! Each recording is written as CSV text, without any part of the program, and read as a user's file is. The table in
-//! docs/validation.md is this one's output.
+//! docs/validation.md is the output of this program.
 
 use imu_files::recording::{Input, Options, Recording, columns};
 use rand::{RngExt, SeedableRng};
@@ -46,7 +46,7 @@ impl Kind {
         }
     }
 
-    /// Whether rounding or jitter is below a third of the period, so that each loss can be told.
+    /// Returns whether rounding or jitter is below a third of the period, so that each loss is detectable.
     fn is_fine(self, rate_hz: f64) -> bool {
         let third_s = 1.0 / rate_hz / 3.0;
         match self {
@@ -57,7 +57,7 @@ impl Kind {
     }
 }
 
-/// A recording's CSV text, and the indices of its samples.
+/// Returns a recording's CSV text, and the indices of its samples.
 fn written(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (String, Vec<usize>) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let count = (rate_hz * length_s) as usize;
@@ -73,7 +73,8 @@ fn written(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (St
                 at_s + 1e-3 * sigma_ms * normal
             }
             Kind::Late => {
-                // Every few seconds deliveries are held up for as much as 0.3 s; what waits comes at once, 20 µs apart.
+                // Every few seconds deliveries are held up for as much as 0.3 s; waiting samples then arrive at once,
+                // 20 µs apart.
                 if at_s > held_until_s && random.random_bool((0.3 / rate_hz).min(1.0)) {
                     held_until_s = at_s + random.random_range(0.0..0.3);
                 }

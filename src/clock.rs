@@ -1,6 +1,6 @@
-//! Clocks: the one place that reads the time.
+//! Clocks: the only module that reads the time.
 //!
-//! Everything that needs the time takes a [`Clock`]. Three exist: the system's, a scaled one that an emulator and the
+//! Functions that need the time take a [`Clock`]. Three exist: the system's, a scaled one that an emulator and the
 //! daemon share to simulate a night within a minute, and a manual one for tests.
 
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,20 +14,20 @@ pub trait Clock: Send + Sync + std::fmt::Debug {
     fn awake_ns(&self) -> u64;
     /// Nanoseconds since 1970-01-01T00:00:00Z; may step.
     fn utc_ns(&self) -> i64;
-    /// The boot of the machine that [`Self::mono_ns`] counts in: times of the same boot are comparable, also between
-    /// runs of the program. `None` if the clock is the program's own, or the machine does not report it.
+    /// Returns the boot of the machine to which [`Self::mono_ns`] belongs: times of the same boot are comparable, also
+    /// between runs of the program. `None` if the clock is the program's own, or the machine does not report its boot.
     fn boot_id(&self) -> Option<String> {
         None
     }
-    /// Whether civil time is known to have been set by a time server since the machine started.
+    /// Returns whether civil time is known to have been set by a time server since the machine started.
     fn is_synchronised(&self) -> bool {
         false
     }
-    /// How much faster than real time this clock runs (1 for a real sensor).
+    /// Returns how much faster than real time this clock runs (1 for a real sensor).
     fn speed(&self) -> f64 {
         1.0
     }
-    /// How long to sleep in real time so that `scaled` passes on this clock.
+    /// Returns how long to sleep in real time so that `scaled` passes on this clock.
     fn real(&self, scaled: Duration) -> Duration {
         scaled.div_f64(self.speed())
     }
@@ -47,7 +47,7 @@ fn real_utc_ns() -> i64 {
     let now = std::time::SystemTime::now();
     match now.duration_since(std::time::UNIX_EPOCH) {
         Ok(since) => since.as_nanos() as i64,
-        // A host whose clock was set before 1970.
+        // The host's clock was set before 1970.
         Err(before) => -(before.duration().as_nanos() as i64),
     }
 }
@@ -76,7 +76,7 @@ impl Clock for SystemClock {
 }
 
 /// The file that systemd-timesyncd creates once it has set the clock, and that disappears when the machine shuts down.
-/// Other time servers leave no such mark: with them it is not known.
+/// Other time servers leave no such mark: with them the state is unknown.
 const SYNCHRONISED: &str = "/run/systemd/timesync/synchronized";
 
 /// A clock that runs `speed` times faster than the machine's, from the moment it is made.
@@ -95,7 +95,7 @@ pub struct ScaledClock {
 }
 
 impl ScaledClock {
-    /// A clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's present time.
+    /// Creates a clock at `speed` (finite, above 0; 1 is real time) that starts at the machine's present time.
     pub fn new(speed: f64) -> Self {
         let origin_mono_ns = real_mono_ns();
         Self {
@@ -107,7 +107,7 @@ impl ScaledClock {
         }
     }
 
-    /// The scaled time without regard to any hold: the emulator's schedule.
+    /// Returns the scaled time without regard to any hold: the emulator's schedule.
     pub fn schedule_mono_ns(&self) -> u64 {
         let real = real_mono_ns().saturating_sub(self.origin_mono_ns);
         self.origin_mono_ns + (real as f64 * self.speed) as u64
@@ -140,7 +140,7 @@ impl Clock for ScaledClock {
     }
 }
 
-/// A clock that moves only on request; for tests.
+/// A clock that advances only on request; for tests.
 #[derive(Debug, Default)]
 pub struct ManualClock {
     mono_ns: AtomicU64,
@@ -149,7 +149,7 @@ pub struct ManualClock {
 }
 
 impl ManualClock {
-    /// A clock whose monotonic time is 0 and whose civil time is `utc_ns`.
+    /// Creates a clock whose monotonic time is 0 and whose civil time is `utc_ns`.
     pub fn new(utc_ns: i64) -> Self {
         Self {
             mono_ns: AtomicU64::new(0),
@@ -166,7 +166,7 @@ impl ManualClock {
         self.slept_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
         self.advance(by);
     }
-    /// Steps the civil time without touching the monotonic one.
+    /// Steps the civil time without changing the monotonic one.
     pub fn step_utc(&self, by_ns: i64) {
         self.utc_offset_ns.fetch_add(by_ns, Ordering::AcqRel);
     }
@@ -184,13 +184,13 @@ impl Clock for ManualClock {
     }
 }
 
-/// RFC 3339 text in UTC with nanoseconds, as every interface writes a time.
+/// Returns RFC 3339 text in UTC with nanoseconds, as every interface writes a time.
 pub fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }
 
-/// The offset of local time from UTC, s, at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the rules of
-/// the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
+/// Returns the offset of local time from UTC, s, at the instant `utc_s` (seconds since 1970-01-01T00:00:00Z), by the
+/// rules of the machine's zone: `TZ`, else `/etc/localtime`, else UTC.
 pub fn local_offset_s(utc_s: i64) -> i64 {
     use chrono::{Local, Offset, TimeZone};
     let instant = chrono::DateTime::from_timestamp(utc_s, 0).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Control: the requests of the HTTP interface and the command line to the running daemon.
+//! Control: passes the requests of the HTTP interface and the command line to the running daemon.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ pub struct CaptureRequest {
 /// The reasons why a request was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ControlError {
-    /// One capture at a time.
+    /// A capture runs or waits already.
     #[error("capture {running} is running until it is complete or stopped: stop it first")]
     Busy {
         /// The capture that runs or waits.
@@ -70,7 +70,7 @@ pub enum Command {
 pub struct CaptureControl(mpsc::Sender<Command>);
 
 impl CaptureControl {
-    /// A pair of requesting and replying side.
+    /// Returns a pair of requesting and replying side.
     pub fn pair() -> (Self, mpsc::Receiver<Command>) {
         let (sender, receiver) = mpsc::channel(16);
         (Self(sender), receiver)
@@ -105,17 +105,17 @@ pub const IMPORT_PREFIX: &str = ".import-";
 pub struct ImportRequest {
     /// The path of its bytes.
     pub file: PathBuf,
-    /// Its name: the origin of the recording, after which its capture is named.
+    /// The original name of the recording, after which its capture is named.
     pub called: String,
-    /// Samples per second of a recording without stamps.
+    /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
-    /// Gyroscope and accelerometer send means of this many samples.
+    /// Number of samples whose mean gyroscope and accelerometer send.
     pub filter_window: Option<u32>,
     /// Rate of these samples, Hz.
     pub internal_rate_hz: Option<f64>,
     /// The map of the columns of a foreign CSV: `FOREIGN=NAME,…`.
     pub columns: Option<String>,
-    /// Definitions of messages that a bag lacks.
+    /// Definitions of messages that are missing in a bag.
     pub definitions: Vec<MessageText>,
     /// Name of the capture.
     pub name: Option<String>,
@@ -123,7 +123,7 @@ pub struct ImportRequest {
     pub abandoned: CancellationToken,
 }
 
-/// A message type that a bag does not bring along.
+/// A message type that is not defined in a bag.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MessageText {
@@ -133,42 +133,42 @@ pub struct MessageText {
     pub text: String,
 }
 
-/// What an import came to, as `vn100d import --json` and `POST /v1/imports` answer it.
+/// The outcome of an import, as `vn100d import --json` prints and `POST /v1/imports` returns it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ImportReport {
-    /// What the recording is called.
+    /// The name of the recording.
     pub file: String,
     /// Id of its capture.
     pub capture: i64,
-    /// False where the same recording was imported before.
+    /// False if the same recording was imported before.
     pub new: bool,
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples missing between them.
+    /// Number of samples missing between them.
     pub missing: u64,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: u64,
     /// Rate in Hz.
     pub rate_hz: f64,
-    /// Whether the rate was not told by anything.
+    /// Whether the rate was assumed because no source states it.
     pub rate_assumed: bool,
-    /// Lines or messages that are no sample, by cause.
+    /// Lines or messages that are not samples, by cause.
     pub rejected: BTreeMap<String, u64>,
-    /// The first of them.
+    /// The first of these lines or messages.
     pub first_rejected: Vec<RejectedReport>,
-    /// What its times are: `none`, `relative` or `unix`.
+    /// The kind of its times: `none`, `relative` or `unix`.
     pub stamps: String,
-    /// Which of several stamps its times are, and how regular each is.
+    /// The stamp that was chosen for its times, and how regular each stamp is.
     #[schema(value_type = Option<Object>)]
     pub stamp_choice: Option<serde_json::Value>,
     /// Figures of its times and values.
     #[schema(value_type = Object)]
     pub findings: serde_json::Value,
-    /// What a person should know about it, a sentence each.
+    /// Remarks for the user, one sentence each.
     pub remarks: Vec<String>,
-    /// Columns that are no channel.
+    /// Columns that are not channels.
     pub ignored_columns: Vec<String>,
-    /// Channels that came in another unit.
+    /// Channels that were recorded in another unit.
     pub conversions: Vec<ConversionReport>,
 }
 
@@ -179,20 +179,20 @@ pub struct RejectedReport {
     pub entry: String,
     /// Its number, from 1.
     pub line: u64,
-    /// Why.
+    /// The reason.
     pub cause: String,
     /// Its text, at most 256 characters.
     pub text: String,
 }
 
-/// A channel that came in another unit.
+/// A channel that was recorded in another unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ConversionReport {
     /// The channel.
     pub channel: String,
     /// The column's name in the file.
     pub column: String,
-    /// The unit it came in.
+    /// The unit in the file.
     pub original_unit: String,
     /// Value in the channel's unit = factor × value in the file.
     pub factor: f64,
@@ -210,7 +210,7 @@ pub enum ImportError {
     /// The name is taken.
     #[error("{reason}")]
     NameTaken {
-        /// The name, and what to do.
+        /// The name, and a remedy.
         reason: String,
     },
     /// The name is invalid.
@@ -232,7 +232,7 @@ pub enum ImportError {
 
 /// Imports recordings as captures; blocks until the import is done.
 pub trait Importer: std::fmt::Debug + Send + Sync {
-    /// Whether no more imports are accepted.
+    /// Returns whether no more imports are accepted.
     fn is_stopping(&self) -> bool {
         false
     }

@@ -8,9 +8,9 @@
 //!    └── capture drives these ──┘
 //! ```
 //!
-//! The pure crates below `crates/` take bytes, numbers, time and randomness as arguments. The rooms of this package do the
-//! input and output ([`capture`], [`store`], [`jobs`], [`api`], [`cli`]) and meet only in [`daemon`]. `docs/architecture.md`
-//! draws the map; the compiler and `tests/it/tidy.rs` keep it true.
+//! The pure crates below `crates/` take bytes, numbers, time and randomness as arguments. The modules of this package
+//! do the input and output ([`capture`], [`store`], [`jobs`], [`api`], [`cli`]) and meet only in [`daemon`].
+//! `docs/architecture.md` has the diagram; the compiler and `tests/it/tidy.rs` check it.
 
 pub mod clock;
 pub mod control;

@@ -1,10 +1,10 @@
-//! The `vn100d` program: parses arguments, calls [`vn100d::cli::run`], turns the outcome into an exit code.
+//! The `vn100d` program: parses arguments, calls [`vn100d::cli::run`], and returns its result as an exit code.
 
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     // A panic ends the program in every build: the database undoes unfinished work, and systemd restarts the program.
-    // As `panic = "abort"` in the profile of tests it would have every dependency built twice.
+    // Setting `panic = "abort"` in the profile of tests would build every dependency twice.
     let tell = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         tell(panic);

@@ -54,7 +54,7 @@ pub struct Nights {
 }
 
 impl Schedule {
-    /// The nights around `now_utc_ns`, in a zone with these rules.
+    /// Returns the nights around `now_utc_ns`, in a zone with these rules.
     pub fn nights(&self, now_utc_ns: i64, zone: Zone) -> Nights {
         let now_s = now_utc_ns.div_euclid(1_000_000_000);
         let local_s = now_s.saturating_add(zone(now_s));
@@ -75,7 +75,7 @@ impl Schedule {
         nights
     }
 
-    /// The night of this date; `None` if none begins on that day of the week.
+    /// Returns the night of this date; `None` if none begins on that day of the week.
     fn night(&self, date: NaiveDate, zone: Zone) -> Option<Night> {
         if !self.days.contains(&date.weekday()) {
             return None;
@@ -88,8 +88,8 @@ impl Schedule {
     }
 }
 
-/// The first instant, in seconds of UTC, at which local clocks show `local_s` (the civil time counted as if it were
-/// UTC) or, if they skip that, more. Zones lie within a day of UTC and change at most once in two days.
+/// Returns the first instant, in seconds of UTC, at which local clocks show at least `local_s` (the civil time counted
+/// as if it were UTC). Zones lie within a day of UTC and change at most once in two days.
 fn first_instant_s(local_s: i64, zone: Zone) -> i64 {
     let (mut earlier_s, mut later_s) = (local_s - DAY_S, local_s + DAY_S);
     let (before_s, after_s) = (zone(earlier_s), zone(later_s));
@@ -99,10 +99,10 @@ fn first_instant_s(local_s: i64, zone: Zone) -> i64 {
         return first;
     }
     if before_s == after_s {
-        // Two changes within two days, which no zone has made: the time that holds around them.
+        // There are two changes within two days, which no zone has made: use the offset around them.
         return local_s - before_s;
     }
-    // Skipped: the change itself, to the second.
+    // The time is skipped: find the change itself, to the second.
     while later_s - earlier_s > 1 {
         let middle_s = earlier_s.midpoint(later_s);
         if zone(middle_s) == before_s { earlier_s = middle_s } else { later_s = middle_s }
@@ -117,13 +117,13 @@ pub const SETTLING: Duration = Duration::from_secs(300);
 /// The reasons why the clock starts no night.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
-    /// It shows an implausible date.
+    /// The clock shows an implausible date.
     Implausible(Distrust),
     /// The machine has only just started, and no time server is known to have set its clock yet.
     Settling,
 }
 
-/// The reason why a clock that shows `now`, with this verdict, must not start a night; `None` if it may.
+/// Returns the reason why a clock that shows `now`, with this verdict, must not start a night; `None` if it may.
 pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
     // The monotonic clock counts from the machine's start.
     let settles = !now.synchronised && Duration::from_nanos(now.mono_ns) < SETTLING;
@@ -131,7 +131,7 @@ pub fn doubt(now: &Moment, verdict: &Verdict) -> Option<Doubt> {
 }
 
 impl Doubt {
-    /// A description of the problem of a clock that shows `now_utc_ns`, and the remedy.
+    /// Returns a description of the problem of a clock that shows `now_utc_ns`, and the remedy.
     pub fn message(self, now_utc_ns: i64) -> String {
         let now = rfc3339(now_utc_ns);
         match self {
@@ -172,7 +172,7 @@ mod tests {
         instant_s(text) * 1_000_000_000
     }
 
-    /// Central Europe in 2026: an hour ahead of UTC, two in summer.
+    /// Returns the offset of Central Europe in 2026: an hour ahead of UTC, two in summer.
     fn europe(utc_s: i64) -> i64 {
         let summer = instant_s("2026-03-29T01:00:00Z")..instant_s("2026-10-25T01:00:00Z");
         if summer.contains(&utc_s) { 2 * HOUR_S } else { HOUR_S }
@@ -191,7 +191,7 @@ mod tests {
         night.as_ref().map(|night| night.name.as_str())
     }
 
-    /// Names of what is due and what comes, at this time in Central Europe.
+    /// Returns the names of the due and of the next night, at this time in Central Europe.
     fn around(schedule: &Schedule, now: &str) -> (Option<String>, Option<String>) {
         let nights = schedule.nights(ns(now), &europe);
         (name(&nights.due).map(str::to_owned), name(&nights.next).map(str::to_owned))
@@ -241,7 +241,7 @@ mod tests {
         assert_eq!(around(&weekly, "2026-11-27T22:00:00+01:00"), some("2026-11-27", "2026-12-04"));
     }
 
-    /// On 2026-03-29 02:00 is 03:00: the night of 02:30 begins there, and the others at their hours.
+    /// On 2026-03-29 the clocks go from 02:00 to 03:00: the night of 02:30 begins there, and the others at their hours.
     #[test]
     fn an_hour_that_summer_time_leaves_out_is_the_moment_of_the_change() {
         let schedule = schedule("02:30", hours(5), &ALL);
@@ -253,7 +253,7 @@ mod tests {
         assert_eq!(start("2026-03-29T12:00:00Z"), ns("2026-03-30T02:30:00+02:00"));
     }
 
-    /// On 2026-10-25 03:00 is 02:00 again: 02:30 comes twice.
+    /// On 2026-10-25 the clocks go back from 03:00 to 02:00: 02:30 comes twice.
     #[test]
     fn an_hour_that_comes_twice_is_the_first_and_begins_one_night() {
         let schedule = schedule("02:30", hours(5), &ALL);
@@ -262,13 +262,13 @@ mod tests {
         for during in ["2026-10-25T02:30:00+02:00", "2026-10-25T02:15:00+01:00", "2026-10-25T02:30:00+01:00"] {
             assert_eq!(around(&schedule, during), some("2026-10-25", "2026-10-26"), "{during}");
         }
-        // The evening before has its hour once, and its night lasts as long as any other.
+        // On the evening before, its hour comes once, and its night lasts as long as any other.
         let evening = self::schedule("22:00", hours(5), &ALL);
         assert_eq!(around(&evening, "2026-10-25T01:59:59+01:00"), some("2026-10-24", "2026-10-25"));
         assert_eq!(around(&evening, "2026-10-25T02:00:00+01:00"), some("", "2026-10-25"));
     }
 
-    /// Samoa went from one side of the date line to the other and had no 2011-12-30.
+    /// Samoa moved across the date line and had no 2011-12-30.
     #[test]
     fn a_day_that_a_zone_leaves_out_begins_its_night_with_the_next() {
         let samoa = |utc_s: i64| if utc_s < instant_s("2011-12-30T10:00:00Z") { -10 * HOUR_S } else { 14 * HOUR_S };
@@ -308,8 +308,8 @@ mod tests {
     }
 
     proptest::proptest! {
-        /// Whatever the hour, the duration and the moment: what is due has begun and is not over, what comes has not begun,
-        /// and both are what they are called at every moment in between.
+        /// Whatever the hour, the duration and the moment: the due night has begun and is not over, the next night has
+        /// not begun, and both keep their names at every moment in between.
         #[test]
         fn what_is_due_and_what_comes_lie_around_now(minute in 0_u32..1440, length_min in 1_u64..1440, now_min in 0_i64..527_040) {
             let at = NaiveTime::from_num_seconds_from_midnight_opt(60 * minute, 0).unwrap();

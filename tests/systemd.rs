@@ -1,5 +1,5 @@
-//! The systemd units, the plain one and that of instances, judged by systemd itself: `systemd-analyze verify` has nothing to say and `security` scores it 1.6
-//! or better. Skipped, with a note, where there is no `systemd-analyze`.
+//! The systemd units, the plain one and that of instances, are checked by systemd itself: `systemd-analyze verify`
+//! reports nothing, and `security` scores 1.6 or better. Skipped, with a note, if `systemd-analyze` is not installed.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 /// The worst exposure level that passes: 1.6, in tenths.
 const THRESHOLD: &str = "--threshold=16";
 
-/// The plain unit and an instance of the other.
+/// The plain unit and an instance of the template.
 const UNITS: [(&str, &str); 2] = [
     ("vn100d.service", include_str!("../systemd/vn100d.service")),
     ("vn100d@left.service", include_str!("../systemd/vn100d@.service")),
@@ -23,7 +23,7 @@ fn analyze(arguments: &[&str], unit: &Path) -> Option<Output> {
     }
 }
 
-/// A shipped unit with the program just built in place of the installed one, which `verify` would not find.
+/// Returns a shipped unit with the program just built in place of the installed one, which `verify` would not find.
 fn unit_with_the_built_binary(directory: &Path, name: &str, shipped: &str) -> std::io::Result<PathBuf> {
     let text = shipped.replace("ExecStart=/usr/bin/vn100d", concat!("ExecStart=", env!("CARGO_BIN_EXE_vn100d")));
     assert_ne!(text, shipped, "the unit starts /usr/bin/vn100d");
@@ -42,7 +42,7 @@ fn systemd_finds_nothing_to_say_about_the_units() {
     for (name, shipped) in UNITS {
         let unit = unit_with_the_built_binary(directory.path(), name, shipped).unwrap();
         let Some(output) = analyze(&["verify"], &unit) else { return };
-        // What it says about other units of this machine is not ours.
+        // Its reports about other units of this machine do not concern these units.
         let ours: Vec<String> =
             said(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
         assert!(ours.is_empty() && output.status.success(), "{name}: {}", said(&output));
@@ -59,7 +59,7 @@ fn the_units_exposure_is_at_most_1_6() {
     }
 }
 
-/// What is said for one holds for the other: they differ in what makes an instance, and in nothing else.
+/// The units differ only in the lines that make an instance.
 #[test]
 fn an_instance_differs_in_its_configuration_and_its_data_alone() {
     let [plain, instance] = UNITS.map(|(_, text)| {
@@ -80,7 +80,7 @@ fn an_instance_differs_in_its_configuration_and_its_data_alone() {
     {
         assert!(plain.contains(key), "{key}");
     }
-    // /proc/sys tells which boot this is, /proc/locks who holds a port.
+    // /proc/sys shows the boot id, /proc/locks the process that holds a port.
     assert!(!plain.iter().any(|key| key.starts_with("ProcSubset")));
 }
 
@@ -90,7 +90,7 @@ fn the_udev_rule_sets_the_low_latency_of_the_adapter_and_keeps_modemmanager_away
     for needed in ["ATTR{latency_timer}=\"1\"", "ENV{ID_MM_DEVICE_IGNORE}=\"1\"", "ATTRS{idVendor}==\"0403\""] {
         assert!(rules.contains(needed), "{needed}");
     }
-    // Each rule is comma-separated `KEY op "value"`; a label that is jumped to exists.
+    // Each rule is comma-separated `KEY op "value"`; the label of a GOTO must exist.
     for line in rules.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
         for part in line.split(", ") {
             let value = part.split_once('=').map(|(_, value)| value.trim_start_matches('='));

@@ -6,7 +6,7 @@ use vn100d::store::{NewCapture, Store};
 
 const START_NS: i64 = 1_800_000_000_000_000_000;
 
-/// Makes it with `samples` samples whose values `written` has passed; its id.
+/// Makes a capture with `samples` samples whose values `written` has converted; returns its id.
 pub fn capture(
     store: &Store,
     capture: NewCapture,

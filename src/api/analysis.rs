@@ -1,5 +1,5 @@
-//! Analyses of a capture: the stored result of its job, 202 until that is done, and what there is so far while the
-//! capture still runs.
+//! Analyses of a capture: the stored result of its job, 202 until that is done, and partial results while the capture
+//! runs.
 
 use super::conditional;
 use super::extract::{P, Q};
@@ -19,38 +19,38 @@ use imu_noise::allan::{AllanReport, Estimator, TauSpacing};
 use imu_noise::datasheet::{Datasheet, compare_report};
 use serde::{Deserialize, Serialize};
 
-/// Names the program version that made a result, where it is not this one; `POST /v1/jobs` has it made anew.
+/// Names the program version that made a result, if it is not this one; `POST /v1/jobs` makes the result again.
 const STALE: HeaderName = HeaderName::from_static("vn100d-stale");
 
-/// Which result is wanted.
+/// The wanted result.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ResultQuery {
     /// The result of this job, instead of the one with the usual parameters.
     job: Option<i64>,
-    /// `json`.
+    /// The form: `json`.
     format: Option<String>,
 }
 
-/// Which deviation curves are wanted.
+/// The wanted deviation curves.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct AllanQuery {
     /// The result of this job, instead of the one with the usual parameters.
     job: Option<i64>,
-    /// `json`.
+    /// The form: `json`.
     format: Option<String>,
-    /// Which deviation: `oadev` where absent. The others have a job of their own, made when they are first asked for.
+    /// The deviation; `oadev` if absent. The others have separate jobs, which are made on the first request.
     #[param(inline)]
     estimator: Option<Estimator>,
-    /// Averaging times: `log` (twenty to the decade) where absent, `octave`, or `all`.
+    /// Averaging times: `log` (twenty per decade) if absent, `octave`, or `all`.
     #[param(inline)]
     taus: Option<TauSpacing>,
 }
 
-/// Which form of the noise parameters is wanted.
+/// The wanted form of the noise parameters.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
@@ -60,24 +60,24 @@ pub(super) struct NoiseQuery {
     /// `json`, or text for a program: `kalibr`, `openvins`, `vins-fusion`, `orb-slam3`, `lio-sam`, `fast-lio`, `robot-localization`,
     /// `px4`, `ardupilot`, `ros`, `gazebo`, `isaac`, `gnss-ins-sim`, `matlab`.
     format: Option<String>,
-    /// Write text for a program even where parameters are not usable; a comment then says so.
+    /// Write text for a program even if parameters are not usable; a comment then states so.
     #[serde(default)]
     force: bool,
-    /// Compare with this datasheet: `vn-100`. Only with `json`, which has a place for it.
+    /// Compare with this datasheet: `vn-100`. Only with `json`.
     datasheet: Option<String>,
 }
 
-/// How far a capture's analysis is.
+/// The state of a capture's analysis.
 enum Found {
     /// The capture runs or waits.
     Open(i64),
-    /// Here it is.
+    /// The result.
     Result(ResultRow),
-    /// It is being worked on.
+    /// The job that works on it.
     Job(JobRow),
 }
 
-/// Moments, histogram and a test for normality of every channel. While the capture runs: of what there is so far.
+/// Moments, histogram and a test for normality of every channel. While the capture runs: of the samples so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/statistics", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), ResultQuery), responses(
     (status = 200, body = SoFar<StatisticsReport>, headers(("ETag" = String, description = "Of a finished result"))),
@@ -96,7 +96,8 @@ pub(super) async fn statistics(
     document(&state, &headers, AnalysisRequest::usual(JobKind::Statistics)?, capture, query, live).await
 }
 
-/// Deviation curves of every analysed channel. While the capture runs: overlapping Allan deviation of what there is so far.
+/// Deviation curves of every analysed channel. While the capture runs: overlapping Allan deviation of the samples so
+/// far.
 #[utoipa::path(get, path = "/v1/captures/{id}/allan", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), AllanQuery), responses(
     (status = 200, body = SoFar<AllanReport>, headers(("ETag" = String, description = "Of a finished result"))),
@@ -132,7 +133,8 @@ fn still_runs(id: i64, estimator: Estimator) -> JobError {
     JobError::InsufficientData { reason }
 }
 
-/// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units, and which number to paste where. While the capture runs: of what there is so far.
+/// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units, and the numbers to paste for
+/// each program. While the capture runs: of the samples so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/noise", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"), NoiseQuery), responses(
     (status = 200, body = SoFar<NoiseDocument>, headers(("ETag" = String, description = "Of a finished result"))),
@@ -199,7 +201,7 @@ pub(super) async fn noise(
     Ok(answer_of_form(&headers, result.as_ref(), &form, axum::Json(document)))
 }
 
-/// The filter windows of the first of a result's captures that knows them.
+/// Returns the filter windows of the first of a result's captures that has them.
 fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Option<FilterWindows>, StoreError> {
     let request = job.map(|id| reader.job(id)).transpose()?.map(|row| JobRequest::of_row(&row));
     let others = match &request {
@@ -215,7 +217,7 @@ fn filter_windows(reader: &Reader, name: &str, job: Option<i64>) -> Result<Optio
     Ok(None)
 }
 
-/// The document of an analysis: of the job asked for, or of the one with the requested parameters.
+/// Returns the document of an analysis: of the requested job, or of the one with the requested parameters.
 async fn document<T: Serialize + Send + 'static>(
     state: &ApiState,
     headers: &HeaderMap,
@@ -238,15 +240,15 @@ async fn document<T: Serialize + Send + 'static>(
     }
 }
 
-/// What a picture is drawn of.
+/// The source of a picture.
 pub(super) enum Drawn {
-    /// The analysis, and the result that it is of, which never changes; none of a capture that runs.
+    /// The analysis, and the unchanging result that it belongs to; none for a running capture.
     Documents(Box<Documents>, Option<i64>),
-    /// It is being worked on: the answer that says so.
+    /// The analysis is being worked on: the answer that states so.
     Later(Response),
 }
 
-/// The document of a kind with the usual parameters; of a capture that runs of what there is so far.
+/// Returns the document of a kind with the usual parameters; for a running capture, of the samples so far.
 pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result<Drawn, ApiError> {
     Ok(match find(state, AnalysisRequest::usual(kind)?, name.to_owned(), None).await? {
         Found::Result(result) => {
@@ -262,7 +264,7 @@ pub(super) async fn drawn(state: &ApiState, kind: JobKind, name: &str) -> Result
     })
 }
 
-/// Finds the job asked for, or the one of this request; a job that does not exist yet is queued.
+/// Finds the requested job, or the one of this request; a job that does not exist yet is queued.
 async fn find(state: &ApiState, request: AnalysisRequest, name: String, job: Option<i64>) -> Result<Found, ApiError> {
     let (kind, params) = (request.kind(), request.text()?);
     let found = state.read(move |reader| find_stored(reader, kind, &params, &name, job)).await?;
@@ -272,7 +274,7 @@ async fn find(state: &ApiState, request: AnalysisRequest, name: String, job: Opt
     }
 }
 
-/// As [`find`]; `Err` is the id of a capture that has no such job.
+/// Finds the job as [`find`] does; `Err` is the id of a capture that has no such job.
 fn find_stored(
     reader: &Reader,
     kind: JobKind,
@@ -293,7 +295,7 @@ fn find_stored(
         return Ok(Ok(Found::Open(id)));
     }
     let jobs = reader.jobs_over(id, kind, capture.samples)?;
-    // What another version of the program could not do, this one may.
+    // This version may be able to do what another version of the program could not.
     let counts = |row: &JobRow| row.params == params && !(row.state == JobState::Failed && row.stale);
     let such_jobs: Vec<JobRow> = jobs.into_iter().filter(counts).collect();
     for state in [JobState::Done, JobState::Running, JobState::Queued, JobState::Failed] {
@@ -318,7 +320,7 @@ fn answer(headers: &HeaderMap, result: ResultRow) -> Response {
     with_stale(conditional::answer(headers, &tag, (json, result.body)), &software)
 }
 
-/// What was made of a finished result, with a tag as the result has one, or of a capture that runs.
+/// Returns a form of a finished result, with a tag derived from the result's, or of a running capture.
 fn answer_of_form(headers: &HeaderMap, result: Option<&ResultRow>, form: &str, body: impl IntoResponse) -> Response {
     match result {
         Some(result) => {
@@ -329,7 +331,7 @@ fn answer_of_form(headers: &HeaderMap, result: Option<&ResultRow>, form: &str, b
     }
 }
 
-/// Names the program that made the result, where it is not this one.
+/// Names the program that made the result, if it is not this one.
 pub(super) fn with_stale(mut response: Response, software: &str) -> Response {
     let stale = (software != SOFTWARE).then(|| HeaderValue::from_str(software).ok()).flatten();
     if let Some(software) = stale {
@@ -338,7 +340,7 @@ pub(super) fn with_stale(mut response: Response, software: &str) -> Response {
     response
 }
 
-/// The job of a result that is not there: 202, or why there will be none.
+/// Returns the job of a result that is not there: 202, or the reason why there will be no result.
 pub(super) fn unfinished(row: JobRow) -> Result<Response, ApiError> {
     match row.state {
         JobState::Queued | JobState::Running | JobState::Done => Ok(jobs::answer(StatusCode::ACCEPTED, row)),

@@ -9,32 +9,32 @@ use std::pin::Pin;
 use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt;
 
-/// Bytes that are taken per second at most: the disk is the capture's first.
+/// Maximum number of bytes taken per second: the capture has priority on the disk.
 const BYTES_PER_S: f64 = 64.0 * 1024.0 * 1024.0;
 /// Bytes that must come within [`PATIENCE`].
 const PROGRESS_BYTES: u64 = 64 * 1024;
-/// How long a body may stand still.
+/// Maximum time for which a body may stand still.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often free space is looked at, in bytes that came.
+/// Number of received bytes after which free space is checked again.
 const LOOK_BYTES: u64 = 8 << 20;
 
-/// What a body is, for whoever sends it, and how large it may be.
+/// The kind of a body, in the sender's words, and its limits.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Kind {
-    /// Such as `a recording`.
+    /// Its name, such as `a recording`.
     pub(super) called: &'static str,
-    /// Bytes at most.
+    /// Maximum number of bytes.
     pub(super) bytes_max: u64,
-    /// How long it may take in all, if others wait for it.
+    /// Maximum total time, if others wait for it.
     pub(super) time_max: Option<Duration>,
 }
 
 impl Kind {
-    /// Puts a body aside. The file goes when what is returned is dropped.
+    /// Stores a body in a file, which is removed when the returned value is dropped.
     ///
     /// # Errors
-    /// [`ApiError`]: 413 beyond the limit, 408 for a body that does not come, 503 if there is no room or `stopping`, 400 for one
-    /// that ends early or is empty.
+    /// [`ApiError`]: 413 beyond the limit, 408 for a body that does not arrive, 503 if there is no room or on
+    /// `stopping`, 400 for a body that ends early or is empty.
     pub(super) async fn put(
         self,
         state: &ApiState,
@@ -103,7 +103,7 @@ impl Kind {
         file.flush().await.map_err(|error| self.no_room(&error))
     }
 
-    /// Whether so many more bytes leave the reserve untouched.
+    /// Checks whether this many more bytes leave the reserve untouched.
     pub(super) fn room_for(self, state: &ApiState, bytes: u64) -> Result<(), ApiError> {
         if bytes > self.bytes_max {
             return Err(self.too_large());

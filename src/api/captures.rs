@@ -1,4 +1,4 @@
-//! Captures: started, stopped, listed, shown, kept, deleted; and their accounting.
+//! Captures: start, stop, list, show, pin, delete; and their accounting.
 
 use super::extract::{J, P, Q};
 use super::page::{self, PageQuery};
@@ -16,50 +16,50 @@ use imu_core::units::{format_duration, parse_duration};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// Shortest and longest sample time of a capture.
+/// Shortest and longest permitted sample time of a capture.
 const DURATION: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(366 * 86_400));
 
 /// A page of captures, the latest first.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Captures {
     captures: Vec<CaptureRow>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
-/// Which captures are wanted.
+/// The wanted captures.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct CapturesQuery {
-    /// Only those in this state.
+    /// Only captures in this state.
     #[param(inline)]
     state: Option<CaptureState>,
-    /// How many rows at most.
+    /// Maximum number of rows.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u32>,
     /// `next` of the page before.
     cursor: Option<String>,
 }
 
-/// A capture that shall be started.
+/// The request to start a capture.
 #[derive(Debug, Default, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StartBody {
-    /// Sample time it shall hold, `5h`, `90m`, `1h30m`; the configuration's where absent.
+    /// Its sample time, `5h`, `90m`, `1h30m`; the configuration's if absent.
     #[schema(example = "5h")]
     duration: Option<String>,
-    /// Its name; date and time where absent.
+    /// Its name; date and time if absent.
     name: Option<String>,
-    /// When to begin; at once where absent.
+    /// When to begin; at once if absent.
     start_at: Option<DateTime<Utc>>,
 }
 
-/// Whether a capture shall be kept.
+/// The request to keep a capture.
 #[derive(Debug, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PinBody {
-    /// True (also without a body): it is not deleted, by nobody.
+    /// True (also without a body): the capture is not deleted by anything.
     pinned: bool,
 }
 
@@ -78,7 +78,7 @@ pub(super) struct CaptureWithAccounting {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Gaps {
     gaps: Vec<GapRow>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
@@ -86,7 +86,7 @@ pub(super) struct Gaps {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Segments {
     segments: Vec<SegmentRow>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
@@ -94,7 +94,7 @@ pub(super) struct Segments {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Events {
     events: Vec<EventRow>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
@@ -159,7 +159,7 @@ pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Js
             Ok((reader.capture(id)?, reader.accounting(id)?, reader.device_clocks(id)?))
         })
         .await?;
-    // While it runs, what is on its way to the disk counts too.
+    // While the capture runs, samples on their way to the disk count too.
     let running = state.status().capture.filter(|running| running.id == capture.id && capture.state.is_open());
     let accounting = match running {
         Some(now) => accounting.at_this_instant(now.received, now.committed, now.in_flight, now.discarded),
@@ -179,7 +179,7 @@ pub(super) async fn delete(State(state): State<ApiState>, P(name): P) -> Result<
     state
         .change(move |parts| {
             parts.store.delete_capture(id)?;
-            // The workers take its rows away by and by.
+            // The workers remove its rows step by step.
             parts.jobs.wake();
             Ok::<_, StoreError>(())
         })
@@ -187,7 +187,7 @@ pub(super) async fn delete(State(state): State<ApiState>, P(name): P) -> Result<
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Stops the capture that runs or waits; answers once its last sample is on disk.
+/// Stops the running or waiting capture; answers once its last sample is on disk.
 #[utoipa::path(post, path = "/v1/captures/{id}/stop", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
     (status = 200, body = CaptureRow),
@@ -199,7 +199,7 @@ pub(super) async fn stop(State(state): State<ApiState>, P(name): P) -> Result<Js
     Ok(Json(state.read(move |reader| reader.capture(id)).await?))
 }
 
-/// Keeps a capture from deletion, or no longer.
+/// Protects a capture from deletion, or ends the protection.
 #[utoipa::path(post, path = "/v1/captures/{id}/pin", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")),
     request_body(content = Option<PinBody>, description = "Without a body: pinned"), responses(
@@ -216,7 +216,7 @@ pub(super) async fn pin(
     Ok(Json(state.read(move |reader| reader.capture(id)).await?))
 }
 
-/// A capture's gaps: when, how many samples, why.
+/// A capture's gaps: their times, their missing samples, their causes.
 #[utoipa::path(get, path = "/v1/captures/{id}/gaps", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
     (status = 200, body = Gaps),
@@ -248,7 +248,7 @@ pub(super) async fn segments(
     Ok(page::answer(&uri, found, |segments, next| Segments { segments, next }))
 }
 
-/// What happened during a capture.
+/// A capture's events.
 #[utoipa::path(get, path = "/v1/captures/{id}/events", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
     (status = 200, body = Events),

@@ -1,32 +1,33 @@
-//! Conditional answers: a finished result never changes, so whoever has it need not fetch it again.
+//! Conditional answers: a finished result never changes, so that a client that has it need not fetch it again.
 
 use crate::store::{ResultRow, SOFTWARE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-/// The strong entity tag of a result: its id and what made it.
+/// Returns the strong entity tag of a result: its id and the program that made it.
 pub(super) fn entity_tag(result: &ResultRow) -> String {
     format!("\"{}-{}\"", result.id, plain(&result.software))
 }
 
-/// The strong entity tag of what this program makes of a result: the result's, with the form and the program that writes it.
+/// Returns the strong entity tag of a form that this program makes of a result: the result's tag, with the form and
+/// this program.
 pub(super) fn entity_tag_of_form(result: &ResultRow, form: &str) -> String {
     format!("\"{}-{}-{}-{}\"", result.id, plain(&result.software), plain(form), plain(SOFTWARE))
 }
 
-/// Text with nothing in it that a tag may not have.
+/// Returns the text without characters that a tag must not have.
 pub(super) fn plain(text: &str) -> String {
     text.chars().map(|letter| if letter.is_ascii_alphanumeric() || letter == '.' { letter } else { '-' }).collect()
 }
 
-/// Whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).
+/// Returns whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).
 pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
     headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok()).any(|value| {
         value.split(',').map(str::trim).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
     })
 }
 
-/// `body` with its tag, or 304 without it where the tag is known.
+/// Returns `body` with its tag, or 304 without it if the client has the tag.
 pub(super) fn answer(headers: &HeaderMap, tag: &str, body: impl IntoResponse) -> Response {
     let mut response =
         if is_known(headers, tag) { StatusCode::NOT_MODIFIED.into_response() } else { body.into_response() };

@@ -1,5 +1,5 @@
-//! A connection whose reader must go on reading: writing that makes too little progress for a while is an error, which
-//! ends the connection and with it the stream and its query.
+//! A connection whose reader must keep reading: if writing makes too little progress for a while, it fails, which ends
+//! the connection, the stream and its query.
 
 use std::io;
 use std::pin::Pin;
@@ -9,11 +9,11 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep};
 
-/// Bytes that a reader which holds the writer up takes at least within the patience: less is as good as none, and a
-/// reader of one byte a second would hold a query for days.
+/// Minimum number of bytes that a slow reader must take within the patience: a reader of one byte a second would
+/// otherwise hold a query for days.
 const PROGRESS_BYTES: usize = 16 * 1024;
 
-/// A TCP connection on which a write may stand still for `patience` at most.
+/// A TCP connection on which a write may stand still for at most `patience`.
 #[derive(Debug)]
 pub(super) struct Guarded {
     stream: TcpStream,
@@ -21,7 +21,7 @@ pub(super) struct Guarded {
     stalled: Option<Stall>,
 }
 
-/// Since the writer was last held up.
+/// The state since the writer was last held up.
 #[derive(Debug)]
 struct Stall {
     alarm: Pin<Box<Sleep>>,
@@ -33,7 +33,8 @@ impl Guarded {
         Self { stream, patience, stalled: None }
     }
 
-    /// A write that is not ready sets the alarm, enough bytes clear it; once it has gone off, writing fails.
+    /// Watches a write: one that is not ready sets the alarm, enough bytes clear it, and once it has gone off, writing
+    /// fails.
     fn watch(&mut self, context: &mut Context<'_>, write: Poll<io::Result<usize>>) -> Poll<io::Result<usize>> {
         match (&write, &mut self.stalled) {
             (Poll::Ready(Ok(bytes)), Some(stall)) => {
@@ -85,7 +86,7 @@ impl AsyncWrite for Guarded {
         self.stream.is_write_vectored()
     }
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // Everything was handed over: whoever writes next begins anew.
+        // All data was passed on: the next write starts with a clear alarm.
         self.stalled = None;
         Pin::new(&mut self.stream).poll_flush(context)
     }

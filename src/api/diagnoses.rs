@@ -1,4 +1,4 @@
-//! Diagnoses: asked for, listed, shown as a document, as a model and as a page. A diagnosis has its job's id.
+//! Diagnoses: request, list, and show as a document, as a model and as a page. A diagnosis has its job's id.
 
 use super::analysis::{unfinished, with_stale};
 use super::extract::{P, Q, is_json, no_json};
@@ -16,14 +16,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::time::Duration;
 
-/// What a capture is compared with.
+/// The object that a capture is compared with.
 #[derive(Debug, utoipa::ToSchema)]
 #[expect(dead_code, reason = "the interface's description; `jobs` reads the body")]
 pub(super) struct DiagnosisBody {
     /// A model's id (`"model-1"`), a sensor model, or the id or name of a capture that a simulator made.
     #[schema(value_type = Object)]
     sim: Option<Value>,
-    /// What the sensor went through: the text of a CSV with `time_s`, `ref_gyro_x_rad_s` … `ref_accel_z_m_s2`, or `still`,
+    /// The sensor's motion: the text of a CSV with `time_s`, `ref_gyro_x_rad_s` … `ref_accel_z_m_s2`, or `still`,
     /// `tumble`, `rate-table` for the motions that the simulator makes. Effects that a motion drives are diagnosed too.
     #[schema(value_type = String)]
     reference: Option<Value>,
@@ -32,27 +32,27 @@ pub(super) struct DiagnosisBody {
 /// A diagnosis in a list.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct DiagnosisEntry {
-    /// Its id, and its job's.
+    /// The id, which is also that of the job.
     id: i64,
     /// The capture's id.
     capture: i64,
-    /// What its job is doing or how it ended.
+    /// The state of the job.
     state: JobState,
-    /// How far it has come, 0–1.
+    /// The progress, 0–1.
     progress: f64,
-    /// When it was asked for.
+    /// The time of the request.
     created_at: UtcNs,
-    /// When it ended.
+    /// The time of the end.
     finished_at: Option<UtcNs>,
-    /// `no_gap`, `parameters`, `effects`, `unknown_effect`; null until it is done.
+    /// The verdict: `no_gap`, `parameters`, `effects` or `unknown_effect`; null until it is done.
     verdict: Option<String>,
-    /// The one sentence; null until it is done.
+    /// The summary in one sentence; null until it is done.
     summary: Option<String>,
-    /// Why it failed.
+    /// The reason for the failure.
     error: Option<String>,
     /// Whether another version of the program made it.
     stale: bool,
-    /// Path of its page.
+    /// Path of the page.
     page: String,
 }
 
@@ -79,34 +79,34 @@ impl From<DiagnosisRow> for DiagnosisEntry {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Diagnoses {
     diagnoses: Vec<DiagnosisEntry>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
-/// Which diagnoses are wanted.
+/// The wanted diagnoses.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct DiagnosesQuery {
-    /// Only those of this capture: id, name, or `latest`.
+    /// Only diagnoses of this capture: id, name, or `latest`.
     capture: Option<String>,
-    /// How many rows at most.
+    /// Maximum number of rows.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u32>,
     /// `next` of the page before.
     cursor: Option<String>,
 }
 
-/// A request with a reference of half an hour at 100 Hz and some.
+/// Enough for a request with a reference of half an hour at 100 Hz.
 const LARGE_BODY: aside::Kind = aside::Kind {
     called: "a diagnosis with its reference",
     bytes_max: 32 << 20,
     time_max: Some(Duration::from_secs(120)),
 };
-/// A body of at most so many bytes is read at once; a larger one is put aside and read by a process of its own.
+/// A body of at most this many bytes is read at once; a larger one is stored and read by a separate process.
 const SMALL_BYTES: usize = 64 * 1024;
 
-/// Compares a capture with a simulator, as a job. The same again is the same job.
+/// Compares a capture with a simulator, as a job. The same request again returns the same job.
 #[utoipa::path(post, path = "/v1/captures/{id}/diagnoses", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, name, or `latest`")), request_body = DiagnosisBody, responses(
     (status = 202, body = jobs::Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
@@ -146,7 +146,7 @@ pub(super) async fn submit(
     .await
 }
 
-/// Whether this request asks for a diagnosis with a body that may be large.
+/// Returns whether this request asks for a diagnosis with a body that may be large.
 pub(super) fn is_put_aside(request: &Request) -> bool {
     let is_small = request.body().size_hint().upper().is_some_and(|bytes| bytes <= SMALL_BYTES as u64);
     request.method() == Method::POST && request.uri().path().ends_with("/diagnoses") && !is_small
@@ -175,7 +175,7 @@ pub(super) async fn list(
     Ok(page::answer(&uri, found, entries))
 }
 
-/// A diagnosis: where capture and simulator differ, what the simulator lacks, and how far that closes the gap.
+/// A diagnosis: how capture and simulator differ, which effects the simulator lacks, and how far they close the gap.
 #[utoipa::path(get, path = "/v1/diagnoses/{id}", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, or `latest`")), responses(
     (status = 200, body = Object, description = "`vn100d-diagnosis-1`",
@@ -189,7 +189,7 @@ pub(super) async fn show(State(state): State<ApiState>, headers: HeaderMap, P(id
     part(&state, &headers, id, "report", |document| document.report.get().to_owned()).await
 }
 
-/// The model that a diagnosis corrected: parameters as they were found, what it lacked added.
+/// The corrected model of a diagnosis: with the found parameters and the missing effects.
 #[utoipa::path(get, path = "/v1/diagnoses/{id}/model", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, or `latest`")), responses(
     (status = 200, body = Object, description = "`vn100d-sensor-model-1`",
@@ -203,7 +203,7 @@ pub(super) async fn model(State(state): State<ApiState>, headers: HeaderMap, P(i
     part(&state, &headers, id, "model", |document| document.model.get().to_owned()).await
 }
 
-/// A page for people: the diagnosis, or how far its job is.
+/// Returns a page for people: the diagnosis, or the progress of its job.
 pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
     let (job, result) = state.read(move |reader| find(reader, &id)).await?;
     let html = match result {
@@ -226,7 +226,7 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
     Ok(super::pages::html(html))
 }
 
-/// A part of a result as it was stored, or the job that is to make it.
+/// Returns a part of a result as stored, or the job that will make it.
 async fn part(
     state: &ApiState,
     headers: &HeaderMap,
@@ -242,7 +242,7 @@ async fn part(
     Ok(with_stale(conditional::answer(headers, &tag, (json, body)), &result.software))
 }
 
-/// The job of a diagnosis, and its result once it is there.
+/// Returns the job of a diagnosis, and its result once it is there.
 fn find(reader: &Reader, id: &str) -> Result<(JobRow, Option<ResultRow>), StoreError> {
     let unknown = || StoreError::NoSuchDiagnosis { asked: id.chars().take(40).collect() };
     let number = if id == "latest" { reader.latest_diagnosis()? } else { id.parse().map_err(|_| unknown())? };

@@ -1,4 +1,4 @@
-//! What a request says, read with errors of our own.
+//! Extractors for the parts of a request, with errors of our own.
 
 use super::problem::{ApiError, ProblemType};
 use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
@@ -48,15 +48,15 @@ impl<S: Send + Sync> FromRequestParts<S> for P2 {
     }
 }
 
-/// Whether the body is announced as JSON. Only a media type that an HTML form cannot send: a page of another site then has to
-/// ask first.
+/// Returns whether the body is announced as JSON. Only a media type that an HTML form cannot send: a page of another
+/// site then needs permission first.
 pub(super) fn is_json(headers: &HeaderMap) -> bool {
     let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
     let media_type = media_type.and_then(|value| value.split(';').next());
     media_type.is_some_and(|value| value.trim().eq_ignore_ascii_case("application/json"))
 }
 
-/// The answer to a body that is none.
+/// Returns the answer to a body that is not JSON.
 pub(super) fn no_json() -> ApiError {
     ApiError::new(
         ProblemType::UnsupportedMediaType,
@@ -64,7 +64,7 @@ pub(super) fn no_json() -> ApiError {
     )
 }
 
-/// A JSON body, `None` where the request has no body.
+/// A JSON body; `None` if the request has no body.
 #[derive(Debug, Clone)]
 pub(super) struct J<T>(pub Option<T>);
 

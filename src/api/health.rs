@@ -1,4 +1,4 @@
-//! Alive, ready, measured: for service managers and monitoring. From memory alone.
+//! Health, readiness and metrics, for service managers and monitoring. From memory alone.
 
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
@@ -10,17 +10,17 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-/// A sample that has waited longer for the disk makes the daemon not ready; a healthy commit begins within a second.
+/// If a sample waits longer than this for the disk, the daemon is not ready; a healthy commit begins within a second.
 const WAIT_MAX_S: f64 = 10.0;
 
-/// The program runs.
+/// The answer of a running process.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Alive {
-    /// `ok`
+    /// The state: `ok`.
     status: &'static str,
 }
 
-/// Everything is as it should be.
+/// The answer of a daemon that is ready.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Ready {
     /// Always true; otherwise the answer is 503.
@@ -33,7 +33,7 @@ pub(super) async fn healthz() -> Json<Alive> {
     Json(Alive { status: "ok" })
 }
 
-/// Ready, or the reasons why not: the capture has no samples coming, the store is degraded, space runs out.
+/// Ready, or the reasons why not: no samples arrive for the capture, the store is degraded, space runs out.
 #[utoipa::path(get, path = "/readyz", tag = "daemon", responses(
     (status = 200, body = Ready),
     (status = 503, body = Problem, content_type = "application/problem+json", description = "`reasons` lists why")))]
@@ -66,7 +66,7 @@ pub(super) async fn metrics(State(state): State<ApiState>) -> Result<Response, A
     Ok(([(header::CONTENT_TYPE, CONTENT_TYPE)], text).into_response())
 }
 
-/// Why the daemon is not ready. An absent sensor is none while nothing is to be captured.
+/// Returns the reasons why the daemon is not ready. An absent sensor is no reason while nothing is to be captured.
 fn reasons(status: &Status, reserve_bytes: u64) -> Vec<String> {
     let mut reasons = Vec::new();
     let capturing = status.capture.as_ref().is_some_and(|capture| capture.state == "capturing");
@@ -96,7 +96,7 @@ fn reasons(status: &Status, reserve_bytes: u64) -> Vec<String> {
     reasons
 }
 
-/// A state as JSON names it.
+/// Returns the name of a state in JSON.
 pub(super) fn named(state: &impl Serialize) -> String {
     serde_json::to_value(state).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
@@ -137,7 +137,8 @@ mod tests {
         assert_eq!(reasons(&Status { capture: capture("waiting"), ..healthy() }, 0), Vec::<String>::new());
     }
 
-    /// The first sample after an hour without one is no hour old, and a first commit that never ends has no age.
+    /// The first sample after an hour without samples is not an hour old, and a first commit that never ends has no
+    /// age.
     #[test]
     fn the_age_of_the_oldest_sample_counts_and_not_that_of_the_last_commit() {
         let mut status = healthy();

@@ -1,4 +1,4 @@
-//! Imports: a recording's bytes come as a body, are put aside in a file beside the database, and become a capture. The
+//! Imports: a recording's bytes arrive as a body, are stored in a file beside the database, and become a capture. The
 //! daemon need not be able to read the user's files, nor the user to write the database.
 
 use super::aside;
@@ -14,46 +14,48 @@ use serde::Deserialize;
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 
-/// Where a recording is sent; the limits of time and size are its own.
+/// The path to which a recording is sent; it has its own limits of time and size.
 pub(super) const PATH: &str = "/v1/imports";
-/// A year of raw lines at 40 Hz fits.
+/// Large enough for a year of raw lines at 40 Hz.
 const RECORDING: aside::Kind = aside::Kind { called: "a recording", bytes_max: 256 << 30, time_max: None };
-/// Media types of a recording: none that a form of another site can send.
+/// Media types of a recording, none of which a form of another site can send.
 const MEDIA_TYPES: [&str; 4] = ["application/octet-stream", "application/gzip", "application/x-gzip", "text/csv"];
-/// Characters of a file's name at most.
+/// Maximum number of characters of a file's name.
 const CALLED_MAX: usize = 4096;
-/// Bytes of what the columns are at most.
+/// Maximum size of the map of columns in bytes.
 const COLUMNS_MAX: usize = 16 * 1024;
-/// Bytes of definitions of messages at most: they come in the address.
+/// Maximum size of definitions of messages in bytes: they are part of the address.
 const DEFINITIONS_MAX: usize = 8 * 1024;
 
-/// How the recording is to be read.
+/// The options for reading the recording.
 #[derive(Debug, Default, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ImportQuery {
-    /// What the recording is called: its file's name. The capture is named after it.
+    /// The name of the recording's file, after which the capture is named.
     #[param(example = "desk.csv")]
     file: Option<String>,
     /// Name of the capture.
     name: Option<String>,
     /// Samples per second of a recording without stamps.
     rate_hz: Option<f64>,
-    /// Gyroscope and accelerometer send means of so many samples: kept with the capture, whose jobs fit noise behind that filter.
+    /// The number of samples in the means that gyroscope and accelerometer send: kept with the capture, whose jobs fit
+    /// noise behind that filter.
     filter_window: Option<u32>,
-    /// Rate of these samples in Hz; 800 if it is not given.
+    /// Rate of these samples in Hz; 800 if absent.
     internal_rate_hz: Option<f64>,
-    /// What the columns of a foreign CSV are: pairs FOREIGN=NAME, separated by commas. FOREIGN is a header's name or a
-    /// position (`#3`), NAME a channel with its unit (`accel_x_g`), or `time_s`, `time_ms`, `time_us`, `time_ns`.
+    /// The meaning of the columns of a foreign CSV: pairs FOREIGN=NAME, separated by commas. FOREIGN is a header's name
+    /// or a position (`#3`), NAME a channel with its unit (`accel_x_g`), or `time_s`, `time_ms`, `time_us`, `time_ns`.
     #[param(example = "Time [ms]=time_ms,ax=accel_x_g")]
     columns: Option<String>,
-    /// Definitions of messages that a bag does not bring along: a JSON list of `{"name": "package/msg/Name", "text": "…"}`,
-    /// the text being that of the type's `.msg` file.
+    /// Definitions of messages that a bag lacks: a JSON list of `{"name": "package/msg/Name", "text": "…"}`, with the
+    /// text of the type's `.msg` file.
     #[param(example = "[{\"name\": \"own_msgs/msg/Reading\", \"text\": \"float64 gyro_x_rad_s\"}]")]
     message_definitions: Option<String>,
 }
 
-/// Makes a recording (CSV, raw lines or bytes, a ROS bag, MCAP) a capture; answers once it is one. The same recording again is the same capture.
+/// Imports a recording (CSV, raw lines or bytes, a ROS bag, MCAP) as a capture; answers once it is one. The same
+/// recording again returns the same capture.
 #[utoipa::path(post, path = "/v1/imports", tag = "captures", params(ImportQuery),
     request_body(content = Vec<u8>, content_type = "application/octet-stream", description = "The recording's bytes"), responses(
     (status = 201, body = ImportReport, headers(("Location" = String, description = "The capture"))),
@@ -91,16 +93,16 @@ pub(super) async fn import(
         name: query.name,
         abandoned: abandoned.clone(),
     };
-    // Whoever goes away before the answer has called it off.
+    // A client that disconnects before the answer cancels the import.
     let _waiting = abandoned.drop_guard();
     let (answer, outcome) = tokio::sync::oneshot::channel();
-    // A thread of its own: its priority is lower than that of the runtime's threads, which never wait for it.
+    // A separate thread: its priority is lower than that of the runtime's threads, which never wait for it.
     let thread = std::thread::Builder::new().name("import".to_owned()).spawn(move || {
         crate::process::step_back();
         let outcome = importer.import(wanted);
-        // The next one may be sent as soon as this one is answered.
+        // The next recording may be sent as soon as this one is answered.
         drop((aside, permit));
-        // Nobody hears it where whoever sent the recording has gone.
+        // If the client has gone, the answer is lost.
         let _ = answer.send(outcome);
     });
     thread.map_err(|error| ApiError::unavailable(format!("an import cannot be started now: {error}"), 5))?;
@@ -114,7 +116,7 @@ pub(super) async fn import(
     Ok(response)
 }
 
-/// Refuses what can be refused before the body comes; the definitions of messages.
+/// Refuses all that can be refused before the body arrives, and returns the definitions of messages.
 fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, ApiError> {
     let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
     let media_type = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
@@ -125,7 +127,7 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
             format!("a recording comes as one of {known} (with curl: -H 'Content-Type: application/octet-stream')"),
         ));
     }
-    // A compressed recording is known by its bytes, whatever the header says; other encodings are not undone.
+    // A compressed recording is recognised by its bytes, regardless of the header; other encodings are not decoded.
     let encoding = headers.get(header::CONTENT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or("identity");
     if !["identity", "gzip", "x-gzip"].contains(&encoding) {
         return Err(ApiError::new(ProblemType::UnsupportedMediaType, "`Content-Encoding`: allowed is gzip"));
@@ -153,7 +155,7 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
     if query.columns.as_ref().is_some_and(|columns| columns.len() > COLUMNS_MAX) {
         return Err(ApiError::bad_request(format!("`columns`: allowed are {COLUMNS_MAX} bytes")));
     }
-    // Before the body comes: it would be sent for nothing.
+    // Before the body arrives: it would be sent for nothing.
     if let Some(name) = &query.name {
         crate::store::check_name(name)?;
     }

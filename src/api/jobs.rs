@@ -1,4 +1,4 @@
-//! Background work: submitted, listed, shown, called off.
+//! Background jobs: submit, list, show, cancel.
 
 use super::extract::{J, P, Q};
 use super::page;
@@ -12,10 +12,10 @@ use axum::http::{HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
-/// When to ask again for a job that is not done, s.
+/// When to query a job again that is not done, s.
 pub(super) const RETRY_AFTER_S: u32 = 2;
 
-/// A job, and where its result is.
+/// A job, and the place of its result.
 #[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub(super) struct Job {
     #[serde(flatten)]
@@ -40,28 +40,28 @@ impl From<JobRow> for Job {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct JobList {
     jobs: Vec<Job>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
-/// Which jobs are wanted.
+/// The wanted jobs.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct JobsQuery {
-    /// Only those of this capture: id, name, or `latest`.
+    /// Only jobs of this capture: id, name, or `latest`.
     capture: Option<String>,
-    /// Only those in this state.
+    /// Only jobs in this state.
     #[param(inline)]
     state: Option<JobState>,
-    /// How many rows at most.
+    /// Maximum number of rows.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u32>,
     /// `next` of the page before.
     cursor: Option<String>,
 }
 
-/// A capture as a body names it.
+/// A capture, as named in a body.
 #[derive(Debug, Clone, Deserialize, utoipa::ToSchema)]
 #[serde(untagged, expecting = "a capture is an id, a name, or `latest`")]
 pub(super) enum CaptureName {
@@ -80,17 +80,17 @@ impl CaptureName {
     }
 }
 
-/// Work that is asked for. Further members are the parameters of the kind.
+/// The request for a job. Further members are the parameters of the kind.
 #[derive(Debug, Deserialize, utoipa::ToSchema)]
 pub(super) struct SubmitBody {
-    /// Which computation.
+    /// The computation.
     #[schema(example = "allan")]
     kind: String,
-    /// The capture it reads.
+    /// The capture that the job reads.
     #[schema(inline)]
     capture: CaptureName,
-    /// Of `allan` and `noise`: further captures of the same sensor at the same setting, which have ended. Their sums are
-    /// added and give one result.
+    /// For `allan` and `noise`: further captures of the same sensor at the same setting, which have ended. Their sums
+    /// are added and give one result.
     #[serde(default)]
     #[schema(inline)]
     with: Vec<CaptureName>,
@@ -118,7 +118,7 @@ pub(super) async fn list(
     Ok(page::answer(&uri, found, |jobs, next| JobList { jobs: jobs.into_iter().map(Job::from).collect(), next }))
 }
 
-/// Queues a job over the samples that the capture has now. The same again is the same job.
+/// Queues a job over the samples that the capture has now. The same request again returns the same job.
 #[utoipa::path(post, path = "/v1/jobs", tag = "jobs", request_body = SubmitBody, responses(
     (status = 202, body = Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
     (status = 200, body = Job, description = "It was submitted before"),
@@ -149,7 +149,7 @@ pub(super) async fn submit(State(state): State<ApiState>, J(body): J<SubmitBody>
     Ok(submitted(state.change(move |parts| parts.jobs.submit(capture_id, request)).await?))
 }
 
-/// Queues a diagnosis: 202, or 200 if it is there already. It does not stand in the way of those who start and stop captures.
+/// Queues a diagnosis: 202, or 200 if it exists already. It does not delay requests that start and stop captures.
 pub(super) async fn queue_diagnosis(
     state: &ApiState,
     submit: impl FnOnce(&Jobs) -> Result<(JobRow, bool), JobError> + Send + 'static,
@@ -157,7 +157,7 @@ pub(super) async fn queue_diagnosis(
     Ok(submitted(state.take_in(move |parts| submit(&parts.jobs)).await?))
 }
 
-/// The answer to a request for a job: 202, or 200 if the job is there already.
+/// Returns the answer to a request for a job: 202, or 200 if the job exists already.
 fn submitted((row, is_new): (JobRow, bool)) -> Response {
     answer(if is_new { StatusCode::ACCEPTED } else { StatusCode::OK }, row)
 }
@@ -171,7 +171,7 @@ pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Resp
     Ok(answer(StatusCode::OK, state.read(move |reader| reader.job(id)).await?))
 }
 
-/// Calls a queued or running job off.
+/// Cancels a queued or running job.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = i64, Path, description = "Id")), responses(
     (status = 200, body = Job, description = "It is cancelled"),
     (status = 404, body = Problem, content_type = "application/problem+json"),
@@ -186,7 +186,7 @@ fn job_id(text: &str) -> Result<i64, ApiError> {
     text.parse().map_err(|_| ApiError::bad_request("a job's id is a whole number: GET /v1/jobs lists them"))
 }
 
-/// A job's answer: where it is, and while it is not done when to ask again.
+/// Returns a job's answer: its place, and when to query it again while it is not done.
 pub(super) fn answer(status: StatusCode, row: JobRow) -> Response {
     let (id, open) = (row.id, matches!(row.state, JobState::Queued | JobState::Running));
     let mut response = (status, Json(Job::from(row))).into_response();

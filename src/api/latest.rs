@@ -1,4 +1,4 @@
-//! Latest: the newest rows for the first page, read once a second however many look at it, and never waited for long: a
+//! Latest: the newest rows for the first page, read once a second for any number of viewers. No viewer waits long: a
 //! disk that hangs holds one query.
 
 use super::problem::ApiError;
@@ -8,23 +8,23 @@ use crate::store::{CaptureFilter, JobRow, JobState, PageRequest};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Rows of a list.
+/// Number of rows of a list.
 const ROWS: u32 = 10;
-/// How old rows may be.
+/// Maximum age of fresh rows.
 const FRESH: Duration = Duration::from_secs(1);
-/// How long new ones are waited for.
+/// Maximum time to wait for new rows.
 const PATIENCE: Duration = Duration::from_millis(150);
-/// Rows older than this are none: the database does not answer.
+/// Rows older than this are not used: the database does not answer.
 const STALE: Duration = Duration::from_secs(10);
 
-/// The rows and who reads them.
+/// The latest rows, and whether a query for them is pending.
 #[derive(Debug, Default)]
 pub(super) struct Latest(Mutex<Kept>);
 
 #[derive(Debug, Default)]
 struct Kept {
     rows: Option<(Instant, Arc<Stored>)>,
-    /// Somebody is reading.
+    /// Whether a query is running.
     reading: bool,
 }
 
@@ -38,7 +38,7 @@ impl Latest {
     }
 }
 
-/// The newest rows; None where the database does not answer.
+/// Returns the newest rows; `None` if the database does not answer.
 pub(super) async fn rows(state: &ApiState) -> Option<Arc<Stored>> {
     if let Some(rows) = state.latest.not_older_than(FRESH) {
         return Some(rows);
@@ -55,10 +55,10 @@ pub(super) async fn rows(state: &ApiState) -> Option<Arc<Stored>> {
                 Err(error) => tracing::warn!(%error, "The first page has no rows."),
             }
         });
-        // Late rows are the next one's.
+        // Late rows are used by the next request.
         let _ = tokio::time::timeout(PATIENCE, reading).await;
     } else if state.latest.not_older_than(STALE).is_none() {
-        // Somebody reads already, and there is nothing older to show.
+        // A query runs already, and there are no older rows to show.
         let begun = Instant::now();
         while state.latest.not_older_than(STALE).is_none() && begun.elapsed() < PATIENCE {
             tokio::time::sleep(Duration::from_millis(10)).await;
@@ -72,7 +72,7 @@ async fn read(state: &ApiState) -> Result<Stored, ApiError> {
     state
         .read(move |reader| {
             let some = PageRequest { limit: Some(ROWS), cursor: None };
-            // What runs first, then what waits, then what was said last of those that failed.
+            // Running jobs first, then waiting ones, then the last message of failed ones.
             let mut jobs: Vec<JobRow> = Vec::new();
             for kind in [JobState::Running, JobState::Queued, JobState::Failed] {
                 jobs.extend(reader.jobs(None, Some(kind), &some)?.rows);

@@ -1,4 +1,4 @@
-//! What every request goes through, around its handler.
+//! The layers around every handler.
 
 use super::problem::{self, ApiError, ProblemType};
 use super::state::ApiState;
@@ -17,15 +17,16 @@ use std::time::{Duration, Instant};
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 static REQUESTS: AtomicU64 = AtomicU64::new(0);
 
-/// Marks an answer that is made while it is sent; it is not compressed, because that would take a core from the capture.
+/// Marks an answer that is made while it is sent. It is not compressed, because that would take a core from the
+/// capture.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Streamed;
 
-/// Outermost: the request's id, its line in the log, its count, and the form of errors.
+/// Handles the outermost layer: the request's id, its line in the log, its count, and the form of errors.
 pub(super) async fn observe(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     let started = Instant::now();
     let number = REQUESTS.fetch_add(1, Ordering::Relaxed);
-    // The process id tells requests of one start from those of the next.
+    // The process id distinguishes requests of one start from those of the next.
     let id = format!("{:x}-{number:x}", std::process::id());
     let (method, path) = (request.method().clone(), request.uri().path().to_owned());
     let response = next.run(request).await;
@@ -40,13 +41,13 @@ pub(super) async fn observe(State(state): State<ApiState>, request: Request, nex
     response
 }
 
-/// On loopback the host that is asked must be this machine by a name that no foreign name server can give: a page whose
-/// name was rebound to 127.0.0.1 could otherwise read and change everything.
+/// Checks, on loopback, that the requested host is this machine under a name that no foreign name server can give: a
+/// page whose name was rebound to 127.0.0.1 could otherwise read and change everything.
 pub(super) async fn check_host(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     let asked = request.uri().authority().map(|authority| authority.as_str().to_owned());
     let asked = asked.or_else(|| {
         let host = request.headers().get(header::HOST)?;
-        // What is no text is no host of ours.
+        // A host that is not text is not ours.
         Some(host.to_str().unwrap_or("?").to_owned())
     });
     match asked {
@@ -55,7 +56,7 @@ pub(super) async fn check_host(State(state): State<ApiState>, request: Request, 
     }
 }
 
-/// Whether `host` (with or without a port) is an address, or `localhost`.
+/// Returns whether `host` (with or without a port) is an address, or `localhost`.
 fn is_local(host: &str) -> bool {
     let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,
@@ -65,7 +66,7 @@ fn is_local(host: &str) -> bool {
     name == "localhost" || name.ends_with(".localhost") || name.parse::<std::net::IpAddr>().is_ok()
 }
 
-/// Requests that change something need the token where one is configured, and may not come from another site's page.
+/// Requests that change something need the token if one is configured, and must not come from another site's page.
 pub(super) async fn authorize(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     if request.method().is_safe() || request.method() == Method::OPTIONS {
         return next.run(request).await;
@@ -84,8 +85,9 @@ pub(super) async fn authorize(State(state): State<ApiState>, request: Request, n
     }
 }
 
-/// A browser names the page's origin in requests that change something; ours has the host that is asked. Where it leaves
-/// the origin out it still tells whether the page is ours (`same-origin`) or there is none (`none`).
+/// Returns whether a request comes from another site. A browser sends the page's origin with requests that change
+/// something; our page has the requested host. If the origin is absent, the browser still states whether the page is
+/// ours (`same-origin`) or there is none (`none`).
 fn from_foreign_site(headers: &HeaderMap) -> bool {
     let site = headers.get("sec-fetch-site").map(HeaderValue::as_bytes);
     if site.is_some_and(|site| site != b"same-origin" && site != b"none") {
@@ -103,18 +105,18 @@ fn bears(headers: &HeaderMap, token: &str) -> bool {
     scheme.eq_ignore_ascii_case(b"bearer ") && same(given, token.as_bytes())
 }
 
-/// Compares without telling by its duration where the first difference is.
+/// Compares in a time that does not depend on the position of the first difference.
 fn same(given: &[u8], expected: &[u8]) -> bool {
     let differences = given.iter().zip(expected).fold(0, |seen, (a, b)| seen | (a ^ b));
     given.len() == expected.len() && differences == 0
 }
 
-/// How often it is logged that bodies do not come.
+/// Minimum interval between logs of bodies that do not arrive.
 const WARN_EVERY: Duration = Duration::from_secs(60);
-/// When that was logged last, and how many did not come since.
+/// The time of the last such log, and the number of bodies since.
 static STALLED: Mutex<(Option<Instant>, u64)> = Mutex::new((None, 0));
 
-/// A body, and whether somebody waits for more of it.
+/// A body, and whether more of it is awaited.
 struct Awaited {
     body: Body,
     waits: Arc<AtomicBool>,
@@ -139,7 +141,7 @@ impl HttpBody for Awaited {
     }
 }
 
-/// Logs that a body did not come, now and then: a stranger must not fill the log.
+/// Logs from time to time that a body did not arrive: a stranger must not fill the log.
 fn warn_of_stalled() {
     let mut stalled = STALLED.lock().unwrap_or_else(PoisonError::into_inner);
     stalled.1 += 1;
@@ -149,8 +151,8 @@ fn warn_of_stalled() {
     }
 }
 
-/// An answer's head must be sent within the time; a stream goes on as long as it is read.
-/// What is put aside as it comes has limits of its own.
+/// Limits the time until an answer's head is sent; a stream continues as long as it is read. Bodies that are stored as
+/// they arrive have their own limits.
 pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     if request.uri().path() == super::imports::PATH || super::diagnoses::is_put_aside(&request) {
         return next.run(request).await;
@@ -174,7 +176,8 @@ pub(super) async fn limit_time(State(state): State<ApiState>, request: Request, 
     })
 }
 
-/// The delay of a refusal. A client that repeats a refused request at once would otherwise cost as much as one that is served.
+/// The delay of a refusal. A client that repeats a refused request at once would otherwise cost as much as an answered
+/// one.
 const REFUSAL_PAUSE: Duration = Duration::from_secs(1);
 
 /// Delays each 429 by [`REFUSAL_PAUSE`].
@@ -240,7 +243,7 @@ mod tests {
         for other in ["http://evil.example", "null", "http://127.0.0.1:81"] {
             assert!(foreign(Some(other)), "{other}");
         }
-        // Without an origin; `same-site` is another port of this machine, which may be another user's.
+        // Without an origin; `same-site` is another port of this machine, possibly another user's.
         let site = HeaderName::from_static("sec-fetch-site");
         for (from, is_foreign) in [("same-origin", false), ("none", false), ("same-site", true), ("cross-site", true)] {
             assert_eq!(from_foreign_site(&headers(&[(site.clone(), from)])), is_foreign, "{from}");

@@ -1,13 +1,13 @@
-//! HTTP: what the daemon answers to `curl`.
+//! HTTP: the daemon's interface.
 //!
-//! Enters: requests. Leaves: JSON, text, streams of samples, problem documents. What is known from memory (status,
-//! health, metrics) is answered from memory, also while the disk hangs; what lies in the database is read on threads for
-//! blocking work, a bounded number at a time. Promises: every error is a problem document (RFC 9457), no number is NaN,
-//! no request makes the capture wait. Refuses: heads that take longer than 5 s, bodies above 64 KiB, more than 1024
-//! connections, more large queries, bodies and imports than `docs/api.md` lists, readers that stop reading for 30 s, changes without the token beyond
-//! loopback, on loopback any other host's name. A panic ends the process on purpose: what is
-//! committed is safe, and a new start is better than half a program. Knows neither the serial port nor SQL. `docs/api.md` describes each route, `docs/openapi.json` is the
-//! machine's description.
+//! In: requests. Out: JSON, text, streams of samples, problem documents. Status, health and metrics are answered from
+//! memory, also while the disk hangs; the database is read on threads for blocking work, a bounded number at a time.
+//! Guarantees: every error is a problem document (RFC 9457), no number is NaN, no request makes the capture wait.
+//! Refuses: heads that take longer than 5 s, bodies above 64 KiB, more than 1024 connections, more large queries,
+//! bodies and imports than `docs/api.md` lists, readers that stop reading for 30 s, changes without the token beyond
+//! loopback, on loopback any other host's name. A panic ends the process on purpose: committed data is safe, and a
+//! restart is better than half a program. This module uses neither the serial port nor SQL. `docs/api.md` describes
+//! each route, `docs/openapi.json` is the machine's description.
 
 mod analysis;
 mod aside;

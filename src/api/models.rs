@@ -1,4 +1,4 @@
-//! Sensor models that are left here, to be named by their id.
+//! Stored sensor models, which requests name by their id.
 
 use super::extract::{J, P, Q};
 use super::page::{self, PageQuery};
@@ -14,16 +14,16 @@ use imu_model::simulator::SensorModel;
 use serde::Serialize;
 use serde_json::Value;
 
-/// What is known of a sensor model.
+/// The properties of a sensor model.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct ModelEntry {
-    /// Its id: `model-1`, `model-2`…
+    /// The id: `model-1`, `model-2`…
     id: String,
-    /// Its name.
+    /// The name.
     name: String,
-    /// Its output rate in Hz.
+    /// The output rate in Hz.
     rate_hz: f64,
-    /// When it was left here.
+    /// When it was stored.
     created_at: UtcNs,
 }
 
@@ -34,7 +34,7 @@ impl From<ModelHead> for ModelEntry {
     }
 }
 
-/// A sensor model and what is known of it.
+/// A sensor model with its properties.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Model {
     #[serde(flatten)]
@@ -55,7 +55,7 @@ impl TryFrom<ModelRow> for Model {
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct Models {
     models: Vec<ModelEntry>,
-    /// Cursor of the next page; null on the last.
+    /// Cursor of the next page; null on the last page.
     next: Option<String>,
 }
 
@@ -75,7 +75,7 @@ pub(super) async fn list(
     Ok(page::answer(&uri, found, entries))
 }
 
-/// Keeps a sensor model. The same again is the same model.
+/// Stores a sensor model. The same model again returns the same entry.
 #[utoipa::path(post, path = "/v1/models", tag = "diagnoses", request_body = Object, responses(
     (status = 201, body = Model, headers(("Location" = String, description = "The model"))),
     (status = 200, body = Model, description = "It was here before"),
@@ -106,7 +106,7 @@ pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Json
     Ok(Json(Model::try_from(row)?))
 }
 
-/// Deletes a sensor model; diagnoses that were asked for with it stay.
+/// Deletes a sensor model; diagnoses that were requested with it stay.
 #[utoipa::path(delete, path = "/v1/models/{id}", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, as `model-1`")), responses(
     (status = 204, description = "It is gone"),

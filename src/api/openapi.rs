@@ -1,4 +1,5 @@
-//! The interface's own description: OpenAPI 3.1, made of the handlers and types, served and kept in docs/openapi.json.
+//! The interface's own description: OpenAPI 3.1, made from the handlers and types, served and kept in
+//! docs/openapi.json.
 
 use super::router::documented;
 use super::state::ApiState;
@@ -32,7 +33,7 @@ pub(super) fn head() -> Document {
     Head::openapi()
 }
 
-/// The whole document as text, as docs/openapi.json holds it.
+/// Returns the whole document as text, as in docs/openapi.json.
 pub fn document() -> String {
     text(&documented().into_openapi())
 }
@@ -50,7 +51,7 @@ fn text(document: &Document) -> String {
     text
 }
 
-/// What every operation may answer besides what is its own.
+/// Returns the answer that every operation may give besides its own.
 fn any_error() -> utoipa::openapi::Response {
     let schema = utoipa::openapi::Ref::from_schema_name("Problem");
     utoipa::openapi::ResponseBuilder::new()
@@ -59,7 +60,7 @@ fn any_error() -> utoipa::openapi::Response {
         .build()
 }
 
-/// `GET /openapi.json`.
+/// Returns the route `GET /openapi.json`.
 pub(super) fn route(document: &Document) -> Router<ApiState> {
     let text = text(document);
     Router::new().route(

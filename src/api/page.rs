@@ -7,15 +7,15 @@ use axum::http::{HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
-/// The most rows of a page.
+/// Maximum number of rows on a page.
 const LIMIT_MAX: u32 = 1000;
 
-/// Which part of a list is wanted.
+/// The wanted part of a list.
 #[derive(Debug, Clone, Default, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// How many rows at most.
+    /// Maximum number of rows.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u32>,
     /// `next` of the page before.
@@ -28,7 +28,7 @@ impl PageQuery {
     }
 }
 
-/// The page that `limit` and `cursor` ask for.
+/// Returns the page that `limit` and `cursor` request.
 pub(super) fn request(limit: Option<u32>, cursor: Option<String>) -> Result<PageRequest, ApiError> {
     match limit {
         Some(limit) if !(1..=LIMIT_MAX).contains(&limit) => {
@@ -38,7 +38,7 @@ pub(super) fn request(limit: Option<u32>, cursor: Option<String>) -> Result<Page
     }
 }
 
-/// A list's answer. `build` puts the rows and `next` under their names.
+/// Returns a list's answer. `build` puts the rows and `next` under their names.
 pub(super) fn answer<T, B: Serialize>(
     uri: &Uri,
     page: Page<T>,

@@ -1,4 +1,4 @@
-//! Pages for people: the first page, a capture, a channel over time; and the script that makes them move.
+//! Pages for people: the first page, a capture, a channel over time; and the script that updates them.
 
 use super::analysis::{self, Drawn};
 use super::conditional;
@@ -17,19 +17,19 @@ use axum::response::{Html, IntoResponse, Response};
 use imu_core::units::format_duration;
 use serde::Deserialize;
 
-/// Nothing from elsewhere, and no script but the daemon's own file.
+/// Nothing from other hosts, and no script but the daemon's own file.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; \
                       img-src 'self' data:; form-action 'none'; base-uri 'none'; frame-ancestors 'none'";
 
-/// Which part of the first page is wanted.
+/// The wanted part of the first page.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct DashboardQuery {
-    /// `live`: only what changes.
+    /// `live`: only the changing part.
     part: Option<String>,
 }
 
-/// Which part of a channel is wanted.
+/// The wanted part of a channel.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SeriesQuery {
@@ -37,19 +37,19 @@ pub(super) struct SeriesQuery {
     to: Option<String>,
 }
 
-/// A page's answer.
+/// Returns a page's answer.
 pub(super) fn html(page: String) -> Response {
     let headers = [(header::CONTENT_SECURITY_POLICY, POLICY), (header::CACHE_CONTROL, "no-store")];
     (headers, Html(page)).into_response()
 }
 
-/// The script of all pages.
+/// Returns the script of all pages.
 pub(super) async fn script(headers: HeaderMap) -> Response {
     let media = [(header::CONTENT_TYPE, HeaderValue::from_static("text/javascript; charset=utf-8"))];
     conditional::answer(&headers, &format!("\"{}\"", conditional::plain(SOFTWARE)), (media, page::SCRIPT))
 }
 
-/// The first page, or the part of it that changes.
+/// Returns the first page, or the part of it that changes.
 pub(super) async fn dashboard(
     State(state): State<ApiState>,
     Q(query): Q<DashboardQuery>,
@@ -74,7 +74,7 @@ pub(super) async fn dashboard(
     Ok(html(page))
 }
 
-/// A capture: what it got, the numbers, the pictures.
+/// Returns a capture's page: its data, the numbers, the pictures.
 pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result<Response, ApiError> {
     let (facts, diagnoses, jobs) = state
         .read(move |reader| {
@@ -99,7 +99,8 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
             Err(error) if error.kind() == ProblemType::AnalysisFailed => {
                 remarks.push(format!("There is no {}: {error}.", kind.gives()));
             }
-            // Too much is asked at once, or the disk is slow: it is asked again. A result that cannot be read stays so.
+            // Too many requests at once, or a slow disk: the page asks again. A result that cannot be read stays
+            // unreadable.
             Err(error) => {
                 waits |= error.kind() != ProblemType::Internal;
                 remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
@@ -126,7 +127,7 @@ fn linked(id: &str, picture: Picture) -> Figure {
     Figure::Linked { told: picture.told(), address, height: picture.height() }
 }
 
-/// How far a job is.
+/// Returns the progress of a job.
 fn under_way(kind: JobKind, jobs: &[JobRow]) -> String {
     let running = jobs.iter().find(|job| job.kind == kind && job.state == JobState::Running);
     match running {
@@ -135,7 +136,7 @@ fn under_way(kind: JobKind, jobs: &[JobRow]) -> String {
     }
 }
 
-/// A channel over time.
+/// Returns a channel's page over time.
 pub(super) async fn series(
     State(state): State<ApiState>,
     P2(name, channel): P2,
@@ -149,7 +150,7 @@ pub(super) async fn series(
             let [_, length_s] = whole.ends_s(reader)?;
             let mut part = SampleRange::read(reader, &name, from, to)?;
             let [from_s, to_s] = part.ends_s(reader)?;
-            // `to` is the first instant that is not wanted: a period after the last sample.
+            // `to` is the first excluded instant: a period after the last sample.
             let period_s = whole.capture.rate_hz.filter(|rate_hz| *rate_hz > 0.0).map_or(0.0, f64::recip);
             let there = part.samples() > 0;
             Ok((whole.capture, there, (length_s + period_s, [from_s, to_s + period_s])))

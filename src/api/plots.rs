@@ -14,19 +14,19 @@ use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 
-/// Which part is wanted.
+/// The wanted part.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PlotQuery {
-    /// Of a time series: from this time on, RFC 3339 or seconds since the first sample.
+    /// For a time series: from this time on, RFC 3339 or seconds since the first sample.
     from: Option<String>,
-    /// Of a time series: before this time.
+    /// For a time series: before this time.
     to: Option<String>,
 }
 
 /// A picture: `timeseries-<channel>`, `histogram-<channel>`, `allan-<triad>`, `allan-<channel>`, `hourly-<channel>`,
-/// `psd-<triad>`, `gaps`; `.svg`, or `.png` for slides. Of a capture that runs it is of what there is so far.
+/// `psd-<triad>`, `gaps`; `.svg`, or `.png` for slides. For a running capture it shows the samples so far.
 #[utoipa::path(get, path = "/v1/captures/{id}/plots/{name}", tag = "analysis",
     params(("id" = String, Path, description = "Id, name, or `latest`"),
            ("name" = String, Path, description = "Such as `allan-gyro.svg`", example = "allan-gyro.svg"), PlotQuery), responses(
@@ -75,16 +75,16 @@ pub(super) async fn plot(
                 results.push(result);
             }
             Ok(Drawn::Later(answer)) => return Ok(answer),
-            // Lines that there will never be are left out; those that there may be in a moment are not.
+            // Lines that can never exist are left out; lines that may exist in a moment are not.
             Err(error) if *kind == JobKind::Noise && error.kind() == ProblemType::AnalysisFailed => results.push(None),
             Err(error) => return Err(error),
         }
     }
-    // An analysis may be done again: what is drawn of it is another picture then.
+    // An analysis may be repeated; its picture is then a different one.
     let tag = format!(
         "\"{id}-{}-{}-{}-{}\"",
         conditional::plain(&file),
-        // Another database has captures of the same ids and as many samples.
+        // Another database may have captures with the same ids and as many samples.
         conditional::plain(&format!("{} {}", row.started_at.map_or(0, |at| at.0), row.samples)),
         conditional::plain(&format!("{:?} {results:?}", (window.from, window.to))),
         conditional::plain(SOFTWARE)

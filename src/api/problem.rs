@@ -1,8 +1,8 @@
-//! Errors as RFC 9457 problem documents: the only place that says which error has which status code.
+//! Errors as RFC 9457 problem documents: the only place that assigns status codes to errors.
 //!
-//! A handler returns an [`ApiError`]. Its response carries a [`Problem`] as an extension and no body; [`finish`], which
-//! sees every answer last, writes the body with the request's id, and does so too for whatever else ended with an error
-//! status (an unknown path, a method that is not allowed), so that no error leaves in another form.
+//! A handler returns an [`ApiError`]. Its response carries a [`Problem`] as an extension and no body. [`finish`], which
+//! handles every answer last, writes the body with the request's id. It also does so for all other answers with an
+//! error status (an unknown path, a method that is not allowed), so that every error has this form.
 
 use crate::control::{ControlError, ImportError};
 use crate::jobs::JobError;
@@ -12,10 +12,10 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-/// Media type of every error's body.
+/// Media type of the body of every error.
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
-/// What can be wrong; few, so that a program can treat each.
+/// The types of problems; few, so that a program can handle each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[expect(missing_docs, reason = "title() says it")]
 pub enum ProblemType {
@@ -36,7 +36,7 @@ pub enum ProblemType {
 }
 
 impl ProblemType {
-    /// All of them.
+    /// All types.
     pub const ALL: [Self; 14] = [
         Self::BadRequest,
         Self::NotAuthorized,
@@ -54,7 +54,7 @@ impl ProblemType {
         Self::BodyTimeout,
     ];
 
-    /// The member `type` (docs/api.md lists them).
+    /// Returns the member `type` (docs/api.md lists them).
     pub fn uri(self) -> &'static str {
         match self {
             Self::BadRequest => "urn:vn100d:problem:bad-request",
@@ -74,7 +74,7 @@ impl ProblemType {
         }
     }
 
-    /// The member `title`: the same for every problem of this type.
+    /// Returns the member `title`: the same for every problem of this type.
     pub fn title(self) -> &'static str {
         match self {
             Self::BadRequest => "The request cannot be understood",
@@ -94,7 +94,7 @@ impl ProblemType {
         }
     }
 
-    /// The status code that goes with it.
+    /// Returns the status code of the type.
     pub fn status(self) -> StatusCode {
         match self {
             Self::BadRequest => StatusCode::BAD_REQUEST,
@@ -113,7 +113,7 @@ impl ProblemType {
         }
     }
 
-    /// The type for a status code that something else than a handler chose.
+    /// Returns the type for a status code that was not chosen by a handler.
     fn of(status: StatusCode) -> Self {
         match status {
             StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Self::NotAuthorized,
@@ -135,21 +135,21 @@ impl ProblemType {
 /// A problem document.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Problem {
-    /// `urn:vn100d:problem:…`
+    /// The type: `urn:vn100d:problem:…`.
     #[serde(rename = "type")]
     pub kind: &'static str,
-    /// The same for every problem of this type.
+    /// The title, the same for every problem of this type.
     pub title: &'static str,
     /// The status code.
     pub status: u16,
-    /// What is wrong with this request and what to do.
+    /// The problem of this request, and what to do.
     pub detail: String,
-    /// `/requests/<id>`: the log names the same id.
+    /// `/requests/<id>`: the log has the same id.
     pub instance: String,
-    /// Several reasons, where there are any.
+    /// The reasons, if there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub reasons: Vec<String>,
-    /// When to ask again, s.
+    /// When to try again, s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub retry_after_s: Option<u32>,
 }
@@ -163,17 +163,17 @@ pub struct ApiError {
     detail: String,
     reasons: Vec<String>,
     retry_after_s: Option<u32>,
-    /// For the log alone.
+    /// The cause, for the log only.
     cause: Option<String>,
 }
 
 impl ApiError {
-    /// Of which type it is.
+    /// Returns the type of the error.
     pub fn kind(&self) -> ProblemType {
         self.kind
     }
 
-    /// An error of this type. `detail` is for whoever asked.
+    /// Creates an error of this type. `detail` is for the client.
     pub fn new(kind: ProblemType, detail: impl Into<String>) -> Self {
         Self {
             kind,
@@ -184,11 +184,11 @@ impl ApiError {
             cause: None,
         }
     }
-    /// The request cannot be understood.
+    /// Creates the error of a request that cannot be understood.
     pub fn bad_request(detail: impl Into<String>) -> Self {
         Self::new(ProblemType::BadRequest, detail)
     }
-    /// The request comes from another site's page in a browser.
+    /// Creates the error of a request from another site's page in a browser.
     pub fn foreign_site() -> Self {
         let error = Self::new(
             ProblemType::NotAuthorized,
@@ -196,7 +196,7 @@ impl ApiError {
         );
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
-    /// On loopback the request names a host that is not this machine.
+    /// Creates the error of a request that on loopback names a host that is not this machine.
     pub fn foreign_host(host: &str) -> Self {
         let host: String = host.chars().take(100).collect();
         let error = Self::new(
@@ -208,30 +208,30 @@ impl ApiError {
         );
         Self { status: StatusCode::FORBIDDEN, ..error }
     }
-    /// This cannot be answered now.
+    /// Creates the error of a request that cannot be answered now.
     pub fn unavailable(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Unavailable, detail) }
     }
-    /// The body does not come.
+    /// Creates the error of a body that does not arrive.
     pub fn body_timeout(detail: impl Into<String>) -> Self {
         Self::new(ProblemType::BodyTimeout, detail)
     }
-    /// As many as may ask for this at once do so already.
+    /// Creates the error of a request while the maximum number of such requests is under way.
     pub fn busy(detail: impl Into<String>, retry_after_s: u32) -> Self {
         Self { retry_after_s: Some(retry_after_s), ..Self::new(ProblemType::Busy, detail) }
     }
-    /// The daemon is not ready, for these reasons.
+    /// Creates the error of a daemon that is not ready, for these reasons.
     pub fn not_ready(reasons: Vec<String>) -> Self {
         Self { reasons, ..Self::unavailable("the daemon is not ready", 5) }
     }
-    /// A fault of this program; `cause` goes to the log.
+    /// Creates the error of a fault of this program; `cause` goes to the log.
     pub fn internal(cause: impl Into<String>) -> Self {
         Self {
             cause: Some(cause.into()),
             ..Self::new(ProblemType::Internal, "this is a fault of the program: the log has more under this instance")
         }
     }
-    /// The status code.
+    /// Returns the status code.
     pub fn status(&self) -> StatusCode {
         self.status
     }
@@ -247,7 +247,7 @@ impl From<StoreError> for ApiError {
             StoreErrorKind::NotFound => Self::new(ProblemType::NotFound, detail),
             StoreErrorKind::Conflict => Self::new(ProblemType::Conflict, detail),
             StoreErrorKind::Invalid => Self::bad_request(detail),
-            // A lock, a full disk, a failing one: the state of the machine, not of this program.
+            // A lock, a full disk, a failing disk: the state of the machine, not of this program.
             StoreErrorKind::Unavailable | StoreErrorKind::CannotCreate | StoreErrorKind::Io => {
                 let cause = Some(detail.clone());
                 Self { cause, ..Self::unavailable(format!("the database cannot be read now: {detail}"), 5) }
@@ -281,7 +281,7 @@ impl From<ImportError> for ApiError {
             ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
             ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
             ImportError::NameRefused { .. } => Self::bad_request(detail),
-            // Nothing is wrong with the disk: whoever imports tries again.
+            // The disk is fine: the client should try again.
             ImportError::Stopping => Self { status: StatusCode::SERVICE_UNAVAILABLE, ..Self::busy(detail, 5) },
             ImportError::Store { .. } => Self::unavailable(detail, 5),
         }
@@ -317,7 +317,7 @@ impl IntoResponse for ApiError {
     }
 }
 
-/// Gives an error answer its body; others pass.
+/// Gives an error answer its body; other answers pass unchanged.
 pub(super) fn finish(mut response: Response, request_id: &str, path: &str) -> Response {
     let status = response.status();
     if !(status.is_client_error() || status.is_server_error()) {

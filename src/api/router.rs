@@ -1,4 +1,4 @@
-//! The routes, one line each, and the layers around them.
+//! The routes, one per line, and the layers around them.
 
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
@@ -11,12 +11,12 @@ use tower_http::compression::predicate::{Predicate, SizeAbove};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// Bytes of a request's body at most.
+/// Maximum size of a request's body in bytes.
 const BODY_BYTES: usize = 64 * 1024;
 /// Answers smaller than this are not worth compressing.
 const COMPRESS_BYTES: u64 = 1024;
 
-/// All documented routes.
+/// Returns all documented routes.
 pub(super) fn documented() -> OpenApiRouter<ApiState> {
     OpenApiRouter::with_openapi(openapi::head())
         .routes(routes!(health::healthz))
@@ -47,7 +47,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(diagnoses::model))
 }
 
-/// The whole interface as a service.
+/// Returns the whole interface as a service.
 pub fn router(parts: ApiParts) -> Router {
     let state = ApiState::new(parts);
     let (routes, document) = documented().split_for_parts();

@@ -1,5 +1,5 @@
 //! Samples of a capture, streamed as they are read: never more than two pieces in memory, no read transaction longer
-//! than one piece, and nothing is read any more once nobody listens.
+//! than one piece, and reading ends when the client has gone.
 
 use super::extract::{P, Q};
 use super::layers::Streamed;
@@ -16,21 +16,22 @@ use imu_files::export::samples::{Bucket, TextFormat, TextHead, TextWriter};
 use serde::Deserialize;
 use std::io;
 
-/// Samples in one answer at most, where they are not decimated: 7 hours at 40 Hz, 21 minutes at 800 Hz.
+/// Maximum number of samples in one answer without decimation: 7 hours at 40 Hz, 21 minutes at 800 Hz.
 const SAMPLES_MAX: u64 = 1_000_000;
-/// Samples that one answer may decimate: 25 days at 40 Hz.
+/// Maximum number of samples that one answer decimates: 25 days at 40 Hz.
 const DECIMATED_MAX: u64 = 86_400_000;
-/// Rows of a decimated answer at most.
+/// Maximum number of rows in a decimated answer.
 const POINTS_MAX: u32 = 100_000;
-/// Samples read at once: a piece is then some 300 KiB, of which four are on their way to a reader that has stopped.
+/// Number of samples read at once: a piece is then some 300 KiB, of which four are on their way to a reader that has
+/// stopped.
 const CHUNK: usize = 2048;
 
-/// Which samples are wanted and how.
+/// The wanted samples and their form.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct SamplesQuery {
-    /// Channels by name, separated by commas; all of the capture's where absent.
+    /// Channels by name, separated by commas; all of the capture's if absent.
     #[param(example = "gyro_x,gyro_y,gyro_z")]
     channels: Option<String>,
     /// From this time on: RFC 3339, or seconds since the capture's first sample.
@@ -39,33 +40,33 @@ pub(super) struct SamplesQuery {
     /// Before this time: RFC 3339, or seconds since the capture's first sample.
     #[param(example = "60")]
     to: Option<String>,
-    /// Where there are more samples, minimum and maximum of so many stretches instead.
+    /// If there are more samples, minimum and maximum of this many stretches instead.
     #[param(minimum = 1, maximum = 100000)]
     max_points: Option<u32>,
-    /// `json`, `csv` or `ndjson`; the header `Accept` decides where absent.
+    /// `json`, `csv` or `ndjson`; if absent, the header `Accept` decides.
     format: Option<String>,
 }
 
-/// A range of samples. `time_s` counts from the capture's first sample, by the sensor's clock where it sends one.
+/// A range of samples. `time_s` counts from the capture's first sample, by the sensor's clock if it sends one.
 #[derive(Debug, serde::Serialize, utoipa::ToSchema)]
 pub(super) struct Samples {
     /// Id of the capture.
     capture: i64,
-    /// What `time_s` counts from.
+    /// The origin of `time_s`.
     origin: String,
     /// Output rate in Hz.
     rate_hz: Option<f64>,
-    /// How many samples the range has.
+    /// Number of samples in the range.
     range_samples: u64,
-    /// 1, or how many samples a row of minima and maxima stands for.
+    /// 1, or the number of samples per row of minima and maxima.
     samples_per_row: u64,
     /// Names of the columns: `time_s`, then channels (`gyro_x`, or `gyro_x_min` and `gyro_x_max`).
     columns: Vec<String>,
-    /// Their units.
+    /// Units of the columns.
     units: Vec<String>,
-    /// The rows; null where a sample has no value.
+    /// The rows; null if a sample has no value.
     samples: Vec<Vec<Option<f64>>>,
-    /// Always null: a range is answered whole.
+    /// Always null: a range is answered completely.
     next: Option<String>,
 }
 
@@ -100,7 +101,7 @@ pub(super) async fn samples(
         let outcome = reader_state.reader().and_then(|reader| selection.send(&reader, &pieces));
         if let Err(error) = outcome {
             tracing::warn!(%error, "Samples could not be sent to their end.");
-            // The other side may be gone too.
+            // The client may have gone too.
             let _ = pieces.blocking_send(Err(io::Error::other(error)));
         }
     });
@@ -126,7 +127,7 @@ fn channels(names: &str) -> Result<Vec<Channel>, ApiError> {
     Channel::list(names).map_err(|error| ApiError::bad_request(format!("`channels`: {error}")))
 }
 
-/// A time as a query gives it.
+/// Parses a time of a query.
 pub(super) fn time(text: &str) -> Result<Moment, ApiError> {
     Moment::parse(text).ok_or_else(|| {
         let found: String = text.chars().take(40).collect();
@@ -137,7 +138,7 @@ pub(super) fn time(text: &str) -> Result<Moment, ApiError> {
     })
 }
 
-/// The form that an `Accept` header likes best; JSON where it says nothing. `None` where it takes none of them.
+/// Returns the form preferred by an `Accept` header; JSON if it states none. `None` if it accepts none of the forms.
 fn accepted(accept: Option<&str>) -> Option<TextFormat> {
     let Some(accept) = accept else { return Some(TextFormat::Json) };
     let mut best: Option<(TextFormat, f64)> = None;
@@ -158,7 +159,7 @@ fn accepted(accept: Option<&str>) -> Option<TextFormat> {
     best.map(|(format, _)| format)
 }
 
-/// What is sent.
+/// The selected samples.
 #[derive(Debug)]
 struct Selection {
     range: SampleRange,
@@ -188,7 +189,7 @@ impl Selection {
         Ok(Self { range, channels, format, bucket })
     }
 
-    /// Reads and sends to the end, or until nobody listens.
+    /// Reads and sends to the end, or until the client has gone.
     fn send(mut self, reader: &PooledReader, pieces: &Pieces) -> Result<(), StoreError> {
         let SampleRange { capture, axis, from_seq, to_seq } = &mut self.range;
         let (from_seq, to_seq) = (*from_seq, *to_seq);
@@ -210,7 +211,7 @@ impl Selection {
             let limit = CHUNK.min(usize::try_from(to_seq - next_seq).unwrap_or(CHUNK));
             let chunk = reader.read_samples(capture.id, next_seq, limit, &self.channels)?;
             if chunk.is_empty() {
-                // The capture was deleted meanwhile: what was announced cannot be kept.
+                // The capture was deleted meanwhile: the announced samples cannot be sent.
                 return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() });
             }
             let decimated = self.bucket.is_some();
@@ -224,13 +225,13 @@ impl Selection {
             writer.row(&mut out, time_ns, values);
         }
         writer.tail(&mut out);
-        // Whoever listened may be gone.
+        // The client may have gone.
         let _ = pieces.blocking_send(Ok(out.into()));
         Ok(())
     }
 }
 
-/// Writes a chunk's rows, or takes them into the bucket and writes those that are full.
+/// Writes a chunk's rows, or adds them to the bucket and writes full buckets.
 fn write(
     reader: &Reader,
     axis: &mut TimeAxis,

@@ -1,5 +1,5 @@
-//! The accept loop: hyper's HTTP/1 under limits that `axum::serve` has not (a header's time, the number of connections,
-//! a reader that stops reading), and an orderly end.
+//! The accept loop: hyper's HTTP/1 with limits that `axum::serve` lacks (time of a header, number of connections,
+//! readers that stop reading), and an orderly end.
 
 use super::connection::Guarded;
 use crate::observe::Metrics;
@@ -14,27 +14,27 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-/// What the server lets others do to it.
+/// The limits for clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Connections at once; one more is answered 503 and closed.
+    /// Maximum number of connections; one more is answered 503 and closed.
     pub connections: usize,
-    /// How long a request's head may take, and how long a connection may stay idle between requests.
+    /// Maximum time for a request's head, and for an idle connection between requests.
     pub header: Duration,
-    /// How long a write may stand still because the other side does not read.
+    /// Maximum time for which a write may stand still because the other side does not read.
     pub write_stall: Duration,
-    /// How long an answer may take until its head is sent.
+    /// Maximum time until an answer's head is sent.
     pub answer: Duration,
-    /// Streams of samples at once, each some MiB; one more is answered 429 without waiting for a turn.
+    /// Maximum number of streams of samples, each some MiB; one more is answered 429 at once.
     pub streams: usize,
-    /// Computations at once: analyses of a running capture, pictures, pages; one more waits up to [`Self::turn`], and is then
-    /// answered 429.
+    /// Maximum number of computations: analyses of a running capture, pictures, pages; one more waits up to
+    /// [`Self::turn`], and is then answered 429.
     pub computations: usize,
-    /// How long a computation waits for its turn.
+    /// Maximum time for which a computation waits for its turn.
     pub turn: Duration,
-    /// Other queries at once; one more waits for its turn.
+    /// Maximum number of other queries; one more waits for its turn.
     pub light_queries: usize,
-    /// How long requests under way may take at the end.
+    /// Time for running requests at the end.
     pub farewell: Duration,
 }
 
@@ -54,19 +54,19 @@ impl Default for Limits {
     }
 }
 
-/// Files that capture, store and jobs may have open at once; what they need is never left to connections.
+/// Number of files reserved for capture, store and jobs; connections never use them.
 const OWN_FILES: u64 = 40;
-/// Files that a reader of the database has open: file, log, shared memory.
+/// Number of files that a reader of the database has open: file, log, shared memory.
 const READER_FILES: u64 = 3;
 
 impl Limits {
-    /// The usual limits, or smaller ones where the process may have few files open: a connection too many is refused
-    /// before the sensor's port or the database could not be opened again.
+    /// Returns the usual limits, or smaller ones if the process may have few files open: a surplus connection must be
+    /// refused before the sensor's port or the database could not be opened again.
     pub fn fitting(open_files: u64) -> Self {
         let usual = Self::default();
         let left = open_files.saturating_sub(OWN_FILES);
         let queries = (left / (4 * READER_FILES)).clamp(1, usual.light_queries as u64);
-        // A refused connection has a file too, for as long as it takes to say so.
+        // A refused connection has a file too, until the refusal is sent.
         let connections = left.saturating_sub(2 * queries * READER_FILES + 4).clamp(4, usual.connections as u64);
         Self {
             connections: connections as usize,
@@ -78,18 +78,18 @@ impl Limits {
     }
 }
 
-/// Bytes of a request's head at most.
+/// Maximum size of a request's head in bytes.
 const HEAD_BYTES: usize = 16 * 1024;
-/// Pause after an accept that failed for want of file descriptors: closing connections make room.
+/// Pause after an accept that failed for lack of file descriptors: closing connections make room.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
-/// How long a refusal may take.
+/// Maximum time for a refusal.
 const REFUSAL: Duration = Duration::from_secs(1);
-/// The answer to a connection too many.
+/// The answer to a surplus connection.
 const FULL: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
 
-/// Serves `router` on `listener` until `stop` is cancelled, then ends: no new connections, requests under way have
-/// [`Limits::farewell`].
+/// Serves `router` on `listener` until `stop` is cancelled, then ends: no new connections are accepted, and running
+/// requests have [`Limits::farewell`].
 pub async fn serve(
     listener: TcpListener,
     router: Router,
@@ -143,7 +143,7 @@ pub async fn serve(
     }
 }
 
-/// Answers with a few bytes, for which no buffer is full, and closes.
+/// Answers with a few bytes, which always fit a buffer, and closes.
 async fn refuse(mut stream: TcpStream) {
     if !matches!(tokio::time::timeout(REFUSAL, stream.write_all(FULL)).await, Ok(Ok(()))) {
         tracing::debug!("A refused connection was closed without an answer.");

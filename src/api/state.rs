@@ -1,5 +1,5 @@
-//! What handlers share, and how they read the database: on threads for blocking work, a bounded number at a time, and
-//! ended when nobody waits for the answer any more.
+//! The state that handlers share, and their access to the database: on threads for blocking work, a bounded number at a
+//! time, and ended when the client has gone.
 
 use super::latest::Latest;
 use super::problem::ApiError;
@@ -13,41 +13,41 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
-/// Changes at once; the writer takes one after the other anyway.
+/// Maximum number of changes at once; the writer takes one after the other anyway.
 const CHANGES: usize = 4;
 
-/// Diagnoses that are taken in at once, at most one of them with a large body.
+/// Maximum number of diagnoses received at once, at most one of them with a large body.
 const TAKERS: usize = 3;
 
-/// Listeners to events at once: each has a connection.
+/// Maximum number of listeners to events; each has a connection.
 const LISTENERS: usize = 64;
 
-/// What the interface is given; the daemon makes it.
+/// The parts of the interface, made by the daemon.
 #[derive(Debug, Clone)]
 pub struct ApiParts {
     /// The status, from memory.
     pub status: watch::Receiver<Status>,
-    /// Starting and stopping captures.
+    /// Starts and stops captures.
     pub control: CaptureControl,
-    /// The database: pinning and deleting; its path for readers.
+    /// The database: pinning and deleting, and its path for readers.
     pub store: Store,
     /// Background work.
     pub jobs: Jobs,
-    /// The analysis of the capture that runs.
+    /// The analysis of the running capture.
     pub live: Arc<Live>,
-    /// Counters.
+    /// The counters.
     pub metrics: Arc<Metrics>,
-    /// The last minute of what the sensor sends.
+    /// The last minute of the sensor's data.
     pub recent: SharedRecent,
     /// The time.
     pub clock: Arc<dyn Clock>,
-    /// The secret that requests need which change something; `None` where none is configured (loopback alone).
+    /// The secret that changing requests need; `None` if none is configured (loopback only).
     pub token: Option<String>,
-    /// Whether only this machine can ask: the header `Host` must then name it.
+    /// Whether only this machine has access: the header `Host` must then name it.
     pub loopback: bool,
-    /// Makes recordings captures.
+    /// Imports recordings as captures.
     pub importer: Arc<dyn Importer>,
-    /// Sample time of a capture that is asked for without a duration.
+    /// Sample time of a capture that is requested without a duration.
     pub default_duration: Duration,
     /// Free space in bytes below which the daemon is not ready.
     pub reserve_bytes: u64,
@@ -55,7 +55,7 @@ pub struct ApiParts {
     pub limits: Limits,
 }
 
-/// What handlers share; cheap to clone.
+/// The state that handlers share; cheap to clone.
 #[derive(Debug, Clone)]
 pub(super) struct ApiState(Arc<Inner>);
 
@@ -101,12 +101,12 @@ impl ApiState {
         }))
     }
 
-    /// The status of now.
+    /// Returns the present status.
     pub(super) fn status(&self) -> Status {
         self.parts.status.borrow().clone()
     }
 
-    /// A query of a few rows. Waits for its turn, as long as the request may take.
+    /// Runs a query of a few rows. Waits for its turn, as long as the request may take.
     pub(super) async fn read<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Reader) -> Result<T, StoreError> + Send + 'static,
@@ -115,7 +115,7 @@ impl ApiState {
         self.query(permit, work).await
     }
 
-    /// The permit to send samples, or 429 without waiting for a turn.
+    /// Returns the permit to send samples, or 429 at once.
     pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let most = self.parts.limits.streams;
         let busy =
@@ -128,7 +128,7 @@ impl ApiState {
         ApiError::busy(reason, retry_after_s)
     }
 
-    /// The permit to listen to events, or 429 without waiting for a turn.
+    /// Returns the permit to listen to events, or 429 at once.
     pub(super) fn listener_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         Arc::clone(&self.listeners).try_acquire_owned().map_err(|_| {
             let reason = format!("{LISTENERS} listen already, which is all that may: close a page, or ask /v1/status");
@@ -136,21 +136,21 @@ impl ApiState {
         })
     }
 
-    /// The permit to send a large body for a diagnosis, or 429 without waiting for a turn: one at a time.
+    /// Returns the permit to send a large body for a diagnosis, or 429 at once: one at a time.
     pub(super) fn body_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let busy =
             || self.busy("another diagnosis with a reference is being taken in: ask again when it is".to_owned(), 2);
         Arc::clone(&self.bodies).try_acquire_owned().map_err(|_| busy())
     }
 
-    /// The permit to import, or 429 without waiting for a turn: one recording at a time.
+    /// Returns the permit to import, or 429 at once: one recording at a time.
     pub(super) fn import_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
         let busy = || self.busy("another recording is being imported: ask again when it is done".to_owned(), 5);
         Arc::clone(&self.imports).try_acquire_owned().map_err(|_| busy())
     }
 
-    /// A computation over what is stored: an analysis of a running capture, a picture, a page. Waits for its turn, and answers
-    /// 429 if that does not come.
+    /// Runs a computation over stored data: an analysis of a running capture, a picture, a page. Waits for its turn,
+    /// and answers 429 if that does not come.
     pub(super) async fn compute<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Reader, &ApiParts) -> Result<T, JobError> + Send + 'static,
@@ -181,7 +181,7 @@ impl ApiState {
                 return Err(StoreError::Closed.into());
             }
             let outcome = work(&reader);
-            // From here on the reader may be somebody else's: nobody may end its query any more.
+            // From here on another request may use the reader, so that its query must not be ended any more.
             *ending.lock().unwrap_or_else(PoisonError::into_inner) = Ending::Waiting;
             outcome
         })
@@ -190,12 +190,12 @@ impl ApiState {
         finished(outcome)
     }
 
-    /// A reader for a thread of the caller's own.
+    /// Returns a reader for a thread of the caller.
     pub(super) fn reader(&self) -> Result<PooledReader, StoreError> {
         self.readers.get()
     }
 
-    /// A command that changes something; waits for its turn, then for the disk.
+    /// Runs a command that changes something; waits for its turn, then for the disk.
     pub(super) async fn change<T: Send + 'static, E: Into<ApiError> + Send + 'static>(
         &self,
         work: impl FnOnce(&ApiParts) -> Result<T, E> + Send + 'static,
@@ -203,7 +203,7 @@ impl ApiState {
         self.in_turn(&self.changes, work).await
     }
 
-    /// Takes in a diagnosis, which may come with a large body; waits for its turn among [`TAKERS`].
+    /// Receives a diagnosis, possibly with a large body; waits for its turn among [`TAKERS`].
     pub(super) async fn take_in<T: Send + 'static>(
         &self,
         work: impl FnOnce(&ApiParts) -> Result<T, JobError> + Send + 'static,
@@ -226,7 +226,7 @@ impl ApiState {
         finished(outcome)
     }
 
-    /// The id of the capture that the path names: an id, a name, or `latest`.
+    /// Returns the id of the capture that the path names: an id, a name, or `latest`.
     pub(super) async fn resolve(&self, name: String) -> Result<i64, ApiError> {
         self.read(move |reader| reader.resolve(&name)).await
     }
@@ -243,14 +243,14 @@ fn stopping() -> ApiError {
     ApiError::unavailable("the daemon is stopping", 5)
 }
 
-/// How far a query has come, shared by its thread and whoever waits for it.
+/// The progress of a query, shared by its thread and the waiting request.
 enum Ending {
     Waiting,
     Running(Interrupt),
     Abandoned,
 }
 
-/// Whether the query may begin: somebody still waits.
+/// Returns whether the query may begin because the client still waits.
 fn enter(ending: &Mutex<Ending>, reader: &Reader) -> bool {
     let mut ending = ending.lock().unwrap_or_else(PoisonError::into_inner);
     if matches!(*ending, Ending::Abandoned) {

@@ -1,4 +1,4 @@
-//! The status, from memory: it answers while the disk hangs. Once, or as events for as long as somebody listens.
+//! The status, from memory, so that it answers while the disk hangs: once, or as events.
 
 use super::layers::Streamed;
 use super::problem::{ApiError, Problem};
@@ -12,17 +12,17 @@ use axum::{Extension, Json};
 use serde::Serialize;
 use std::time::Duration;
 
-/// Between two events.
+/// Interval between two events.
 const EVERY: Duration = Duration::from_secs(1);
-/// After which a browser that lost the line tries again, ms.
+/// Time after which a browser that lost the connection tries again, ms.
 const RETRY_MS: u32 = 2000;
 
-/// What the daemon is doing.
+/// The daemon's status.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
 pub(super) struct StatusBody {
     /// The program's version.
     version: &'static str,
-    /// Age of the process in seconds of real time.
+    /// Age of the process, s of real time.
     uptime_s: f64,
     #[serde(flatten)]
     status: Status,
@@ -35,7 +35,7 @@ pub(super) async fn status(State(state): State<ApiState>) -> Response {
 }
 
 impl StatusBody {
-    /// The status of now.
+    /// Returns the present status.
     pub(super) fn of(state: &ApiState) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION"),
@@ -64,7 +64,7 @@ pub(super) async fn events(State(state): State<ApiState>) -> Result<Response, Ap
                 () = pieces.closed() => return,
                 _ = next.tick() => {}
             }
-            // Whoever published is gone: the daemon ends, and this with it.
+            // The publisher is gone: the daemon ends, and this stream with it.
             if status.has_changed().is_err() {
                 return;
             }
@@ -72,7 +72,7 @@ pub(super) async fn events(State(state): State<ApiState>) -> Result<Response, Ap
             let Ok(json) = serde_json::to_string(&StatusBody::of(&state)) else { return };
             let event = format!("{head}event: status\ndata: {json}\n\n");
             head.clear();
-            // A listener that does not read is waited for; the connection gives it up in the end.
+            // Waits for a listener that does not read; the connection gives it up in the end.
             if pieces.send(Ok(event.into())).await.is_err() {
                 return;
             }

@@ -1,4 +1,5 @@
-//! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. Data alone.
+//! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. This module has
+//! no behaviour.
 
 use super::port::{Latency, OpenError};
 use imu_core::sample::{ConnectedSensor, EventKind, GapCause, RateDoubt, Registers};
@@ -12,16 +13,17 @@ pub struct Port {
     pub path: PathBuf,
     /// The kernel's name of the device, which differs if `path` is a link.
     pub target: PathBuf,
-    /// Identifies the device: the text differs for another device, and for the same one plugged in again.
+    /// Identifies the device: the text differs for another device, and for the same device after it was plugged in
+    /// again.
     pub node: String,
 }
 
 /// An action that the session requests.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Look for ports; reply with [`Input::Ports`].
+    /// Look for ports; the reply is [`Input::Ports`].
     Look,
-    /// Open; reply with [`Input::Opened`] or [`Input::OpenFailed`].
+    /// Open the port; the reply is [`Input::Opened`] or [`Input::OpenFailed`].
     Open(PathBuf, u32),
     /// Change the open port's baud rate; a partly received frame is void.
     SetBaud(u32),
@@ -31,11 +33,11 @@ pub enum Action {
     Close,
     /// The session has ended and the port is closed.
     Ended,
-    /// Change what is recorded.
+    /// Change the recording.
     Record(RecorderAction),
 }
 
-/// A change to what is recorded of the sensor's output.
+/// A change to the recording of the sensor's output.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RecorderAction {
     /// Frames of this kind are samples from now on, at this rate; `None` is any binary frame or message.
@@ -44,7 +46,7 @@ pub enum RecorderAction {
     RateKnown(f64),
     /// Whether the messages that are accepted next carry a serial count that increases by one per message.
     Counted(bool),
-    /// No samples until the next `Accept`; samples missing until then have this cause.
+    /// Record no samples until the next `Accept`; samples missing until then have this cause.
     Interrupt(GapCause),
     /// Look for frames of any kind: frames of the expected kind do not arrive.
     AcceptAny,
@@ -86,7 +88,7 @@ pub enum Input<'a> {
     HostStalled,
     /// The sensor answered a command.
     Reply(&'a Reply<'a>),
-    /// The sensor reported an error, by itself or to a command.
+    /// The sensor reported an error, unprompted or in reply to a command.
     DeviceError(DeviceError),
     /// The capture belongs to the sensor with this serial number; `None`: any.
     Expect(Option<String>),
@@ -95,6 +97,6 @@ pub enum Input<'a> {
     /// The contents of the output registers before an earlier run of the daemon changed them, to be restored at the
     /// end.
     Previous(Registers),
-    /// End: restore the sensor's output and close.
+    /// Stop: restore the sensor's output and close the port.
     Stop,
 }

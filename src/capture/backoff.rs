@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// The first delay.
 pub const FIRST: Duration = Duration::from_millis(250);
-/// The longest delay: together with the time to identify the sensor, one that works again streams within 10 s.
+/// The longest delay: together with the time to identify the sensor, a sensor that works again streams within 10 s.
 pub const LONGEST: Duration = Duration::from_secs(8);
 
 /// Doubles the delay with each failure, up to [`LONGEST`]. A random part of up to a quarter is subtracted, so that
@@ -16,7 +16,7 @@ pub struct Backoff {
 }
 
 impl Backoff {
-    /// The delay after one more failure.
+    /// Returns the delay after one more failure.
     pub fn next<R: Rng>(&mut self, random: &mut R) -> Duration {
         let wait = FIRST.saturating_mul(1 << self.failures.min(16)).min(LONGEST);
         self.failures = self.failures.saturating_add(1);

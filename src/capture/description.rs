@@ -1,11 +1,11 @@
-//! Description: what is stored of the sensor that a capture records. Pure.
+//! Description: assembles the stored description of the sensor that a capture records. Pure.
 
 use super::port::Latency;
 use crate::observe::SensorStatus;
 use imu_core::sample::{ConnectedSensor, Register85, Registers};
 use vn100_proto::MeasurementKind;
 
-/// The description of the measurement. A register that the sensor does not have is absent.
+/// Returns the description of the measurement. A register that the sensor does not have is absent.
 pub(super) fn describe(
     status: &SensorStatus,
     registers: &Registers,

@@ -79,8 +79,8 @@ impl HostWatch {
 const AWAY_STEP_NS: u64 = 1_000_000_000;
 const AWAY_SLEW: f64 = 500e-6;
 
-/// The step of civil time, ns, between two instants of one boot of the host while no daemon watched: `(monotonic,
-/// civil)` of each. `None` if there was no step.
+/// Returns the step of civil time, ns, between two instants of one boot of the host while no daemon watched:
+/// `(monotonic, civil)` of each. `None` if there was no step.
 pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
     let away_ns = now.0.checked_sub(before.0)?;
     let by_ns = now.1.saturating_sub(before.1).saturating_sub_unsigned(away_ns);
@@ -90,9 +90,9 @@ pub fn stepped_while_away(before: (u64, i64), now: (u64, i64)) -> Option<i64> {
 /// From this size on, the rows show steps of a clock that stays unset: no measurement is that late, ns.
 const UNSET_STEP_NS: i64 = 10_000_000_000;
 
-/// If a step shows that the host's clock had not been set: the limit, UTC ns, below which times are of the clock as it
-/// was. `utc_ns` is civil time after it. A clock that is still not plausible after the step is set once more later,
-/// starting from the result of this step. Half of the step then determines which times precede it.
+/// Returns, if a step shows that the host's clock had not been set, the limit, UTC ns, below which times are of the
+/// clock before the step. `utc_ns` is civil time after the step. A clock that is still not plausible after the step is
+/// set once more later, starting from the result of this step. Half of the step then determines which times precede it.
 pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
     let was_unset = by_ns > 0 && utc_ns.saturating_sub(by_ns) < UTC_UNSET_BEFORE_NS;
     match utc_ns >= UTC_UNSET_BEFORE_NS {
@@ -101,8 +101,8 @@ pub fn unset_before(by_ns: i64, utc_ns: i64) -> Option<i64> {
     }
 }
 
-/// Whether a clock was set back to, or within, an implausible time: earlier rows then have later times than those to
-/// come, so that a later correction would move them too far.
+/// Returns whether a clock was set back to, or within, an implausible time. Earlier rows then have later times than the
+/// following ones, so that a later correction would move them too far.
 pub fn set_back_unset(by_ns: i64, utc_ns: i64) -> bool {
     by_ns <= -UNSET_STEP_NS && utc_ns < UTC_UNSET_BEFORE_NS
 }
@@ -165,7 +165,7 @@ mod tests {
         assert_eq!(stepped_while_away((20, 0), (10, 5)), None, "another boot's clock");
     }
 
-    /// D5.
+    /// Fault D5 of docs/reliability/time.md.
     #[test]
     fn an_hour_of_sleep_is_no_stall_and_a_stall_is_no_sleep() {
         let clock = ManualClock::new(0);

@@ -26,7 +26,7 @@ pub enum Output {
 }
 
 impl Output {
-    /// The frames that this output consists of and their rate in Hz; `None` for `Keep`.
+    /// Returns the frames that this output consists of and their rate in Hz; `None` for `Keep`.
     pub fn kind_and_rate(&self) -> Option<(MeasurementKind, f64)> {
         match self {
             Self::Binary { fields, divisor } => binary_output(75, &format!("1,{divisor},{fields}")),
@@ -40,14 +40,14 @@ pub(super) fn is_binary(kind: MeasurementKind) -> bool {
     matches!(kind, MeasurementKind::Binary(_))
 }
 
-/// The output that a binary output register with these values selects, and its rate in Hz; `None` if it is off.
+/// Returns the output that a binary output register with these values selects, and its rate in Hz; `None` if it is off.
 pub(super) fn binary_output(register: u16, values: &str) -> Option<(MeasurementKind, f64)> {
     let output = BinaryOutput::parse(register, values).ok()?;
     let header = output.header.filter(|_| output.async_mode != 0)?;
     Some((MeasurementKind::Binary(header), output.rate_hz()?))
 }
 
-/// The message with this number in register 6; `None` for 0 (off) and numbers that a VN-100 does not have.
+/// Returns the message with this number in register 6; `None` for 0 (off) and numbers that a VN-100 does not have.
 pub(super) fn ascii_kind(number: u8) -> Option<MeasurementKind> {
     AsciiType::from_id(number).map(MeasurementKind::Ascii)
 }
@@ -59,13 +59,14 @@ const SYNC_OUT_FREE: [u32; 2] = [0, 6];
 /// Register 30's SerialCount for the SyncOut counter.
 const SERIAL_COUNT_SYNC_OUT: u8 = 3;
 
-/// The skip factor with which the SyncOut counter increases by one for each message at this rate.
+/// Returns the skip factor with which the SyncOut counter increases by one for each message at this rate.
 fn skip_factor(rate_hz: f64) -> Option<u32> {
     let samples = f64::from(link::INTERNAL_RATE_HZ) / rate_hz;
     (samples >= 1.0 && samples.fract() == 0.0).then(|| samples as u32 - 1)
 }
 
-/// Whether messages at this rate carry a count that increases by one for each, according to registers 30 and 32.
+/// Returns whether messages at this rate carry a count that increases by one for each, according to registers 30 and
+/// 32.
 pub(super) fn counts_messages(communication: &str, synchronization: &str, rate_hz: f64) -> bool {
     let Ok(communication) = CommunicationControl::parse(communication) else { return false };
     let Ok(synchronization) = SyncControl::parse(synchronization) else { return false };
@@ -74,8 +75,8 @@ pub(super) fn counts_messages(communication: &str, synchronization: &str, rate_h
         && Some(synchronization.sync_out_skip_factor) == skip_factor(rate_hz)
 }
 
-/// The values of registers 32 and 30 that make the sensor number its messages. Empty if they are set already, or if the
-/// SyncOut pin or the count is used for something else.
+/// Returns the values of registers 32 and 30 that make the sensor number its messages. Empty if they are set already,
+/// or if the SyncOut pin or the count is used for something else.
 pub(super) fn serial_count(communication: &str, synchronization: &str, rate_hz: f64) -> Vec<(u16, String)> {
     let (Ok(mut communication), Ok(mut synchronization), Some(skip)) =
         (CommunicationControl::parse(communication), SyncControl::parse(synchronization), skip_factor(rate_hz))

@@ -7,13 +7,13 @@ use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
 
 /// The places to search if no device is configured: stable names first, then those that the kernel numbered.
 const SEARCH: [&str; 3] = ["/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*"];
-/// FTDI's default of 16 ms bunches messages; 1 ms is the least the chip takes.
+/// FTDI's default of 16 ms bunches messages; 1 ms is the minimum of the chip.
 const LATENCY_TIMER_MS: u32 = 1;
 
-/// Why a port could not be opened.
+/// The reasons why a port could not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum OpenError {
-    /// There is no such port (any more).
+    /// There is no such port, or it has gone.
     #[error("{path} is not there")]
     Gone {
         /// The port.
@@ -27,7 +27,7 @@ pub enum OpenError {
         /// The process, as far as /proc shows it.
         holder: String,
     },
-    /// This user lacks the permission.
+    /// The user lacks the permission.
     #[error(
         "{path} may not be opened by this user: add the user to the group that owns it (`ls -l {path}`; on Debian `sudo adduser $USER dialout`) and log in again"
     )]
@@ -45,7 +45,7 @@ pub enum OpenError {
     },
 }
 
-/// The delivery of the port: the state of the adapter's latency timer.
+/// The state of the adapter's latency timer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Latency {
     /// The adapter has no such timer (a UART, a pseudo-terminal).
@@ -57,7 +57,7 @@ pub enum Latency {
 }
 
 impl Latency {
-    /// A sentence for the user, if an action remains.
+    /// Returns a sentence for the user, if an action is needed.
     pub fn hint(self) -> Option<String> {
         match self {
             Self::High(ms) => Some(format!(
@@ -66,7 +66,7 @@ impl Latency {
             _ => None,
         }
     }
-    /// The timer in milliseconds, if there is one.
+    /// Returns the timer in milliseconds, if there is one.
     pub fn timer_ms(self) -> Option<u32> {
         match self {
             Self::NotApplicable => None,
@@ -75,8 +75,8 @@ impl Latency {
     }
 }
 
-/// The ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual places
-/// are searched. An invalid pattern matches nothing.
+/// Returns the ports that may be the sensor's, best first. `device` is a path or a glob pattern; without it the usual
+/// places are searched. An invalid pattern matches nothing.
 pub fn find(device: Option<&str>) -> Vec<PathBuf> {
     let patterns: &[&str] = match &device {
         Some(device) => std::slice::from_ref(device),
@@ -102,7 +102,7 @@ pub fn find(device: Option<&str>) -> Vec<PathBuf> {
     found
 }
 
-/// As [`find`], with the device behind each name.
+/// Looks for ports as [`find`] does, and adds the device behind each name.
 pub fn look(device: Option<&str>) -> Vec<Port> {
     find(device)
         .into_iter()
@@ -113,7 +113,7 @@ pub fn look(device: Option<&str>) -> Vec<Port> {
         .collect()
 }
 
-/// Identifies the device: its location and the time at which it was created.
+/// Identifies the device by its location and the time at which it was created.
 fn node(target: &Path) -> String {
     use std::os::unix::fs::MetadataExt as _;
     let made = std::fs::metadata(target)
@@ -171,8 +171,8 @@ fn lower_latency_at(timer: &Path) -> Latency {
     }
 }
 
-/// The process that holds the port, as far as /proc shows it to this user: the one that locked it, else any that has it
-/// open.
+/// Returns the process that holds the port, as far as /proc shows it to this user: the one that locked it, else any
+/// that has it open.
 fn holder(target: &Path) -> String {
     let of = |pid: &str| {
         let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
@@ -196,7 +196,7 @@ fn holder(target: &Path) -> String {
     "another program".to_owned()
 }
 
-/// The process that `flock`ed the file, from /proc/locks: `1: FLOCK ADVISORY WRITE 4711 00:1a:9 0 EOF`.
+/// Returns the process that `flock`ed the file, from /proc/locks: `1: FLOCK ADVISORY WRITE 4711 00:1a:9 0 EOF`.
 fn lock_holder(target: &Path) -> Option<String> {
     use std::os::unix::fs::MetadataExt as _;
     let inode = std::fs::metadata(target).ok()?.ino().to_string();

@@ -1,4 +1,4 @@
-//! Rate meter: determines what a sensor sends and how often, if its registers do not state it. Pure.
+//! Rate meter: determines the output of a sensor and its rate, if the registers do not state them. Pure.
 
 use super::output::is_binary;
 use vn100_proto::{MeasurementKind, link};
@@ -6,7 +6,7 @@ use vn100_proto::{MeasurementKind, link};
 /// The maximum deviation of a measured rate from one that the sensor supports.
 const NEAR: f64 = 0.02;
 
-/// Determines what a sensor sends and how often, if its registers do not state it.
+/// Determines the output of a sensor and its rate, if the registers do not state them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct RateMeter {
     kind: Option<MeasurementKind>,
@@ -26,8 +26,8 @@ impl RateMeter {
         }
     }
 
-    /// The kind and its rate in Hz, by the sensor's own clock, else by the host's. The rate is rounded to one that a
-    /// VN-100 supports if one is near (800 Hz / n for binary output, register 7's for messages).
+    /// Returns the kind and its rate in Hz, by the sensor's own clock, else by the host's. The rate is rounded to one
+    /// that a VN-100 supports if one is near (800 Hz / n for binary output, register 7's for messages).
     pub(super) fn result(&self) -> Option<(MeasurementKind, f64)> {
         let kind = self.kind?;
         let rate = |times: &[u64]| {

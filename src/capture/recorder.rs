@@ -1,4 +1,4 @@
-//! Recorder: one capture from its first sample to its planned end. Pure.
+//! Recorder: writes one capture from its first sample to its planned end. Pure.
 //!
 //! A capture runs on sample time: it is complete when received + missing = duration × rate, however long that took
 //! (docs/formats.md). A gap that reaches beyond the planned end is cut there; later samples are not part of the
@@ -35,21 +35,21 @@ pub struct Plan {
 /// The state in which an earlier run of the daemon left a capture.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResumePoint {
-    /// Segments so far.
+    /// Number of segments so far.
     pub segments: u32,
     /// Epoch of the last segment.
     pub epoch: u32,
-    /// Samples received and committed.
+    /// Number of samples received and committed.
     pub samples: u64,
-    /// Valid measurements received, as of the last commit.
+    /// Number of valid measurements received, as of the last commit.
     pub received: u64,
     /// Of these, the number that did not become a sample, by cause.
     pub discarded: BTreeMap<DiscardCause, u64>,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: u64,
-    /// Sample time held so far, received and missing, ns.
+    /// Sample time so far, received and missing, ns.
     pub elapsed_ns: u64,
     /// The last sample; `None` if the capture had none.
     pub last: Option<Position>,
@@ -66,13 +66,13 @@ pub struct ResumePoint {
 /// Counts of a running capture.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Counts {
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: u64,
-    /// Sample time held, ns.
+    /// Sample time so far, ns.
     pub elapsed_ns: f64,
     /// The arrival time of the last sample, host monotonic ns.
     pub last_mono_ns: Option<u64>,
@@ -87,9 +87,9 @@ pub struct Recorder {
     accountant: Option<Accountant>,
     resume: Option<ResumePoint>,
     counts: Counts,
-    /// Counted when measurements arrive, before any decision about them.
+    /// Number of measurements received, counted at their arrival, before any decision about them.
     received: u64,
-    /// Samples that an earlier run of the daemon committed.
+    /// Number of samples that earlier runs of the daemon committed.
     base: u64,
     /// Measurements that did not become a sample, by cause, in the order of [`DiscardCause::ALL`].
     dropped: [u64; DiscardCause::ALL.len()],
@@ -100,7 +100,7 @@ pub struct Recorder {
     frames: VecDeque<(u64, DiscardCause, u64)>,
     /// Rate of the segment that is written, Hz.
     rate_hz: Option<f64>,
-    /// The capture ends once the samples at hand are sorted.
+    /// The end of the capture, once the samples at hand are sorted.
     ending: Option<(CaptureEnd, i64)>,
     ended: bool,
     host_jitter_ns: f64,
@@ -109,7 +109,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder of a new capture, or of one that an earlier run of the daemon left; `host_jitter_ns` as
+    /// Creates a recorder of a new capture, or of one that an earlier run of the daemon left; `host_jitter_ns` as
     /// [`Accountant::with_host_jitter`] takes it.
     pub fn new(plan: Plan, resume: Option<ResumePoint>, host_jitter_ns: f64) -> Self {
         let counts = resume.as_ref().map_or_else(Counts::default, |point| Counts {
@@ -143,26 +143,26 @@ impl Recorder {
         }
     }
 
-    /// The same, on a host whose present boot has this id: its monotonic times are comparable with those of segments
-    /// with the same id.
+    /// Sets the id of the host's present boot: its monotonic times are comparable with those of segments with the same
+    /// id.
     pub fn of_boot(self, boot_id: Option<String>) -> Self {
         Self { boot_id, ..self }
     }
 
-    /// The boot of the host; `None` if it is not known.
+    /// Returns the boot of the host; `None` if it is not known.
     pub fn boot_id(&self) -> Option<String> {
         self.boot_id.clone()
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
-    /// The counts so far.
+    /// Returns the counts so far.
     pub fn counts(&self) -> Counts {
         self.counts
     }
-    /// Whether the capture has ended.
+    /// Returns whether the capture has ended.
     pub fn has_ended(&self) -> bool {
         self.ended
     }
@@ -207,7 +207,7 @@ impl Recorder {
         }
     }
 
-    /// The doubt about the rate since the last call, if any.
+    /// Returns the doubt about the rate since the last call, if any.
     pub fn take_doubt(&mut self) -> Option<RateDoubt> {
         self.accountant.as_mut().and_then(Accountant::take_doubt)
     }
@@ -226,7 +226,7 @@ impl Recorder {
         }
     }
 
-    /// The present counts of all received measurements by their state.
+    /// Returns the present counts of all received measurements by their state.
     pub fn tally(&self) -> Tally {
         Tally {
             capture_id: self.plan.id,
@@ -238,12 +238,12 @@ impl Recorder {
         }
     }
 
-    /// The present run of the sensor's clock; `None` before the first sample.
+    /// Returns the present run of the sensor's clock; `None` before the first sample.
     pub fn epoch(&self) -> Option<u32> {
         self.accountant.as_ref().filter(|accountant| accountant.last().is_some()).map(Accountant::epoch)
     }
 
-    /// Rate and timebase of the stream in the capture.
+    /// Returns the rate and timebase of the stream in the capture.
     pub fn stream(&self) -> Option<(f64, Timebase)> {
         self.accountant.as_ref().map(|accountant| (accountant.rate_hz(), accountant.timebase()))
     }
@@ -264,7 +264,7 @@ impl Recorder {
     fn drop_frame(&mut self, frame: u64, cause: DiscardCause) {
         self.dropped[cause as usize] += 1;
         if self.frames.back().is_some_and(|(last, ..)| *last > frame) {
-            // It was held while later ones were refused.
+            // The measurement was held while later ones were refused.
             let place = self.frames.partition_point(|(number, ..)| *number < frame);
             self.frames.insert(place, (frame, cause, 1));
             return;
@@ -372,8 +372,8 @@ impl Recorder {
         }
     }
 
-    /// The last sample, the rate, and the time since that sample, ns. Within one boot of the host its monotonic clock
-    /// determines the time; if the last sample is of an earlier boot, only civil time does.
+    /// Returns the last sample, the rate, and the time since that sample, ns. Within one boot of the host its monotonic
+    /// clock determines the time; if the last sample is of an earlier boot, only civil time does.
     fn silence(&self, now_mono_ns: u64, now_utc_ns: i64) -> Option<(Position, f64, f64)> {
         let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
         let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
@@ -385,7 +385,7 @@ impl Recorder {
         Some((last, rate_hz, silence_ns))
     }
 
-    /// Records what the accountant still holds; the capture continues later.
+    /// Records the samples that the accountant still holds; the capture continues later.
     pub fn pause(&mut self, out: &mut Vec<Record>) {
         if let Some(accountant) = &mut self.accountant {
             accountant.settle(&mut self.scratch);
@@ -435,7 +435,7 @@ impl Recorder {
         out.push(Record::Ended { how, utc_ns });
     }
 
-    /// Passes on what the accountant wrote, up to the planned end.
+    /// Passes on the accountant's records, up to the planned end.
     fn forward(&mut self, out: &mut Vec<Record>) {
         let records = std::mem::take(&mut self.scratch);
         for (frame, cause) in self.accountant.as_mut().map(Accountant::take_refused).unwrap_or_default() {
@@ -505,7 +505,7 @@ impl Recorder {
     }
 }
 
-/// The timebase of a capture whose last sample is this.
+/// Returns the timebase of a capture whose last sample is this.
 fn timebase_of(last: &Position) -> Timebase {
     match (last.device_time_ns, last.sync_count) {
         (Some(_), _) => Timebase::Device,

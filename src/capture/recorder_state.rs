@@ -19,14 +19,14 @@ const ROOM: usize = 8192;
 
 /// The destination of records: a bounded queue that never makes the reader wait.
 pub trait Sink: Send + Sync + 'static {
-    /// The number of records for which there is room now.
+    /// Returns the number of records for which there is room now.
     fn room(&self) -> usize;
     /// Puts a record of this capture into the queue.
     ///
     /// # Errors
     /// The record, if the queue is full.
     fn put(&self, capture_id: i64, record: Record) -> Result<(), Box<Record>>;
-    /// Whether the queue is no longer read.
+    /// Returns whether the queue is no longer read.
     fn is_closed(&self) -> bool;
     /// Receives the counts of all received measurements by their state, before the counted records are put into the
     /// queue.
@@ -53,14 +53,14 @@ pub(super) struct RecorderState {
     /// The number of samples of the capture when an unset clock was last set back.
     set_back_seq: Option<u64>,
     pub(super) sink: Box<dyn Sink>,
-    /// Records that found no room: never samples.
+    /// Records for which there was no room; never samples.
     overflow: VecDeque<(i64, Record)>,
     out: Vec<Record>,
     /// The binary frames that the decoder must accept from the next read on, if they changed.
     pub(super) filter: Option<BinaryAcceptance>,
 }
 
-/// The timebase of these measurements.
+/// Returns the timebase of these measurements.
 pub(super) fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
     match (kind.has_device_time(), counted) {
         (true, _) => Timebase::Device,
@@ -70,7 +70,7 @@ pub(super) fn timebase(kind: MeasurementKind, counted: bool) -> Timebase {
 }
 
 impl RecorderState {
-    /// The state without a capture, whose records go into `sink`.
+    /// Returns the state without a capture, whose records go into `sink`.
     pub(super) fn new(sink: Box<dyn Sink>) -> Self {
         Self {
             recorder: None,
@@ -193,8 +193,8 @@ impl RecorderState {
         }
     }
 
-    /// The present run of the sensor's clock, as the accounting numbers it: capture and epoch. Without a capture each
-    /// accepted stream is a run: it may be of another unit, or of one that lost power.
+    /// Returns the present run of the sensor's clock, as the accounting numbers it: capture and epoch. Without a
+    /// capture each accepted stream is a run: it may be of another unit, or of one that lost power.
     pub(super) fn clock_run(&self) -> (i64, u32) {
         match (&self.recorder, &self.idle) {
             (Some(recorder), _) => (recorder.plan().id, recorder.epoch().unwrap_or(0)),
@@ -221,7 +221,7 @@ impl RecorderState {
         }
     }
 
-    /// Handles a step of civil time. No count depends on it, but it is recorded. If the host's clock had not been set
+    /// Handles a step of civil time. The step is recorded; no count depends on it. If the host's clock had not been set
     /// before, the times written with it are corrected.
     pub(super) fn clock_stepped(&mut self, by_ns: i64, utc_ns: i64) {
         let before_utc_ns = unset_before(by_ns, utc_ns);
@@ -273,10 +273,10 @@ impl RecorderState {
         true
     }
 
-    /// Passes on what was written; returns `true` if the capture has ended.
+    /// Passes on the written records; returns `true` if the capture has ended.
     pub(super) fn settle(&mut self) -> bool {
         if let Some(recorder) = self.recorder.as_mut().filter(|recorder| recorder.has_ended()) {
-            // Measurements that arrived with the last one, but after the planned end.
+            // These measurements arrived with the last one, but after the planned end.
             recorder.write_discards(&mut self.out);
         }
         self.flush();
@@ -287,7 +287,7 @@ impl RecorderState {
         ended
     }
 
-    /// Puts the records into the queue, in order; those without room wait (samples reserved theirs before).
+    /// Puts the records into the queue, in order; those without room wait (samples have reserved their room before).
     fn flush(&mut self) {
         if let Some(recorder) = &self.recorder {
             self.sink.tally(recorder.tally());
@@ -319,14 +319,14 @@ impl RecorderState {
         }
     }
 
-    /// Waits until the queue has room for what one read may return.
+    /// Waits until the queue has room for the records of one read.
     pub(super) async fn room(&self) {
         while self.sink.room() < ROOM && !self.sink.is_closed() {
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
     }
 
-    /// Ends with the daemon: everything goes into the queue; an unfinished capture stays unfinished.
+    /// Ends with the daemon: puts all records into the queue; an unfinished capture stays unfinished.
     pub(super) async fn close(&mut self) {
         if let Some(recorder) = &mut self.recorder {
             recorder.pause(&mut self.out);

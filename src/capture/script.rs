@@ -22,11 +22,11 @@ pub struct Step {
 }
 
 impl Step {
-    /// A command that the script fails without.
+    /// Returns a command that the script fails without.
     pub fn required(command: Command) -> Self {
         Self { command, required: true }
     }
-    /// A command whose refusal or silence does no harm.
+    /// Returns a command whose refusal or silence does no harm.
     pub fn optional(command: Command) -> Self {
         Self { command, required: false }
     }
@@ -47,7 +47,8 @@ pub struct Script {
 }
 
 impl Script {
-    /// A script without commands. The time limit for answers is [`ANSWER_NS`], or `host_jitter_ns` if that is longer.
+    /// Returns a script without commands. The time limit for answers is [`ANSWER_NS`], or `host_jitter_ns` if that is
+    /// longer.
     pub fn patient(host_jitter_ns: u64) -> Self {
         Self { patience_ns: ANSWER_NS.max(host_jitter_ns), ..Self::default() }
     }
@@ -60,27 +61,27 @@ impl Script {
     pub fn clear(&mut self) {
         *self = Self::patient(self.patience_ns);
     }
-    /// Whether every command has been answered or abandoned, or a required one failed.
+    /// Returns whether every command has been answered or abandoned, or a required one failed.
     pub fn is_done(&self) -> bool {
         self.steps.is_empty() || self.failure.is_some()
     }
-    /// The cause of a failure.
+    /// Returns the cause of a failure.
     pub fn failure(&self) -> Option<&str> {
         self.failure.as_deref()
     }
-    /// Registers read so far.
+    /// Returns the registers read so far.
     pub fn read(&self) -> &BTreeMap<u16, String> {
         &self.read
     }
-    /// Commands that were refused, with the sensor's error.
+    /// Returns the commands that were refused, with the sensor's error.
     pub fn refused(&self) -> &BTreeMap<String, DeviceError> {
         &self.refused
     }
-    /// Restarts the time limit for answers: none could have been received before.
+    /// Restarts the time limit for answers: no answer could have been received before.
     pub fn forgive(&mut self, now_ns: u64) {
         self.sent_ns = self.sent_ns.map(|_| now_ns);
     }
-    /// The time at which the present command is due, ns.
+    /// Returns the time at which the present command is due, ns.
     pub fn deadline_ns(&self) -> u64 {
         self.sent_ns.filter(|_| !self.is_done()).map_or(u64::MAX, |sent| sent + self.patience_ns)
     }

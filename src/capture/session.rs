@@ -107,7 +107,7 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session that has not begun; `seed` feeds the jitter of its waits.
+    /// Creates a session that has not begun; `seed` feeds the jitter of its waits.
     pub fn new(options: SessionOptions, random: ChaCha8Rng) -> Self {
         Self {
             phase: Phase::Absent,
@@ -142,12 +142,12 @@ impl Session {
         }
     }
 
-    /// The present state of the sensor, for the user.
+    /// Returns the present state of the sensor, for the user.
     pub fn status(&self) -> &SensorStatus {
         &self.status
     }
 
-    /// The latest time at which [`Input::Tick`] is due, ns.
+    /// Returns the latest time at which [`Input::Tick`] is due, ns.
     pub fn deadline_ns(&self) -> u64 {
         match &self.phase {
             Phase::Absent => self.next_look_ns,

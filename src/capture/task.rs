@@ -22,13 +22,13 @@ use vn100_proto::{Decoder, DecoderOptions, Event};
 
 /// The interval at which time-outs, discards and progress are examined, in real time.
 const TICK: Duration = Duration::from_millis(200);
-/// Data that arrives within this time after the host stood still or slept may show what was lost, ns.
+/// Data that arrives within this time after the host stood still or slept may show a loss, ns.
 const HOST_BLAME_NS: u64 = 3_000_000_000;
 /// The interval at which the estimate of the sensor's clock is recorded, ns.
 const CLOCK_EVERY_NS: u64 = 60_000_000_000;
 /// The host's own lateness in reading, in real time; it counts if time runs faster.
 const HOST_JITTER: Duration = Duration::from_millis(250);
-/// At high rates several frames are read at once: a wake-up for each would cost more than the work it brings.
+/// At high rates several frames are read at once: a wake-up for each would cost more than it is worth.
 const COALESCE: Duration = Duration::from_millis(20);
 /// Rates above which reads are coalesced, Hz; their frames carry the sensor's time.
 const COALESCE_ABOVE_HZ: f64 = 250.0;
@@ -44,7 +44,7 @@ const WRITE: Duration = Duration::from_secs(1);
 /// Options of the task.
 #[derive(Debug, Clone)]
 pub struct TaskOptions {
-    /// Path or pattern of the port; the usual places if absent.
+    /// Path or pattern of the port; the usual places are searched if absent.
     pub device: Option<String>,
     /// The options of the session.
     pub session: SessionOptions,
@@ -88,7 +88,7 @@ struct Shell {
     device_clock: DeviceClock,
     /// The time at which the estimate of the sensor's clock is recorded next, ns.
     clock_due_ns: u64,
-    /// Whether the session knows the sensor of the capture.
+    /// Whether the session knows which sensor the capture is of.
     expecting: bool,
     ended: bool,
 }
@@ -132,7 +132,7 @@ pub async fn run(
         shell.runs(patient);
         let session_wait = shell.session.deadline_ns().saturating_sub(shell.clock.mono_ns());
         let wake = (now + shell.clock.real(Duration::from_nanos(session_wait)).min(TICK)).min(next_tick);
-        // Arrived data is read before a silence is inferred from the time.
+        // Arrived data is read before a silence is inferred.
         let happened = tokio::select! {
             biased;
             command = commands.recv() => Happened::Command(command.unwrap_or(TaskCommand::Shutdown)),
@@ -169,7 +169,7 @@ pub async fn run(
             }
             Happened::Nothing => {
                 shell.state.sink.woke(wake.elapsed());
-                // The runtime may not have noticed yet what arrived; the port knows. The time is taken before this
+                // The runtime may not have noticed new data yet, so the port is queried. The time is taken before the
                 // query, so that data which arrives in between cannot be mistaken for silence.
                 let now_ns = shell.clock.mono_ns();
                 let unread = stream.as_mut().map(|(port, _)| port.try_read(&mut buffer));
@@ -215,7 +215,7 @@ async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -
 }
 
 impl Shell {
-    /// Notes that the loop runs. If it did not run for a while, the session is notified first: data that arrived
+    /// Records that the loop runs. If it did not run for a while, the session is notified first: data that arrived
     /// meanwhile is still to be read.
     fn runs(&mut self, patient: bool) {
         if !patient {
@@ -262,7 +262,7 @@ impl Shell {
         }
     }
 
-    /// Performs the actions of the session; some of them lead to more.
+    /// Performs the actions of the session; some of them lead to further actions.
     async fn perform(&mut self, device: &Option<String>, stream: &mut Option<(SerialStream, PathBuf)>) {
         while !self.actions.is_empty() {
             for action in std::mem::take(&mut self.actions) {
@@ -313,7 +313,7 @@ impl Shell {
         }
     }
 
-    /// Bytes of a partial frame are void: the connection they belonged to is closed.
+    /// Discards the bytes of a partial frame: the connection to which they belonged is closed.
     fn discard_pending(&mut self) {
         let Self { decoder, state, .. } = self;
         let recording = state.accepted.is_some();
@@ -373,8 +373,8 @@ impl Shell {
         self.settle();
     }
 
-    /// Passes on what was written; a capture that has its planned duration is closed. A capture is of one sensor: the
-    /// first that it has samples of.
+    /// Passes on the written records, and closes a capture that has its planned duration. A capture belongs to the
+    /// first sensor of which it has samples.
     fn settle(&mut self) {
         if self.state.settle() {
             self.expecting = false;
@@ -400,7 +400,7 @@ impl Shell {
                     self.input(Input::GoodBaud(baud));
                 }
             }
-            // The step of civil time while no daemon watched, within this boot of the host.
+            // A step of civil time while no daemon ran, within this boot of the host.
             let last = resume.as_ref().and_then(|point| point.last).filter(|last| last.host_mono_ns > 0);
             let stepped =
                 last.and_then(|last| stepped_while_away((last.host_mono_ns, last.host_utc_ns), (mono_ns, utc_ns)));
@@ -423,7 +423,7 @@ impl Shell {
             }
             TaskCommand::Stop(reply) => {
                 if let Some((plan, resume)) = self.waiting.take() {
-                    // It never began: an empty capture, stopped.
+                    // The capture never began: it is empty and stopped.
                     let host_jitter_ns = self.host_jitter_ns;
                     self.state.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
                 }
@@ -431,7 +431,7 @@ impl Shell {
                 self.note_clock(self.clock.mono_ns());
                 let running = self.state.stop(self.clock.mono_ns(), self.clock.utc_ns());
                 self.settle();
-                // The caller may be gone; the capture is stopped nevertheless.
+                // The caller may be gone; the capture is stopped anyway.
                 let _ = reply.send(running);
             }
             TaskCommand::Shutdown => {

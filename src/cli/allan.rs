@@ -43,7 +43,7 @@ fn print_csv(report: &AllanReport) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Averaging times down, channels across: a person compares channels.
+/// Prints averaging times down and channels across, because a person compares channels.
 fn print_table(name: &str, report: &AllanReport) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     writeln!(

@@ -1,4 +1,4 @@
-//! What is analysed: captures in the database, or recordings' files directly.
+//! The input of an analysis: captures in the database, or recordings' files directly.
 
 use super::source::{Source, has_rejected, tell_rate};
 use super::{Context, usage};
@@ -9,39 +9,39 @@ use imu_core::units::NANOS_PER_SECOND;
 use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, columns};
 use std::path::Path;
 
-/// What is known of a capture or recording besides its samples.
+/// The facts about a capture or recording besides its samples.
 struct Material {
     name: String,
-    /// Whether nothing told the rate.
+    /// Whether no source states the rate.
     rate_assumed: bool,
-    /// That a given rate overrides that of the stamps.
+    /// A sentence if a given rate overrides that of the stamps.
     overridden: Option<String>,
-    /// Frames or lines were rejected on the way in.
+    /// Whether frames or lines were rejected on the way in.
     rejected: bool,
-    /// Filter windows of register 85, where they are known.
+    /// Filter windows of register 85, if they are known.
     windows: Option<FilterWindows>,
-    /// What has to be the same of captures that are analysed together.
+    /// The setting that captures analysed together must share.
     setting: Setting,
-    /// Which capture of the database it is.
+    /// The capture's id in the database.
     id: Option<i64>,
 }
 
 /// One capture or several of one sensor, to be analysed as one.
 pub(super) struct Together {
-    /// Which samples.
+    /// The selected samples.
     pub plan: Plan,
-    /// Where they are.
+    /// The source of the samples.
     pub source: Shelf,
     captures: Vec<Material>,
 }
 
 impl Together {
-    /// The name, or the names.
+    /// Returns the name, or the names.
     pub(super) fn name(&self) -> String {
         self.captures.iter().map(|of| of.name.as_str()).collect::<Vec<_>>().join(" + ")
     }
 
-    /// Filter windows: of register 85 if a capture has it, else as stated.
+    /// Returns the filter windows: of register 85 if a capture has it, else as stated.
     pub(super) fn windows(&self) -> Option<FilterWindows> {
         self.captures
             .iter()
@@ -49,21 +49,22 @@ impl Together {
             .or_else(|| Some(FilterWindows::stated(self.plan.sampling.get(&Triad::Gyro)?.window)))
     }
 
-    /// Takes in what a person says of how the samples came about.
+    /// Applies the user's statement about how the samples were made.
     ///
     /// # Errors
-    /// If that contradicts the samples' rate or register 85.
+    /// If the statement contradicts the samples' rate or register 85.
     pub(super) fn sampled(&mut self, told: Option<StatedSampling>) -> anyhow::Result<()> {
         told.map_or(Ok(()), |told| self.plan.sampled(told)).map_err(contradicted)
     }
 
-    /// Whether frames or lines of one were rejected on the way in.
+    /// Returns whether frames or lines of a capture were rejected on the way in.
     pub(super) fn rejected(&self) -> bool {
         self.captures.iter().any(|of| of.rejected)
     }
 }
 
-/// The database, where a capture of it is named, and the recordings in memory. These have ids below 0: there is no such capture.
+/// The database, if a capture in it is named, and the recordings in memory. Recordings have ids below 0, which no
+/// capture has.
 #[derive(Default)]
 pub(super) struct Shelf {
     reader: Option<Reader>,
@@ -80,7 +81,7 @@ struct Loaded {
 impl Loaded {
     fn new(name: &str, mut recording: LoadedRecording) -> Self {
         recording.columns.retain(|of| Channel::ANALYSED.contains(&of.channel) || of.channel == Channel::Temperature);
-        // Whose stamps a table has nobody knows; those before raw lines and in bags are the host's.
+        // It is not known whose stamps a table has; stamps before raw lines and in bags are the host's.
         if recording.info.kind != Kind::Csv {
             recording.stamps_ns = Vec::new();
         }
@@ -97,7 +98,7 @@ impl Loaded {
             let values = self.recording.column(*channel).and_then(|column| column.values.get(rows.clone()));
             values.map_or_else(|| vec![f64::NAN; rows.len()], <[f64]>::to_vec)
         };
-        // Segments are numbered from 1, as the plan has them.
+        // Segments are numbered from 1, as in the plan.
         let mut segment = Vec::with_capacity(rows.len());
         let first = segments.partition_point(|range| range.end <= rows.start);
         for (number, range) in (1..).zip(segments).skip(first) {
@@ -118,7 +119,7 @@ impl Loaded {
 }
 
 impl Shelf {
-    /// Takes a recording in and gives its id.
+    /// Adds a recording and returns its id.
     fn add(&mut self, recording: Loaded) -> i64 {
         self.recordings.push(recording);
         -(self.recordings.len() as i64)
@@ -179,8 +180,8 @@ impl SampleSource for Shelf {
     }
 }
 
-/// Opens what the person named, each a file where one of that name exists, else a capture; several only where they are of
-/// one sensor at one setting. What is assumed is said on standard error.
+/// Opens the named inputs, each a file if one of that name exists, else a capture. Several are accepted only if they
+/// have one sensor at one setting. Assumptions are printed on standard error.
 pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) -> anyhow::Result<Together> {
     let mut source = Shelf::default();
     let (mut captures, mut whole): (Vec<Material>, Option<Plan>) = (Vec::new(), None);
@@ -204,7 +205,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             eprintln!("note: {name}: {overridden}");
         }
         captures.push(material);
-        // Before their samples are put side by side.
+        // Checked before their samples are joined.
         one_sensor(&captures.iter().map(|of| of.setting.clone()).collect::<Vec<_>>())?;
         whole = Some(match whole {
             None => plan,
@@ -215,7 +216,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
     Ok(Together { plan, source, captures })
 }
 
-/// A sampling that cannot be is a matter of how the command was used.
+/// Returns an error of usage for an impossible sampling.
 pub(super) fn contradicted(error: SamplingError) -> anyhow::Error {
     usage(error.to_string())
 }
@@ -248,7 +249,7 @@ fn of_recording(source: &mut Shelf, named: &str, recording: &Recording) -> anyho
 }
 
 fn of_capture(source: &mut Shelf, reader: Reader, row: CaptureRow) -> anyhow::Result<(Material, Plan)> {
-    // As the background jobs do: the rate that most samples have; nothing mixes two.
+    // As in the background jobs: the rate of most samples; two rates are never mixed.
     let plan = Plan::read(source.reader.insert(reader), row.id, row.samples, &Channel::ANALYSED)?;
     let material = Material {
         windows: row.configuration.filter_windows(),

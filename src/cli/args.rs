@@ -1,4 +1,4 @@
-//! Arguments: the command line as `clap` reads it.
+//! Arguments: the command line as parsed by `clap`.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -18,7 +18,7 @@ mod recordings;
 pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
 
-/// Captures a VectorNav VN-100 unattended into SQLite and tells its noise parameters.
+/// Captures a VectorNav VN-100 unattended into SQLite and reports its noise parameters.
 #[derive(Debug, Parser)]
 #[command(name = "vn100d", version, max_term_width = 100, arg_required_else_help = true, after_help = AFTER_HELP)]
 pub struct Cli {
@@ -28,10 +28,10 @@ pub struct Cli {
     /// Configuration file (default: $VN100D_CONFIG, else $XDG_CONFIG_HOME/vn100d/vn100d.toml, else /etc/vn100d/vn100d.toml, else built-in values)
     #[arg(long, global = true, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// JSON alone on standard output
+    /// Print only JSON on standard output
     #[arg(long, global = true)]
     pub json: bool,
-    /// What to do
+    /// The command to run
     #[command(subcommand)]
     pub command: Command,
 }
@@ -53,15 +53,16 @@ pub enum Command {
     Run(RunArgs),
     /// Try everything without hardware: emulated sensor, daemon, five-hour capture in accelerated time, noise parameters
     Demo(DemoArgs),
-    /// Be a VN-100 on a pseudo-terminal
+    /// Emulate a VN-100 on a pseudo-terminal
     Emulate(EmulateArgs),
-    /// Find the sensor: port, baud rate, model, serial number, firmware, registers that matter
+    /// Find the sensor: port, baud rate, model, serial number, firmware, relevant registers
     Probe(ProbeArgs),
-    /// Ask the running daemon how it is
+    /// Print the status of the running daemon
     Status(ClientArgs),
     /// List the running daemon's background jobs
     Jobs(ClientArgs),
-    /// Make a recording a capture: CSV or raw $VN… lines (plain or .gz), raw bytes of the port, ROS bags (.bag, .db3, .mcap)
+    /// Import a recording as a capture: CSV or raw $VN… lines (plain or .gz), raw bytes of the port, ROS bags (.bag,
+    /// .db3, .mcap)
     Import(ImportArgs),
     /// Write a capture's samples for other programs: CSV, NDJSON, Parquet, MCAP
     Export(ExportArgs),
@@ -81,20 +82,21 @@ pub enum Command {
     Noise(NoiseArgs),
     /// Draw one plot of a capture or a recording, as SVG or PNG
     Plot(PlotArgs),
-    /// Write one self-contained page of a capture or a recording: what a lab report has
+    /// Write one self-contained page of a capture or a recording, for a lab report
     Report(ReportArgs),
-    /// Make samples of a sensor model: noise, effects, motion
+    /// Simulate samples of a sensor model: noise, effects, motion
     Simulate(SimulateArgs),
-    /// Sensor models: of a capture, shown, compared, exported
+    /// Fit, show, compare and export sensor models
     Model(ModelArgs),
-    /// Where a recording and a simulator differ, which effect the simulator lacks, how far the gap shrinks with it
+    /// Report where a recording and a simulator differ, which effect the simulator lacks, and how far the gap shrinks
+    /// with it
     Diagnose(DiagnoseArgs),
-    /// Check the diagnosis blindly: sealed cases, diagnosed without their key, scored against it
+    /// Check the diagnosis blindly: sealed cases, diagnosed without their key, then scored with it
     Trial(TrialArgs),
-    /// One part of a trial, in a process of its own
+    /// Run one part of a trial in a separate process
     #[command(hide = true)]
     TrialPart(TrialPartArgs),
-    /// One piece of heavy work, in a process of its own
+    /// Do one piece of heavy work in a separate process
     #[command(hide = true)]
     Worker(WorkerArgs),
     /// Copy the database, also while a daemon writes it
@@ -128,7 +130,7 @@ pub struct CompletionsArgs {
 pub struct GenerateArgs {
     /// `man` or `completions`
     pub what: String,
-    /// Where to
+    /// Target folder
     pub dir: PathBuf,
 }
 
@@ -141,10 +143,10 @@ pub struct RunArgs {
     /// Address of the HTTP interface (default: the configuration's, else 127.0.0.1:8100)
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<String>,
-    /// Start a capture of this sample time at once, such as 5h (an unfinished one goes on instead)
+    /// Start a capture of this sample time at once, such as 5h (an unfinished one is continued instead)
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub capture: Option<Duration>,
-    /// Go on when the terminal is closed or the SSH session lost, which otherwise end the daemon cleanly
+    /// Continue if the terminal is closed or the SSH session is lost, which otherwise end the daemon cleanly
     #[arg(long)]
     pub keep_on_hangup: bool,
     /// Run this many times faster than real time; only with an emulator at the same speed
@@ -158,10 +160,11 @@ pub struct DemoArgs {
     /// End when all is done instead of serving until Ctrl-C
     #[arg(long)]
     pub once: bool,
-    /// Address of the HTTP interface; port 0 takes any free one (default: 127.0.0.1:8100, or a free port where that is taken)
+    /// Address of the HTTP interface; port 0 takes any free one (default: 127.0.0.1:8100, or a free port if that is
+    /// taken)
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<String>,
-    /// How much faster than real time
+    /// Speed, as a multiple of real time
     #[arg(long, value_name = "X", default_value_t = 1000.0, value_parser = speed)]
     pub speed: f64,
     /// Sample time to capture
@@ -172,7 +175,8 @@ pub struct DemoArgs {
     pub seed: u64,
 }
 
-/// The demo's seed. Any other shows other noise; with 95 % intervals about one in twenty parameters then lies outside.
+/// The demo's seed. Another seed gives other noise; with 95 % intervals, about one in twenty parameters then lies
+/// outside.
 pub const DEMO_SEED: u64 = 2;
 
 /// Arguments of `emulate`.
@@ -187,7 +191,7 @@ pub struct EmulateArgs {
     /// Output rate at power-up in Hz (ASCII; the host may configure another)
     #[arg(long, value_name = "HZ")]
     pub rate: Option<f64>,
-    /// How much faster than real time
+    /// Speed, as a multiple of real time
     #[arg(long, value_name = "X", default_value_t = 1.0, value_parser = speed)]
     pub speed: f64,
     /// Seed of the noise
@@ -199,16 +203,17 @@ pub struct EmulateArgs {
     /// Send the recorded raw lines of this file (plain or .gz) unchanged; configuration is acknowledged only
     #[arg(long, value_name = "FILE")]
     pub replay: Option<PathBuf>,
-    /// Let go wrong what this script says, such as `10s unplug 10s` (docs/cli.md); `-` obeys lines of standard input at once
+    /// Inject the faults of this script, such as `10s unplug 10s` (docs/cli.md); `-` reads lines from standard input
+    /// and obeys them at once
     #[arg(long, value_name = "FILE|-")]
     pub faults: Option<PathBuf>,
-    /// Write down every frame that was made: its number, tick, device time, and what became of it
+    /// Log every frame: its number, tick, device time, and fate
     #[arg(long, value_name = "FILE")]
     pub log: Option<PathBuf>,
     /// Baud rate at power-up
     #[arg(long, value_name = "BAUD", default_value_t = 115_200)]
     pub baud: u32,
-    /// Garble what is sent and received while the terminal is set to another baud rate, as a real line does
+    /// Garble input and output while the terminal has another baud rate, as a real line does
     #[arg(long)]
     pub strict_baud: bool,
 }
@@ -221,7 +226,7 @@ pub struct ProbeArgs {
     pub device: Option<String>,
 }
 
-/// Arguments of commands that ask the daemon.
+/// Arguments of commands that query the daemon.
 #[derive(Debug, Args)]
 pub struct ClientArgs {
     /// The daemon's address (default: the configuration's, else 127.0.0.1:8100)
@@ -240,7 +245,7 @@ pub enum NoiseFormat {
     For(Target),
 }
 
-/// Parses the name of one of these values.
+/// Returns a parser for the name of one of these values.
 fn one_of<T: Clone + Send + Sync + 'static>(values: Vec<(PossibleValue, T)>) -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(values.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>()).try_map(move |given| {
         let found = values.iter().find(|(name, _)| name.get_name() == given);
@@ -248,7 +253,7 @@ fn one_of<T: Clone + Send + Sync + 'static>(values: Vec<(PossibleValue, T)>) -> 
     })
 }
 
-/// Parses the name of a program.
+/// Returns a parser for the name of a program.
 fn target() -> impl TypedValueParser<Value = Target> {
     one_of(targets().collect())
 }
@@ -317,10 +322,10 @@ pub struct NoiseArgs {
     /// Form of the output
     #[arg(long, value_parser = noise_format(), default_value = "table")]
     pub format: NoiseFormat,
-    /// How samples came about
+    /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Write parameters that contradict the record all the same, with a comment
+    /// Write parameters even if they contradict the record, with a comment
     #[arg(long)]
     pub force: bool,
     /// Compare with this datasheet: vn-100, or a file that ends with .toml
@@ -328,7 +333,7 @@ pub struct NoiseArgs {
     pub datasheet: Option<SheetChoice>,
 }
 
-/// How the samples of gyroscope and accelerometer came about, for all that fits noise parameters.
+/// The sampling of gyroscope and accelerometer, for all commands that fit noise parameters.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct SamplingArgs {
     /// Gyroscope and accelerometer send means of this many samples (register 85 of a VN-100)
@@ -340,7 +345,7 @@ pub struct SamplingArgs {
 }
 
 impl SamplingArgs {
-    /// What the options state, if they are given.
+    /// Returns the statement of the options, if they are given.
     pub fn stated(self) -> Option<StatedSampling> {
         Some(StatedSampling { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
     }
@@ -369,19 +374,19 @@ pub struct SimulateArgs {
     /// Sensor model (JSON; default: a desk VN-100)
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Sample time to make, such as 5h (default: as long as the motion's file)
+    /// Sample time to simulate, such as 5h (default: as long as the motion's file)
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
     pub duration: Option<Duration>,
     /// Output rate in Hz (default: the model's)
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// Seed: the same one makes the same samples
+    /// Seed: the same seed gives the same samples
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
     /// Motion that the sensor follows: a file (docs/simulation.md), still, tumble or rate-table (default: none, at rest without gravity or Earth rate)
     #[arg(long, value_name = "FILE|NAME")]
     pub motion: Option<String>,
-    /// Write the motion, row for row with the samples: the reference of a diagnosis
+    /// Write the motion, with one row per sample: the reference of a diagnosis
     #[arg(long, value_name = "FILE")]
     pub motion_out: Option<PathBuf>,
     /// Temperature in °C, or a file with its course: time_s, temperature_c
@@ -390,7 +395,7 @@ pub struct SimulateArgs {
     /// Write CSV here; `-` is standard output
     #[arg(long, value_name = "FILE", conflicts_with = "into_db")]
     pub out: Option<PathBuf>,
-    /// Make a capture of this name in the database, marked as simulated
+    /// Store a capture of this name in the database, marked as simulated
     #[arg(long, value_name = "NAME")]
     pub into_db: Option<String>,
     /// Replace files that exist
@@ -407,30 +412,30 @@ pub struct DiagnoseArgs {
     /// The simulator: a sensor model (.json), or a capture or file that a simulator made
     #[arg(long, value_name = "MODEL.json|CAPTURE|FILE")]
     pub sim: String,
-    /// What the sensor went through, as another instrument tells it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2;
+    /// The sensor's motion as another instrument measured it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2;
     /// the effects that a motion drives are diagnosed too
     #[arg(long, value_name = "MOTION.csv")]
     pub reference: Option<PathBuf>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// How the recording's samples came about
+    /// The sampling of the recording
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Measure what chance finds in 300 simulated records like this one, instead of by the table; kept in
+    /// Measure chance findings in 300 simulated records like this one, instead of using the table; kept in
     /// $XDG_CACHE_HOME/vn100d
     #[arg(long)]
     pub calibrate: bool,
-    /// Part of the gap above which what remains without a name makes the verdict `unknown_effect`, from 0 to 1
+    /// Part of the gap, from 0 to 1, above which the unnamed remainder makes the verdict `unknown_effect`
     #[arg(long, value_name = "SHARE", value_parser = share, default_value_t = imu_diagnosis::MATERIAL)]
     pub unknown_above: f64,
-    /// Write the model here with its parameters corrected and what it lacked added
+    /// Write the model here, with corrected parameters and the missing effects
     #[arg(long, value_name = "OUT.json")]
     pub augmented_model: Option<PathBuf>,
-    /// Write the diagnosis here as a page for people, with spectra; it loads nothing from elsewhere
+    /// Write the diagnosis here as a page with spectra; it loads nothing from elsewhere
     #[arg(long, value_name = "OUT.html")]
     pub html: Option<PathBuf>,
-    /// Replace files where they exist
+    /// Replace existing files
     #[arg(long)]
     pub force: bool,
 }
@@ -438,39 +443,40 @@ pub struct DiagnoseArgs {
 /// Arguments of `trial`.
 #[derive(Debug, Args)]
 pub struct TrialArgs {
-    /// How many cases; which share of them is of each class is in docs/trial.md
+    /// Number of cases; docs/trial.md has the share of each class
     #[arg(long, value_name = "N", default_value_t = 250)]
     pub cases: usize,
-    /// Seed of the cases (default: the time in ms; it is told)
+    /// Seed of the cases (default: the time in ms; it is printed)
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Only these, with commas between: none, known, single, pair, several, superfluous, size, outside, kept, or names of effects
-    /// (docs/trial.md); default: all but kept
+    /// Only these, separated by commas: none, known, single, pair, several, superfluous, size, outside, kept, or names
+    /// of effects (docs/trial.md); default: all but kept
     #[arg(long, value_name = "NAMES", default_value = "")]
     pub kinds: String,
     /// A frozen set of cases that others can compare with: 2026
     #[arg(long, value_name = "NAME", conflicts_with_all = ["cases", "seed", "kinds", "samples", "motion", "on"])]
     pub suite: Option<String>,
-    /// Cases with a known motion: scale factor, misalignment, g-sensitivity and their like; of them a fifth have no effect, half
-    /// one of the library, a fifth two, a tenth one outside it
+    /// Use cases with a known motion: scale factor, misalignment, g-sensitivity and similar effects; a fifth of the
+    /// cases have no effect, half one of the library, a fifth two, a tenth one outside it
     #[arg(long, conflicts_with_all = ["on", "html"])]
     pub motion: bool,
-    /// Impose the effects on this recording instead of on made-up noise: id, name, `latest`, or a file's path
+    /// Impose the effects on this recording instead of on simulated noise: id, name, `latest`, or a file's path
     #[arg(long, value_name = "CAPTURE|FILE")]
     pub on: Option<String>,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate, requires = "on")]
     pub rate: Option<f64>,
-    /// Samples of a case, 10000 or more (default: drawn, 27 min to 5 h; of a recording 65536, or all if it is shorter)
+    /// Samples per case, 10000 or more (default: drawn, 27 min to 5 h; of a recording 65536, or all if it is shorter)
     #[arg(long, value_name = "N")]
     pub samples: Option<usize>,
-    /// Cases diagnosed at a time
+    /// Number of cases diagnosed at a time
     #[arg(long, value_name = "N", default_value_t = 2)]
     pub threads: usize,
-    /// Also measure what the true effects would close; takes twice as long
+    /// Also measure how much the true effects would close; takes twice as long
     #[arg(long)]
     pub truth: bool,
-    /// Also record each case with a gap once more, and simulate its corrected model, and diagnose both; takes five times as long
+    /// Also record each case with a gap again, simulate its corrected model, and diagnose both; takes five times as
+    /// long
     #[arg(long, conflicts_with = "motion")]
     pub again: bool,
     /// Write the score as a page
@@ -479,10 +485,10 @@ pub struct TrialArgs {
     /// Keep manifest, diagnoses, keys and score in this folder
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
-    /// End with exit code 3 where this rate is lower, such as right_first=0.97; may be repeated
+    /// End with exit code 3 if this rate is lower, such as right_first=0.97; may be repeated
     #[arg(long, value_name = "NAME=SHARE")]
     pub at_least: Vec<String>,
-    /// End with exit code 3 where this rate is higher, such as none_named=0.02; may be repeated
+    /// End with exit code 3 if this rate is higher, such as none_named=0.02; may be repeated
     #[arg(long, value_name = "NAME=SHARE")]
     pub at_most: Vec<String>,
 }
@@ -490,7 +496,7 @@ pub struct TrialArgs {
 /// Arguments of `worker`.
 #[derive(Debug, Args)]
 pub struct WorkerArgs {
-    /// The process that asks; this one ends with it
+    /// The calling process; this process ends with it
     #[arg(long)]
     pub parent: u32,
     /// Private memory that it may write to, bytes
@@ -499,12 +505,12 @@ pub struct WorkerArgs {
     /// Processor time that it may use, s
     #[arg(long)]
     pub processor_s: u64,
-    /// What it does
+    /// The work to do
     #[command(subcommand)]
     pub work: Work,
 }
 
-/// Work of a process of its own.
+/// Work of a separate process.
 #[derive(Debug, Clone, Subcommand)]
 pub enum Work {
     /// Make a PNG of the SVG on standard input
@@ -524,7 +530,7 @@ pub enum Work {
         /// The database
         #[arg(long)]
         database: PathBuf,
-        /// The file that is written there
+        /// Identity of the database file
         #[arg(long)]
         file: String,
     },
@@ -533,7 +539,7 @@ pub enum Work {
 /// Arguments of `trial-part`.
 #[derive(Debug, Args)]
 pub struct TrialPartArgs {
-    /// Which
+    /// The part to run
     #[arg(value_enum)]
     pub part: TrialPart,
     /// Cases with a known motion
@@ -542,19 +548,19 @@ pub struct TrialPartArgs {
     /// Seed of the cases
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// How many cases the trial has
+    /// Number of cases in the trial
     #[arg(long, default_value_t = 0)]
     pub cases: usize,
     /// Only these
     #[arg(long, default_value = "")]
     pub kinds: String,
-    /// Samples of a case
+    /// Samples per case
     #[arg(long)]
     pub samples: Option<usize>,
     /// Folder with the stretches of a recording
     #[arg(long)]
     pub ground: Option<PathBuf>,
-    /// Which case, from 0
+    /// The case, from 0
     #[arg(long, default_value_t = 0)]
     pub case: usize,
     /// The corrected model: where the diagnosis writes it, and what is tried again
@@ -570,7 +576,7 @@ pub enum TrialPart {
     Manifest,
     /// A case's recording and model
     Case,
-    /// The recording of a case with nothing imposed, and the model as it was fitted to it
+    /// The recording of a case without imposed effects, and the model fitted to it
     Own,
     /// The diagnosis of a recording and a model from standard input
     Diagnose,
@@ -578,19 +584,19 @@ pub enum TrialPart {
     Key,
     /// The discrepancy of a case under the model that has its effects
     Truth,
-    /// Diagnoses of a second record, and of what the corrected model makes
+    /// Diagnoses of a second record and of a simulation of the corrected model
     Again,
 }
 
 /// Arguments of `model`.
 #[derive(Debug, Args)]
 pub struct ModelArgs {
-    /// What to do
+    /// The command to run
     #[command(subcommand)]
     pub command: ModelCommand,
 }
 
-/// What `model` does.
+/// The commands of `model`.
 #[derive(Debug, Subcommand)]
 pub enum ModelCommand {
     /// Fit a model to a capture or recording
@@ -601,10 +607,11 @@ pub enum ModelCommand {
         /// Rate of recordings without stamps in Hz
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
-        /// How samples came about
+        /// The sampling of the sensor
         #[command(flatten)]
         sampling: SamplingArgs,
-        /// Effects to look for besides N, B, K and bias: all, or names of docs/effects.md with commas between, such as tone,resonance
+        /// Effects to look for besides N, B, K and bias: all, or names of docs/effects.md separated by commas, such as
+        /// tone,resonance
         #[arg(long, value_name = "NAMES", value_parser = effect_names)]
         effects: Option<EffectNames>,
         /// Name of the model (default: the capture's)
@@ -613,7 +620,7 @@ pub enum ModelCommand {
         /// Write the model here (default: standard output)
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
-        /// Replace the file where it exists
+        /// Replace an existing file
         #[arg(long)]
         overwrite: bool,
         /// Write a model that should not be used, with the reason in its provenance
@@ -625,18 +632,18 @@ pub enum ModelCommand {
         /// The model
         file: PathBuf,
     },
-    /// Say what two models say differently
+    /// Print the differences of two models
     Diff {
         /// A model
         first: PathBuf,
-        /// Another one
+        /// Another model
         second: PathBuf,
     },
     /// Write a model's parameters for another program
     Export {
         /// The model
         file: PathBuf,
-        /// For which program
+        /// The target program
         #[arg(long, value_parser = target())]
         format: Target,
     },
@@ -652,7 +659,7 @@ pub struct BackupArgs {
     /// The copy
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Replace the copy where it exists
+    /// Replace an existing copy
     #[arg(long)]
     pub force: bool,
 }
@@ -666,7 +673,7 @@ pub struct RecoverArgs {
     /// The new database
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Replace the new database where it exists
+    /// Replace an existing new database
     #[arg(long)]
     pub force: bool,
 }

@@ -4,7 +4,7 @@ use super::args::BackupArgs;
 use super::progress::bar;
 use super::{Context, Outcome, print_json};
 
-/// Copies the database as it stands now.
+/// Copies the database in its present state.
 pub(super) fn run(context: &Context, args: &BackupArgs) -> anyhow::Result<Outcome> {
     let reader = context.reader()?;
     let bar = bar("{bytes} of {total_bytes} {bar:30} {eta}", 0);

@@ -1,4 +1,4 @@
-//! Calibration on the command line: what chance finds in records like this one, found once and kept.
+//! Calibration on the command line: chance findings in records like this one, computed once and cached.
 
 use super::progress::bar;
 use crate::jobs::TwoThreads;
@@ -13,13 +13,14 @@ use sha2::{Digest as _, Sha256};
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// The tails for a recording and a model: from the cache, or from [`RECORDS`] simulated records, the same either way.
+/// Returns the tails for a recording and a model: from the cache, or from [`RECORDS`] simulated records, with the same
+/// result.
 pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails> {
-    // What cannot be compared is refused before anything is simulated.
+    // Incomparable inputs are refused before anything is simulated.
     prepare::prepare(real, sim)?;
     let nulls = Nulls::of(real, sim);
     let file = folder().map(|folder| folder.join(format!("null-{}.json", &name(&nulls)[..24])));
-    // A file that cannot be read, or is another version's, is made anew.
+    // A file that cannot be read, or that another version wrote, is made again.
     let kept = file.as_ref().and_then(|file| std::fs::read(file).ok());
     let tails = kept.and_then(|bytes| serde_json::from_slice::<Tails>(&bytes).ok());
     if let Some(tails) = tails.filter(Tails::is_whole) {
@@ -40,10 +41,10 @@ pub(super) fn tails(real: &Recording, sim: &SensorModel) -> anyhow::Result<Tails
     Ok(tails)
 }
 
-/// Digest of everything that the tails depend on.
+/// Returns the digest of everything on which the tails depend.
 fn name(nulls: &Nulls) -> String {
     let mut digest = Sha256::new();
-    // Another table is another way of looking.
+    // Another table changes the search.
     digest.update(format!("{:?}", Tails::shipped(nulls.samples)));
     digest
         .update(format!("{SOFTWARE} {RECORDS} {} {} {:?} {}", nulls.samples, nulls.rate_hz, nulls.levels, nulls.seed));
@@ -53,14 +54,14 @@ fn name(nulls: &Nulls) -> String {
     digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// `$XDG_CACHE_HOME/vn100d`, else `~/.cache/vn100d`.
+/// Returns `$XDG_CACHE_HOME/vn100d`, else `~/.cache/vn100d`.
 fn folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let cache = absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))?;
     Some(cache.join("vn100d"))
 }
 
-/// Whole or not at all.
+/// Writes the file completely or not at all.
 fn keep(file: &std::path::Path, tails: &Tails) -> std::io::Result<()> {
     let folder = file.parent().unwrap_or(file);
     std::fs::create_dir_all(folder)?;

@@ -13,7 +13,7 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
         return Ok(Outcome::Done);
     }
     let mut header = vec!["id", "name", "state", "started", "duration s", "rate Hz", "samples", "missing", "gaps"];
-    // A column only for those who have something to lose.
+    // The column is shown only if there are planned deletions.
     let deletions = captures.iter().any(|capture| capture.delete_at.is_some());
     if deletions {
         header.push("will be deleted on");

@@ -1,10 +1,10 @@
-//! `vn100d check`: is a database whole, and does its accounting add up?
+//! `vn100d check`: checks whether a database is intact and its accounting adds up.
 
 use super::{Context, Outcome, print_json};
 use std::io::Write as _;
 use std::path::PathBuf;
 
-/// Prints what is wrong; exit code 3 where anything is.
+/// Prints the findings; exit code 3 if there are any.
 pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Result<Outcome> {
     let path = database.map_or_else(|| context.database(), Ok)?;
     let report = crate::store::check(&path)?;

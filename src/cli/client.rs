@@ -1,4 +1,4 @@
-//! Asking the running daemon over HTTP, for the commands that do.
+//! Requests to the running daemon over HTTP, for the commands that need it.
 
 use super::connection::Watched;
 use crate::api::ProblemType;
@@ -11,79 +11,79 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 use ureq::unversioned::resolver::DefaultResolver;
 
-/// How long an answer may take: the daemon answers from memory or says within 10 s that it cannot.
+/// Maximum time for an answer: the daemon answers from memory, or reports within 10 s that it cannot.
 const PATIENCE: Duration = Duration::from_secs(12);
-/// How long the daemon may take to say that it wants a body.
+/// Maximum time for the daemon to report that it wants a body.
 const PERMISSION: Duration = Duration::from_secs(5);
-/// Bytes of an answer at most.
+/// Maximum size of an answer in bytes.
 const ANSWER_BYTES: u64 = 16 << 20;
 
-/// Why the daemon gave no answer.
+/// The reasons why the daemon gave no answer.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// Nobody answers there: exit code 69.
+    /// No daemon answers: exit code 69.
     #[error("no daemon answers at {base_url}: {reason}; start it with `vn100d run`, or name its address with --listen")]
     Unreachable {
-        /// Where it was looked for.
+        /// The address.
         base_url: String,
-        /// What the connection said.
+        /// The error of the connection.
         reason: String,
     },
-    /// It answered with a problem.
+    /// The daemon answered with a problem.
     #[error("the daemon at {base_url} answered {status}: {detail}")]
     Refused {
-        /// Where.
+        /// The address.
         base_url: String,
         /// The status code.
         status: u16,
         /// The problem's type.
         kind: String,
-        /// What it said.
+        /// The problem's detail.
         detail: String,
     },
-    /// It was there, and ended the connection before it had answered.
+    /// The daemon was there, but ended the connection before it had answered.
     #[error(
         "the daemon at {base_url} ended the connection{} ({reason}): see its log, then try again (what it has already is not \
          doubled)",
         progress(*sent_bytes, *length_bytes)
     )]
     BrokenOff {
-        /// Where.
+        /// The address.
         base_url: String,
-        /// Bytes that it was sent.
+        /// Bytes that were sent.
         sent_bytes: u64,
-        /// Bytes that there were.
+        /// Bytes that the body has.
         length_bytes: u64,
-        /// What the connection said.
+        /// The error of the connection.
         reason: String,
     },
-    /// What was to be sent could not be read.
+    /// The body could not be read.
     #[error("it cannot be read to its end: {0}")]
     Body(#[source] io::Error),
-    /// Something else than the daemon answered.
+    /// Another program than the daemon answered.
     #[error("what answers at {base_url} is not a vn100d: {reason}")]
     Foreign {
-        /// Where.
+        /// The address.
         base_url: String,
-        /// What is wrong with the answer.
+        /// The fault of the answer.
         reason: String,
     },
-    /// The answer could not be written out.
+    /// The answer could not be printed.
     #[error("cannot write to standard output: {0}")]
     Output(#[from] io::Error),
 }
 
-/// How far a body went, where there was one.
+/// Returns how much of a body was sent, if there was one.
 fn progress(sent_bytes: u64, length_bytes: u64) -> String {
     if length_bytes == 0 { String::new() } else { format!(" after {sent_bytes} of {length_bytes} bytes") }
 }
 
 impl ClientError {
-    /// Which exit code.
+    /// Returns the exit code.
     pub(super) fn failure(&self) -> super::Failure {
         match self {
             Self::Unreachable { .. } => super::Failure::Unreachable,
-            // It only has to wait.
+            // The user only has to wait.
             Self::Refused { kind, .. } if kind == ProblemType::Busy.uri() => super::Failure::Other,
             // The disk behind it is full or fails.
             Self::Refused { status: 503, .. } => super::Failure::InputOutput,
@@ -92,13 +92,13 @@ impl ClientError {
         }
     }
 
-    /// Whether nobody answers: exit code 69.
+    /// Returns whether no daemon answers: exit code 69.
     pub fn is_unreachable(&self) -> bool {
         matches!(self, Self::Unreachable { .. })
     }
 }
 
-/// The JSON that the daemon at `base_url` (`http://127.0.0.1:8100`) answers to `GET path`.
+/// Returns the JSON that the daemon at `base_url` (`http://127.0.0.1:8100`) answers to `GET path`.
 ///
 /// # Errors
 /// [`ClientError`].
@@ -118,7 +118,7 @@ pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
     read(base_url, response, (0, 0))
 }
 
-/// The JSON that the daemon answers to `POST path` with a body of `length_bytes` bytes, however long it takes.
+/// Returns the JSON that the daemon answers to `POST path` with a body of `length_bytes` bytes, however long it takes.
 ///
 /// # Errors
 /// [`ClientError`].
@@ -142,7 +142,8 @@ pub(super) fn send(
     let connected = Arc::clone(&connector.connected);
     let agent = ureq::Agent::with_parts(config, connector, DefaultResolver::default());
     let post = |body: &mut dyn io::Read| {
-        // The daemon is asked before the first byte is sent: a refusal would be lost behind bytes that nobody reads.
+        // The daemon is asked before the first byte is sent, because a refusal would be lost behind bytes that it does
+        // not read.
         let mut request = agent
             .post(format!("{base_url}{path}"))
             .header("accept", "application/json")
@@ -168,20 +169,21 @@ pub(super) fn send(
     if !connected.load(Ordering::Acquire) {
         return Err(ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() });
     }
-    // It did not want the rest, and what it said went by unread: asked again it says so before a byte is sent.
+    // The daemon did not want the rest, and its answer was lost: on a second request it answers before a byte is sent.
     match post(&mut Nothing) {
         Ok(response) if !response.status().is_success() => read(base_url, response, (body.sent_bytes, length_bytes)),
         _ => Err(broken_off(base_url, (body.sent_bytes, length_bytes), &error)),
     }
 }
 
-/// Somebody took the connection, and ended it. `sent`: bytes of the body that went, and that there were.
+/// Returns the error of a connection that was accepted and then ended. `sent` has the bytes of the body that were sent,
+/// and its length.
 fn broken_off(base_url: &str, sent: (u64, u64), error: &ureq::Error) -> ClientError {
     let (sent_bytes, length_bytes) = sent;
     ClientError::BrokenOff { base_url: base_url.to_owned(), sent_bytes, length_bytes, reason: error.to_string() }
 }
 
-/// A body on its way: how much of it went, and what kept the rest.
+/// A body being sent: the number of bytes sent, and the error that stopped it.
 struct Sent<R> {
     body: io::Take<R>,
     sent_bytes: u64,
@@ -192,7 +194,7 @@ struct Sent<R> {
 impl<R: io::Read> io::Read for Sent<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let read = match self.body.read(buffer) {
-            // It was announced with its length: less would keep the daemon waiting.
+            // The length was announced: a shorter body would keep the daemon waiting.
             Ok(0) if self.sent_bytes < self.length_bytes && !buffer.is_empty() => {
                 Err(io::Error::new(io::ErrorKind::UnexpectedEof, "it became shorter while it was sent"))
             }
@@ -221,7 +223,7 @@ impl io::Read for Nothing {
     }
 }
 
-/// The answer; `sent`: bytes of the question's body that went, and that there were.
+/// Returns the answer. `sent` has the bytes of the request's body that were sent, and its length.
 fn read(
     base_url: &str,
     mut response: ureq::http::Response<ureq::Body>,
@@ -246,16 +248,16 @@ fn read(
     }
 }
 
-/// Says how to be let in, to whoever may not read the machine's token.
+/// Returns what to do for a user who may not read the machine's token.
 fn why_no_token(file: &Path) -> &'static str {
     let refused = std::fs::File::open(file).is_err_and(|error| error.kind() == io::ErrorKind::PermissionDenied);
     if refused { JOIN_GROUP } else { "" }
 }
 
-/// Writes `text` and a line's end to standard output; a reader that has gone is no error.
+/// Writes `text` and a line end to standard output; a reader that has gone is no error.
 ///
 /// # Errors
-/// What the system says.
+/// The error that the system reports.
 pub fn print(text: &str) -> Result<(), ClientError> {
     match writeln!(io::stdout().lock(), "{}", text.trim_end()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
@@ -263,7 +265,7 @@ pub fn print(text: &str) -> Result<(), ClientError> {
     }
 }
 
-/// A value of an answer as a person reads it; `–` where it is absent.
+/// Returns a value of an answer for display; `–` if it is absent.
 pub(super) fn shown(value: &Value) -> String {
     match value {
         Value::Null => "–".to_owned(),
@@ -277,7 +279,7 @@ mod tests {
     use super::*;
     use std::io::{Read, Write};
 
-    /// A server that answers one request with these bytes.
+    /// Returns a server that answers one request with these bytes.
     fn answering(answer: &'static str) -> String {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let base_url = format!("http://{}", listener.local_addr().unwrap());
@@ -302,8 +304,8 @@ mod tests {
         assert!(matches!(get(&other, "/"), Err(ClientError::Foreign { .. })));
     }
 
-    /// A server that takes a request's head and `taken` bytes of its body, and is gone; asked again it answers with
-    /// `answer`, or is gone at once where that is empty.
+    /// Returns a server that takes a request's head and `taken` bytes of its body, and then closes; the next request
+    /// gets `answer`, or is closed at once if that is empty.
     fn breaking_off(taken: usize, answer: &'static str) -> String {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let base_url = format!("http://{}", listener.local_addr().unwrap());
@@ -330,7 +332,7 @@ mod tests {
         format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n{body}", body.len())
     }
 
-    /// Exit code 69 means that no daemon is there, and nothing else.
+    /// Exit code 69 only means that there is no daemon.
     #[test]
     fn a_daemon_that_does_not_take_a_body_is_there_all_the_same() {
         use crate::cli::Failure;
@@ -339,7 +341,7 @@ mod tests {
         let error = send(&breaking_off(100_000, ""));
         assert!(matches!(&error, ClientError::BrokenOff { sent_bytes, .. } if *sent_bytes >= 100_000), "{error}");
         assert_eq!(error.failure(), Failure::InputOutput);
-        // Why it did not is what it says when it is asked again.
+        // The reason comes with the answer to a second request.
         for (status, kind, failure) in [
             ("503 Service Unavailable", "unavailable", Failure::InputOutput),
             ("503 Service Unavailable", "busy", Failure::Other),
@@ -353,7 +355,7 @@ mod tests {
         assert_eq!((error.failure(), error.is_unreachable()), (Failure::Other, false), "{error}");
     }
 
-    /// Once somebody took the connection somebody is there, even where not a byte of the body went or the answer was cut.
+    /// Once a connection was accepted, a daemon is there, even if no byte of the body was sent or the answer was cut.
     #[test]
     fn a_connection_that_ends_is_told_from_one_that_is_never_made() {
         let send = |base_url: &str| send(base_url, "/v1/imports", &[], "", 10, &[7_u8; 10][..]).unwrap_err();

@@ -1,4 +1,4 @@
-//! A connection of the command line to the daemon that notices when the host behind it is gone.
+//! A connection of the command line to the daemon, which detects that the host behind it is gone.
 
 use std::io::{self, Read as _, Write as _};
 use std::net::TcpStream;
@@ -7,16 +7,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use ureq::unversioned::transport::{Buffers, ConnectionDetails, Connector, LazyBuffers, NextTimeout, Transport};
 
-/// After so long without a byte the host is asked whether it is there, so often, so many times: gone is noticed after two
-/// minutes. While it works on an import the daemon says nothing, and a host that loses power says no farewell.
+/// Time without a byte after which the host is probed, the interval of probes, and their number: a lost host is
+/// detected after two minutes. While the daemon works on an import it sends nothing, and a host that loses power does
+/// not close its connections.
 const QUIET: Duration = Duration::from_secs(60);
 const AGAIN: Duration = Duration::from_secs(15);
 const TIMES: u32 = 4;
 
-/// Makes connections that are kept an eye on.
+/// Makes monitored connections.
 #[derive(Debug, Default)]
 pub(super) struct Watched {
-    /// Set once somebody took a connection.
+    /// Set once a connection was accepted.
     pub connected: Arc<AtomicBool>,
 }
 
@@ -44,7 +45,7 @@ impl Connector for Watched {
     }
 }
 
-/// Has the system ask a quiet host whether it is there, and give up one that no longer takes what is sent.
+/// Lets the system probe a quiet host, and give up one that no longer accepts data.
 fn watch(stream: &TcpStream) -> io::Result<()> {
     use rustix::net::sockopt;
     stream.set_nodelay(true)?;
@@ -55,7 +56,7 @@ fn watch(stream: &TcpStream) -> io::Result<()> {
     Ok(())
 }
 
-/// Such a connection.
+/// A monitored connection.
 #[derive(Debug)]
 pub(super) struct Connection {
     stream: TcpStream,
@@ -86,12 +87,12 @@ impl Transport for Connection {
     }
 
     fn is_open(&mut self) -> bool {
-        // No connection is used a second time: a new one tells a daemon that is gone from one that is not.
+        // No connection is used twice: a new connection shows whether the daemon is still there.
         false
     }
 }
 
-/// The system says that its patience with a socket is over in two ways; that of a host that is gone is not ours.
+/// Converts the two errors with which the system gives up a socket; the time limit for a lost host is not ours.
 fn told(error: io::Error, timeout: &NextTimeout) -> ureq::Error {
     match error.kind() {
         io::ErrorKind::WouldBlock => ureq::Error::Timeout(timeout.reason),

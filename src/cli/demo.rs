@@ -1,4 +1,5 @@
-//! `vn100d demo`: the emulator on a pseudo-terminal, the daemon on it, five hours in a minute, and what its model lacks.
+//! `vn100d demo`: the emulator on a pseudo-terminal, the daemon on it, five hours in a minute, and the diagnosis of an
+//! effect that its model lacks.
 
 use super::args::DemoArgs;
 use super::hangup::Hangup;
@@ -24,13 +25,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
-/// What the emulated sensor has on accel_z and its model has not: a fan in the room, a ninth of the white noise's standard
-/// deviation.
+/// An effect that the emulated sensor has on accel_z and its model lacks: a fan in the room, a ninth of the white
+/// noise's standard deviation.
 const HUM: Tone = Tone { frequency_hz: 11.4, amplitude: 0.002 };
 
 /// Runs the demonstration.
 pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome> {
-    // Without --data-dir never the user's database: a folder that goes when the demonstration ends.
+    // Without --data-dir, the user's database is never used: a temporary folder takes its place.
     let (folder, database) = match &context.data_dir {
         Some(directory) => (None, directory.join("vn100d.db")),
         None => {
@@ -72,7 +73,7 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
             let stop = stop.clone();
             async move {
                 let told = |handle| {
-                    // The other end is gone where the demonstration was interrupted.
+                    // If the demonstration was interrupted, the receiver is gone.
                     let _ = ready.send(handle);
                 };
                 daemon::run(options, stop, told).await
@@ -80,7 +81,7 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
         });
         let shown = match started.await {
             Ok(handle) => show(args, &port, handle, &stop).await,
-            // The daemon did not start; its own error says why.
+            // The daemon did not start; its own error states why.
             Err(_) => Ok(Outcome::Done),
         };
         stop.cancel();
@@ -95,7 +96,7 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
     Ok(outcome)
 }
 
-/// The emulated sensor: the model that everybody simulates with, and something that the model lacks.
+/// Returns the emulated sensor: the usual model with an effect that the model lacks.
 fn humming() -> SensorModel {
     let mut model = default_model();
     if let Some(channel) = model.channels.get_mut(&Channel::AccelZ) {
@@ -104,14 +105,14 @@ fn humming() -> SensorModel {
     model
 }
 
-/// The model that it is compared with: the channels whose noise is analysed.
+/// Returns the model for the comparison: the channels whose noise is analysed.
 fn told() -> SensorModel {
     let mut model = default_model();
     model.channels.retain(|channel, _| Channel::ANALYSED.contains(channel));
     model
 }
 
-/// The address that was asked for; else the usual one, else, where that is taken, any free one.
+/// Returns the requested address; else the usual one, or any free one if that is taken.
 fn listen(args: &DemoArgs) -> anyhow::Result<SocketAddr> {
     if let Some(address) = super::address(args.listen.as_deref())? {
         return Ok(address);
@@ -123,7 +124,7 @@ fn listen(args: &DemoArgs) -> anyhow::Result<SocketAddr> {
     }
 }
 
-/// Follows the capture, prints its noise parameters as `curl` gets them, and waits for Ctrl-C.
+/// Follows the capture, prints its noise parameters as `curl` would get them, and waits for Ctrl-C.
 async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationToken) -> anyhow::Result<Outcome> {
     let base = format!("http://{}", handle.address);
     say(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
@@ -175,7 +176,7 @@ async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationTo
     Ok(if missing > 0 { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// Asks once.
+/// Sends one request.
 async fn asked(url: String) -> anyhow::Result<serde_json::Value> {
     tokio::task::spawn_blocking(move || {
         let body = ureq::get(&url).call().with_context(|| format!("GET {url}"))?.body_mut().read_to_string()?;
@@ -184,7 +185,7 @@ async fn asked(url: String) -> anyhow::Result<serde_json::Value> {
     .await?
 }
 
-/// Has the capture compared with the model, by a job as everybody may ask for one, and gives what it says.
+/// Compares the capture with the model by an ordinary job, and returns the result as text.
 async fn diagnosed(base: String) -> anyhow::Result<String> {
     let begun = Instant::now();
     let model = posted(format!("{base}/v1/models"), serde_json::to_value(told())?).await?;
@@ -214,7 +215,7 @@ async fn diagnosed(base: String) -> anyhow::Result<String> {
     ))
 }
 
-/// Sends a document.
+/// Posts a document.
 async fn posted(url: String, body: serde_json::Value) -> anyhow::Result<serde_json::Value> {
     tokio::task::spawn_blocking(move || {
         let request = ureq::post(&url).header("content-type", "application/json");
@@ -225,7 +226,7 @@ async fn posted(url: String, body: serde_json::Value) -> anyhow::Result<serde_js
     .await?
 }
 
-/// Asks until the answer is there (202 means that the job still runs).
+/// Repeats the request until the answer is there (202 means that the job still runs).
 async fn finished(url: String) -> anyhow::Result<serde_json::Value> {
     tokio::task::spawn_blocking(move || {
         let deadline = Instant::now() + Duration::from_secs(300);

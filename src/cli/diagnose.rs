@@ -67,7 +67,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// Reads what the sensor went through.
+/// Reads the reference: the sensor's motion.
 fn reference(path: &Path) -> anyhow::Result<Reference> {
     let name = path.display().to_string();
     let file = File::open(path).with_context(|| format!("the reference {name} cannot be read"))?;
@@ -76,8 +76,9 @@ fn reference(path: &Path) -> anyhow::Result<Reference> {
     Reference::new(rows).with_context(|| format!("the reference {name} cannot be used"))
 }
 
-/// The simulator's law: a model's file, or a recording that a simulator made, of which the law is found first. Another rate
-/// than the recording's is refused before that. With it a sentence for the diagnosis, if that law is to be doubted.
+/// Returns the simulator's law: a model's file, or a recording that a simulator made, to which a law is fitted first.
+/// Another rate than the recording's is refused before that. If that law is doubtful, a sentence for the diagnosis is
+/// returned as well.
 fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Result<(SensorModel, Option<String>)> {
     let path = Path::new(&args.sim);
     let is_model = path.is_file() && path.extension().is_some_and(|extension| extension == "json");
@@ -135,7 +136,7 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
                 Of::Remainder => "nothing known",
             };
             let band = match at {
-                // What a motion drives lies at a rate or a pose rather than in a band.
+                // The effect of a motion lies at a rate or a pose, not in a band.
                 Some(at) => driver(at),
                 None => format!("{:.3} … {:.3}", band_hz[0], band_hz[1]),
             };
@@ -184,7 +185,7 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
     Ok(())
 }
 
-/// "z turning at 1.2 … 3.5 rad/s", "z down".
+/// Returns a text such as "z turning at 1.2 … 3.5 rad/s" or "z down".
 fn driver(at: &Driver) -> String {
     let Driver { quantity, axis, unit, range: [from, to], pose } = at;
     match pose {
@@ -193,7 +194,7 @@ fn driver(at: &Driver) -> String {
     }
 }
 
-/// The parameters of a cause that the sensor or the model has, channel by channel as the rows of its cell.
+/// Returns the parameters of a cause that the sensor or the model has, one row per channel of its cell.
 fn parameters(cause: &Cause, all: &BTreeMap<String, Value>) -> String {
     const LONGEST: usize = 40;
     let number = |value: &Value| value.as_f64().map_or_else(|| value.to_string(), |value| format!("{value:.4e}"));
@@ -213,7 +214,7 @@ fn parameters(cause: &Cause, all: &BTreeMap<String, Value>) -> String {
         },
         other => one(other),
     };
-    // In the order of the channels' column.
+    // In the order of the column of channels.
     let of_triad = cause.triad.as_ref().and_then(|triad| all.get(&**triad)).into_iter();
     let rows = cause.channels.iter().filter_map(|channel| all.get(channel)).chain(of_triad).map(of_channel);
     rows.collect::<Vec<_>>().join("\n")

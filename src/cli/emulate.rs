@@ -56,7 +56,7 @@ pub(super) fn run(args: &EmulateArgs) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Faults by time, or those that standard input says.
+/// Faults by time, or those from standard input.
 type Faults = (Schedule, Option<mpsc::Receiver<Result<Fault, FaultError>>>);
 
 fn faults(script: Option<&Path>) -> anyhow::Result<Faults> {
@@ -79,7 +79,7 @@ fn faults(script: Option<&Path>) -> anyhow::Result<Faults> {
     Ok((Schedule::default(), Some(receiver)))
 }
 
-/// The model of this file, or the built-in one.
+/// Returns the model of this file, or the built-in one.
 pub(super) fn load_model(path: Option<&Path>) -> anyhow::Result<SensorModel> {
     let Some(path) = path else { return Ok(default_model()) };
     let name = path.display().to_string();
@@ -87,7 +87,7 @@ pub(super) fn load_model(path: Option<&Path>) -> anyhow::Result<SensorModel> {
     Ok(SensorModel::from_json(&text, &name)?)
 }
 
-/// The raw `$VN…` lines of a recording, without what stands before the `$` and without line ends.
+/// Returns the raw `$VN…` lines of a recording, without the text before the `$` and without line ends.
 fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + Send>> {
     let name = path.display().to_string();
     let file = std::fs::File::open(path).with_context(|| format!("the recording {name} cannot be opened"))?;
@@ -112,13 +112,14 @@ fn raw_lines(path: &Path) -> anyhow::Result<Box<dyn Iterator<Item = Vec<u8>> + S
     Ok(Box::new(lines))
 }
 
-/// A flag that SIGINT and SIGTERM set, and SIGHUP unless the process was started to go on without a terminal.
+/// Returns a flag that SIGINT and SIGTERM set, and also SIGHUP unless the process was started to continue without a
+/// terminal.
 pub(super) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let goes_on = Hangup::is_ignored();
-    // Before the caller goes on: a signal that comes right then shall find somebody.
+    // Before the caller continues, so that a signal right then is not lost.
     let (mut interrupt, mut terminate, mut hangup) = {
         let _inside = runtime.enter();
         (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?, signal(SignalKind::hangup())?)

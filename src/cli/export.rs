@@ -16,12 +16,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 
-/// Bytes that are written at a time.
+/// Number of bytes written at a time.
 const WRITE_BYTES: usize = 1 << 20;
-/// Blocks that wait between reading and writing, some 1 MB each.
+/// Number of blocks that wait between reading and writing, some 1 MB each.
 const BLOCKS_AHEAD: usize = 4;
 
-/// What an export came to.
+/// The result of an export.
 #[derive(Debug, serde::Serialize)]
 struct Report {
     file: String,
@@ -42,7 +42,7 @@ pub(super) fn run(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcom
     }
 }
 
-/// What was asked for and does not exist is the command line's fault.
+/// Converts the error for a channel that does not exist to an error of usage.
 fn opened(source: anyhow::Result<Samples>) -> anyhow::Result<Samples> {
     source.map_err(|error| if error.is::<ChannelError>() { usage(error.to_string()) } else { error })
 }
@@ -85,7 +85,7 @@ fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
-/// The form that was named, else the one that the file's name ends with.
+/// Returns the named form, else the one of the file's ending.
 fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat> {
     let Some(path) = path else { return Ok(args.format.unwrap_or(SampleFormat::Csv)) };
     let ending = path.extension().and_then(|ending| SampleFormat::of_ending(&ending.to_string_lossy()));
@@ -95,7 +95,7 @@ fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat
     })
 }
 
-/// Every capture's file in its place; each is whole or not there.
+/// Writes every capture's file to its place; each is complete or absent.
 fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Result<Outcome> {
     let stop = Stop::listen()?;
     // One schema for all files: a capture without a channel has an empty column.
@@ -139,7 +139,7 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
     Ok(outcome)
 }
 
-/// Whether the capture is no longer there.
+/// Returns whether the capture no longer exists.
 fn is_gone(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture { .. }))
 }
@@ -155,7 +155,7 @@ fn place(source: Samples, path: &Path, stop: &Stop) -> anyhow::Result<Report> {
     Ok(report)
 }
 
-/// Folders that were made for a file that did not come into being; the system keeps those with something in them.
+/// Removes folders that were made for a file that was not written; the system keeps folders that are not empty.
 fn take_away_empty(path: &Path, folder: &Path) {
     for parent in path.ancestors().skip(1).take_while(|parent| *parent != folder) {
         if std::fs::remove_dir(parent).is_err() {
@@ -164,7 +164,7 @@ fn take_away_empty(path: &Path, folder: &Path) {
     }
 }
 
-/// The captures that were named, each once, or all that have samples; the oldest first.
+/// Returns the named captures, each once, or all that have samples; the oldest first.
 fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
     let reader = context.reader()?;
     let mut ids = Vec::new();
@@ -185,13 +185,13 @@ fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
     Ok(ids)
 }
 
-/// What goes from the thread that reads to the one that writes.
+/// A piece passed from the reading thread to the writing one.
 enum Piece {
     Samples(Block),
     End(Tally),
 }
 
-/// Writes all samples and what stands after them: one thread reads, another one writes.
+/// Writes all samples and the end of the file: one thread reads, another one writes.
 fn write(
     source: Samples,
     format: SampleFormat,
@@ -214,7 +214,7 @@ fn write(
             pieces.send(Piece::Samples(block)).map_err(|_| anyhow::anyhow!("the writing ended before the reading"))
         });
         if let Ok(tally) = &tally {
-            // Where nobody takes it, the writer says why.
+            // If the writer no longer receives, it reports the reason.
             let _ = pieces.send(Piece::End(tally.clone()));
         }
         drop(pieces);
@@ -239,7 +239,7 @@ fn write(
     })
 }
 
-/// Writes until the end; where the pieces end before it, the file stays as it is and is not kept.
+/// Writes until the end; if the pieces end before it, the incomplete file is not kept.
 fn all(
     pieces: mpsc::Receiver<Piece>,
     format: SampleFormat,
@@ -261,18 +261,18 @@ fn all(
     match until_end() {
         Ok(Some(tally)) => sink.finish(&tally),
         ended => {
-            // MCAP's writer finishes a file when it is dropped: what went to a pipe would look whole.
+            // MCAP's writer finishes a file when it is dropped: data sent to a pipe would look complete.
             abandoned.store(true, Ordering::Relaxed);
             ended.map(drop)
         }
     }
 }
 
-/// Counts what is written through it.
+/// Counts the bytes written through it.
 struct Counted<'a, W> {
     to: W,
     bytes: u64,
-    /// Nothing more is to be written.
+    /// Whether nothing more may be written.
     abandoned: &'a AtomicBool,
 }
 

@@ -1,4 +1,4 @@
-//! `vn100d completions` and `vn100d generate`: what a shell and a manual need, made of the arguments themselves.
+//! `vn100d completions` and `vn100d generate`: completions and manual pages, made from the arguments themselves.
 
 use super::args::{Cli, CompletionsArgs, GenerateArgs};
 use super::{Outcome, usage};
@@ -40,7 +40,7 @@ pub(super) fn generate(args: &GenerateArgs) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// `vn100d.1`, and `vn100d-COMMAND.1` for each command that is shown.
+/// Writes `vn100d.1`, and `vn100d-COMMAND.1` for each visible command.
 fn manual(folder: &Path) -> anyhow::Result<()> {
     let mut command = Cli::command();
     command.build();

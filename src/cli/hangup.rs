@@ -1,25 +1,25 @@
-//! SIGHUP: the terminal was closed, the SSH session lost, or a manager wants the configuration read again.
+//! SIGHUP: the terminal was closed, the SSH session was lost, or a manager wants the configuration to be read again.
 
 use std::sync::Arc;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-/// What SIGHUP means to this process.
+/// The meaning of SIGHUP for this process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Hangup {
-    /// End cleanly: nobody would know of a capture that goes on.
+    /// End cleanly, because the user would not know of a capture that continues.
     Stop,
-    /// Go on: the user asked for that, or started the process by `nohup`.
+    /// Continue: the user asked for that, or started the process by `nohup`.
     Ignore,
     /// Read the configuration again: systemd started the process.
     Reload,
 }
 
 impl Hangup {
-    /// What it means to this process; `keep_on`: the user wants to go on.
+    /// Returns the meaning for this process. `keep_on` is set if the user wants to continue.
     pub(super) fn of_process(keep_on: bool) -> Self {
         let has = |name| std::env::var_os(name).is_some();
-        // A terminal of a desktop is itself a service, whose id its shells inherit.
+        // A desktop's terminal is itself a service, whose id its shells inherit.
         let is_service = has("NOTIFY_SOCKET") || has("INVOCATION_ID") && std::fs::File::open("/dev/tty").is_err();
         Self::of(keep_on || Self::is_ignored(), is_service)
     }
@@ -32,7 +32,8 @@ impl Hangup {
         }
     }
 
-    /// Whether the process was started with the signal ignored, as `nohup` does. To be asked before anything listens.
+    /// Returns whether the process was started with the signal ignored, as `nohup` does. Must be called before a
+    /// handler is installed.
     pub(super) fn is_ignored() -> bool {
         std::fs::read_to_string("/proc/self/status").is_ok_and(|status| ignores_hangup(&status))
     }
@@ -40,7 +41,7 @@ impl Hangup {
     /// Acts on each signal from here on. A second one changes nothing: the shell passes one on, and the kernel sends another.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error that the system reports.
     pub(super) fn heed(
         self,
         stop: CancellationToken,
@@ -67,7 +68,7 @@ impl Hangup {
     }
 }
 
-/// Whether a process with this `/proc/PID/status` ignores SIGHUP, the first bit of its mask.
+/// Returns whether a process with this `/proc/PID/status` ignores SIGHUP, the first bit of its mask.
 fn ignores_hangup(status: &str) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)

@@ -1,4 +1,4 @@
-//! `vn100d import`: recordings become captures, through the daemon where one has the database.
+//! `vn100d import`: recordings become captures, through the daemon if one has the database.
 
 use super::args::ImportArgs;
 use super::client;
@@ -15,26 +15,26 @@ use imu_files::recording::{
 use std::io::{Read as _, Write as _};
 use std::path::Path;
 
-/// Who writes the database.
+/// The process that writes the database.
 enum Writer {
     /// This process.
     Own(Store),
-    /// The daemon that answers here, with what it takes to be let in.
+    /// The daemon that answers at this address, with the token for it.
     Daemon { base_url: String, token: String },
 }
 
-/// Rejected lines that a person is shown, and how much of each.
+/// Number of rejected lines that are printed, and number of characters of each.
 const REJECTED_SHOWN: usize = 5;
 const REJECTED_CHARS: usize = 90;
-/// More of a file is not read as a message's definition, which may not have as much.
+/// Maximum number of bytes read as a message's definition, which must be smaller.
 const DEFINITION_BYTES: u64 = 1 << 20;
 
-/// Imports each file; a file that was imported before is named, not doubled.
+/// Imports each file; a file that was imported before is reported, not doubled.
 pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcome> {
     if args.name.is_some() && args.files.len() > 1 {
         return Err(usage("--name names one capture, but several files were given"));
     }
-    // A daemon is sent what was understood here.
+    // The daemon receives the options as parsed here.
     let columns = ColumnMap::parse(&args.columns).map_err(|error| usage(format!("--{error}")))?;
     let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
     let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
@@ -64,13 +64,13 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
     Ok(outcome)
 }
 
-/// What the user says of the recordings.
+/// The user's statements about the recordings.
 struct Given {
     columns: ColumnMap,
     definitions: Vec<MessageDefinition>,
 }
 
-/// Reads `FILE.msg` or `TYPE=FILE.msg`; without a type the file is called after it.
+/// Reads `FILE.msg` or `TYPE=FILE.msg`; without a type, the file's name is the type.
 fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
     let (name, file) = match given.split_once('=') {
         Some((name, file)) if is_type_name(name.trim()) && !Path::new(given).is_file() => (Some(name), Path::new(file)),
@@ -89,7 +89,7 @@ fn no_definition(error: DefinitionError) -> anyhow::Error {
     usage(error.to_string())
 }
 
-/// The daemon that was named, or the one that has the database; without one the database itself.
+/// Returns the named daemon, or the one that has the database; without one, the database itself.
 fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
     let database = context.database()?;
     let refused = if args.listen.is_some() {
@@ -106,7 +106,7 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
         let token = context.token_for(args.listen.as_deref())?;
         return Ok(Writer::Daemon { base_url, token });
     };
-    // Whoever answers must have this very database: a recording shall not end up in another one.
+    // The daemon must have this very database, so that a recording does not end up in another one.
     match client::get(&base_url, "/v1/status") {
         Err(error) if error.is_unreachable() => {
             Err(refused).context(format!("no daemon answers at {base_url} either (name its address with --listen)"))
@@ -116,7 +116,7 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
             let theirs = status["storage"]["database"].as_str().unwrap_or_default();
             let ours = database.canonicalize().unwrap_or(database);
             if Path::new(theirs) == ours {
-                // Only now: where no daemon is there, nobody needs a token that only its user may read.
+                // Only now: without a daemon, no token is needed, which only its user may read.
                 let token = context.token_for(None)?;
                 return Ok(Writer::Daemon { base_url, token });
             }
@@ -125,7 +125,7 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
     }
 }
 
-/// Whether another process, or another user's, has the database.
+/// Returns whether another process, or another user, has the database.
 fn is_somebody_elses(error: &StoreError) -> bool {
     match error {
         StoreError::Locked { .. } => true,
@@ -154,13 +154,13 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Given) -> a
     Ok(imported.report())
 }
 
-/// Sends the recording's bytes to the daemon (its address and token), which may not be able to read the user's files.
+/// Sends the recording's bytes to the daemon (address and token), which may not be able to read the user's files.
 fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
-    // What is no recording is not sent.
+    // A file that is not a recording is not sent.
     detect(&Input::file(file).with_columns(told.columns.clone()))?;
     if let Some(log) = unmerged_log(file) {
-        // The daemon gets one file: what is in the log alone would be missing without a word.
+        // The daemon gets one file: data that is only in the log would be missing without notice.
         let (file, log) = (file.display(), log.display());
         return Err(usage(format!(
             "{file} was not closed by its recorder: {log} holds what is not in it yet. `sqlite3 '{file}' .tables` puts it \
@@ -193,7 +193,7 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
 
 fn tell(report: &ImportReport) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    // Four decimals: more are the recording's jitter.
+    // Four decimals: further ones are the recording's jitter.
     let rate_hz = format!("{:.4}", report.rate_hz);
     let rate_hz = if report.rate_hz < 0.01 { report.rate_hz.to_string() } else { rate_hz };
     let rate_hz = if rate_hz.contains('.') { rate_hz.trim_end_matches('0').trim_end_matches('.') } else { &rate_hz };
@@ -229,7 +229,7 @@ fn tell(report: &ImportReport) -> std::io::Result<()> {
 mod tests {
     use super::*;
 
-    /// Nobody needs the token of a daemon that is not there: what keeps the import is the database.
+    /// A daemon that is not there needs no token: the database decides whether an import is possible.
     #[test]
     fn a_token_that_cannot_be_read_keeps_nobody_while_no_daemon_is_there() {
         let folder = tempfile::tempdir().unwrap();
@@ -256,7 +256,7 @@ mod tests {
             "{error:#}"
         );
         held.close().unwrap();
-        // A daemon that was named is to be let in at.
+        // A named daemon requires the token.
         let Err(error) = writer(&context, &arguments(Some("127.0.0.1:9"))) else { panic!("there is no token") };
         assert!(error.to_string().contains("token-file"), "{error:#}");
     }

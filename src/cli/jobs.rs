@@ -4,8 +4,8 @@ use super::client::{self, ClientError, shown};
 use comfy_table::{Table, presets};
 use serde_json::Value;
 
-/// Asks the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its latest 100 jobs as a table, or as the JSON of
-/// `GET /v1/jobs`.
+/// Queries the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its latest 100 jobs as a table, or as the JSON
+/// of `GET /v1/jobs`.
 ///
 /// # Errors
 /// [`ClientError`]; [`ClientError::is_unreachable`] is exit code 69.
@@ -40,7 +40,7 @@ fn table(jobs: &[Value]) -> Table {
     table
 }
 
-/// A time without its fraction of a second.
+/// Returns a time without its fraction of a second.
 fn seconds(time: &Value) -> String {
     match time.as_str().and_then(|time| time.split_once('.')) {
         Some((whole, _)) => format!("{whole}Z"),

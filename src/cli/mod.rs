@@ -53,7 +53,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// How a command ended, where it did not fail.
+/// How a command ended, if it did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// All is done.
@@ -62,10 +62,10 @@ pub enum Outcome {
     WithLoss,
 }
 
-/// Kinds of failure that a script can tell apart by the exit code.
+/// Kinds of failure that a script can distinguish by the exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Failure {
-    /// Anything else.
+    /// Any other failure.
     Other,
     /// The command line is wrong.
     Usage,
@@ -75,12 +75,12 @@ pub enum Failure {
     CannotCreate,
     /// Reading or writing failed.
     InputOutput,
-    /// The configuration is wrong, or the database is of a newer version.
+    /// The configuration is wrong, or the database has a newer version.
     Configuration,
 }
 
 impl Failure {
-    /// The exit code (docs/formats.md; the numbers above 63 are those of sysexits.h).
+    /// Returns the exit code (docs/formats.md; the numbers above 63 are those of sysexits.h).
     fn code(self) -> u8 {
         match self {
             Self::Other => 1,
@@ -93,27 +93,27 @@ impl Failure {
     }
 }
 
-/// A failure with its kind; put into an error's context by whoever knows the kind.
+/// A failure with its kind; added to an error's context by the code that knows the kind.
 #[derive(Debug, thiserror::Error)]
 #[error("{message}")]
 pub struct CliError {
-    /// Which exit code.
+    /// The kind of failure.
     pub failure: Failure,
-    /// For the person at the terminal.
+    /// The message for the user.
     pub message: String,
 }
 
-/// The error of a wrong command line.
+/// Returns the error of a wrong command line.
 fn usage(message: impl Into<String>) -> anyhow::Error {
     CliError { failure: Failure::Usage, message: message.into() }.into()
 }
 
-/// The error of a command that failed.
+/// Returns the error of a command that failed.
 fn failed(message: impl Into<String>) -> anyhow::Error {
     CliError { failure: Failure::Other, message: message.into() }.into()
 }
 
-/// What every command may need besides its own arguments.
+/// The options that any command may need besides its own arguments.
 #[derive(Debug, Clone)]
 pub struct Context {
     /// `--data-dir`.
@@ -125,19 +125,19 @@ pub struct Context {
 }
 
 impl Context {
-    /// The effective configuration.
+    /// Returns the effective configuration.
     fn load(&self, overrides: &Overrides) -> Result<Config, ConfigError> {
         let loaded = crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)?;
         Ok(loaded.config)
     }
 
-    /// The database's path.
+    /// Returns the database's path.
     fn database(&self) -> Result<PathBuf, ConfigError> {
         Ok(Environment::from_process().data_dir(self.data_dir.as_deref())?.join("vn100d.db"))
     }
 
-    /// The capture that was named. A path that leads to no file, or to a folder, a pipe or a device, is refused as what it
-    /// is: whoever typed it meant a recording.
+    /// Returns the named capture. A path that leads to no file, or to a folder, a pipe or a device, is refused as such:
+    /// the user meant a recording.
     fn capture(&self, named: &str) -> anyhow::Result<(Reader, CaptureRow)> {
         let found = self.reader().and_then(|reader| {
             let row = reader.capture(reader.resolve(named)?)?;
@@ -147,7 +147,7 @@ impl Context {
             let is_unknown =
                 matches!(error.downcast_ref(), Some(StoreError::NoDatabase { .. } | StoreError::NoSuchCapture { .. }));
             let path = Path::new(named);
-            // No capture's name has a `/`.
+            // No capture's name contains a `/`.
             let is_path = named.contains('/') || path.exists();
             match open_regular(path) {
                 Err(refused) if is_unknown && is_path => refused.into(),
@@ -156,14 +156,14 @@ impl Context {
         })
     }
 
-    /// The database, for reading; also beside a running daemon.
+    /// Returns the database for reading, also beside a running daemon.
     fn reader(&self) -> anyhow::Result<Reader> {
         Ok(Reader::open(&self.database()?)?)
     }
 
-    /// The token for the daemon at `--listen`, or at the configured address; empty where there is none, or none for that
-    /// address ([`may_have_token`]): then its file is not read. A daemon on this machine gets the machine's token if the
-    /// configuration, which may be the user's own, has none.
+    /// Returns the token for the daemon at `--listen`, or at the configured address; empty if there is none, or none
+    /// for that address ([`may_have_token`]); then its file is not read. A daemon on this machine gets the machine's
+    /// token if the configuration, which may be the user's own, has none.
     fn token_for(&self, listen: Option<&str>) -> anyhow::Result<String> {
         let named = address(listen)?;
         if let Some(named) = named {
@@ -175,7 +175,7 @@ impl Context {
         let http = self.load(&Overrides::default())?.http;
         let is_here = named.unwrap_or(http.listen).ip().to_canonical().is_loopback();
         let token = if http.token.is_empty() && is_here {
-            // Who may not read it hears so if the daemon asks for it.
+            // A user who may not read it gets a message if the daemon requires it.
             crate::config::token_in(Path::new(MACHINE_TOKEN)).unwrap_or_default()
         } else {
             http.token
@@ -183,20 +183,20 @@ impl Context {
         Ok(token.secret().to_owned())
     }
 
-    /// Where the daemon is asked.
+    /// Returns the daemon's address.
     fn daemon_url(&self, listen: Option<&str>) -> anyhow::Result<String> {
         let config = self.load(&Overrides { listen: address(listen)?, without_token: true, ..Overrides::default() })?;
         Ok(format!("http://{}", config.http.listen))
     }
 }
 
-/// Whether the daemon at an address that was named is sent the token, which goes over the network as it is: one on this
-/// machine, the one that is configured, or any where the configuration was named too.
+/// Returns whether the daemon at a named address gets the token, which is sent unencrypted: a daemon on this machine,
+/// the configured one, or any if the configuration was named too.
 fn may_have_token(named: SocketAddr, configured: SocketAddr, configuration_named: bool) -> bool {
     configuration_named || named.ip().to_canonical().is_loopback() || named == configured
 }
 
-/// `--listen` as an address.
+/// Returns `--listen` as an address.
 fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
     let Some(text) = listen else { return Ok(None) };
     let text =
@@ -207,7 +207,7 @@ fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
     })
 }
 
-/// How long the sensor was at rest and how long it moved, as a line; empty if motion is unknown.
+/// Returns how long the sensor was at rest and how long it moved, as a line; empty if motion is unknown.
 fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
     let told = at_rest_s.zip(moving_s);
     told.map_or_else(String::new, |(at_rest_s, moving_s)| {
@@ -215,7 +215,7 @@ fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
     })
 }
 
-/// Every item of a list that comes in pages.
+/// Returns every item of a list that comes in pages.
 fn all<T>(mut page: impl FnMut(&PageRequest) -> Result<Page<T>, StoreError>) -> Result<Vec<T>, StoreError> {
     let (mut items, mut request) = (Vec::new(), PageRequest::first());
     loop {
@@ -228,14 +228,14 @@ fn all<T>(mut page: impl FnMut(&PageRequest) -> Result<Page<T>, StoreError>) -> 
     }
 }
 
-/// A table for a person.
+/// Returns a table for display.
 fn table(header: &[&str]) -> comfy_table::Table {
     let mut table = comfy_table::Table::new();
     table.load_style(comfy_table::presets::UTF8_FULL_CONDENSED).set_header(header.iter().copied());
     table
 }
 
-/// JSON alone on standard output.
+/// Prints only JSON on standard output.
 fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
     use std::io::Write as _;
     let mut stdout = std::io::stdout().lock();
@@ -244,7 +244,7 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Parses the arguments, runs the command, says what failed.
+/// Parses the arguments, runs the command, and reports failures.
 pub fn main() -> ExitCode {
     use std::io::Write as _;
     let cli = Cli::parse();
@@ -253,15 +253,15 @@ pub fn main() -> ExitCode {
         Ok(Outcome::WithLoss) => ExitCode::from(3),
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            // Standard error may be a terminal that was closed; the exit code says it all the same.
+            // Standard error may be a terminal that was closed; the exit code still reports the failure.
             let _ = writeln!(std::io::stderr(), "error: {}", sentence(&error));
             ExitCode::from(failure(&error).code())
         }
     }
 }
 
-/// The error and its causes in one line: a cause that the error names itself is not said twice, and what SQLite quotes of a
-/// damaged database may have lines of its own.
+/// Returns the error and its causes in one line. A cause that the error itself names is not repeated, and text that
+/// SQLite quotes from a damaged database may contain line ends.
 fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain().map(ToString::to_string).filter(|cause| !cause.is_empty()) {
@@ -274,7 +274,7 @@ fn sentence(error: &anyhow::Error) -> String {
     text.split(char::is_control).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
-/// `vn100d … | head` ends quietly.
+/// Returns whether a pipe was closed: `vn100d … | head` ends quietly.
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
     error
         .chain()
@@ -320,7 +320,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
     }
 }
 
-/// The kind of a failure, from the typed error that caused it.
+/// Returns the kind of a failure, from the typed error that caused it.
 fn failure(error: &anyhow::Error) -> Failure {
     error.chain().find_map(kind_of).unwrap_or(Failure::Other)
 }
@@ -367,7 +367,8 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
     cause.is::<std::io::Error>().then_some(Failure::InputOutput)
 }
 
-/// What is wrong with the content is no failure of the disk, although a decompressor says so by an error of reading.
+/// Returns the kind of a recording's failure. Wrong content is no failure of the disk, although a decompressor reports
+/// it as an error of reading.
 fn recording_failure(error: &RecordingError) -> Option<Failure> {
     use std::io::ErrorKind::{InvalidData, InvalidInput, Other};
     match error {
@@ -375,7 +376,7 @@ fn recording_failure(error: &RecordingError) -> Option<Failure> {
         RecordingError::Read { source, .. } if matches!(source.kind(), InvalidData | InvalidInput | Other) => {
             Some(Failure::Other)
         }
-        // Where the system refused, its own error follows in the chain.
+        // If the system refused, its own error follows in the chain.
         _ => None,
     }
 }
@@ -384,7 +385,7 @@ fn store_failure(error: &StoreError) -> Option<Failure> {
     match error.kind() {
         StoreErrorKind::CannotCreate => Some(Failure::CannotCreate),
         StoreErrorKind::NewerSchema => Some(Failure::Configuration),
-        // A disk that is full or busy is input and output that failed.
+        // A full or busy disk is a failure of input and output.
         StoreErrorKind::Io | StoreErrorKind::Unavailable => Some(Failure::InputOutput),
         _ => Some(Failure::Other),
     }

@@ -63,16 +63,16 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
     Ok(Outcome::Done)
 }
 
-/// A model of captures.
+/// A model fitted to captures.
 pub(super) struct Fit {
     pub(super) fitted: Fitted,
-    /// Its name.
+    /// The name of the model.
     name: String,
     /// Whether frames or lines were rejected on the way in.
     rejected: bool,
 }
 
-/// The model of captures, with the effects that are wanted, as far as they are found.
+/// Returns the model of captures, with the wanted effects as far as they are found.
 pub(super) fn fitted(together: Together, wanted: &[EffectKind], name: Option<String>) -> anyhow::Result<Fit> {
     let rejected = together.rejected();
     let name = name.unwrap_or_else(|| together.name());
@@ -134,17 +134,17 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
     Ok(())
 }
 
-/// Columns of a terminal that was not made wider.
+/// Columns of a terminal of usual width.
 const WIDTH: u16 = 80;
 
-/// A table that wraps its cells rather than be wrapped by the terminal.
+/// Returns a table that wraps its cells instead of its lines.
 fn narrow(header: &[&str]) -> comfy_table::Table {
     let mut table = table(header);
     table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic).set_width(WIDTH);
     table
 }
 
-/// The names of effects with a number from the second of a kind on, as `model diff` has them.
+/// Returns the names of effects with a number from the second of a kind on, as in `model diff`.
 fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut seen: BTreeMap<&str, usize> = BTreeMap::new();
     let number = |name| {
@@ -155,14 +155,14 @@ fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     names.map(number).collect()
 }
 
-/// An interval with as many digits as tell its ends apart.
+/// Returns an interval with as many digits as distinguish its ends.
 fn ends([low, high]: [f64; 2]) -> String {
     let share = (high - low) / low.abs().max(high.abs());
     let digits = if share > 0.0 { (1.0 - share.log10().floor()).clamp(2.0, 8.0) as usize } else { 2 };
     format!("{low:.digits$e} … {high:.digits$e}")
 }
 
-/// A parameter; numbers with the digits that a person takes in.
+/// Returns a parameter; numbers have the relevant digits.
 fn told(value: &Value) -> String {
     match value.as_f64() {
         Some(number) if number != 0.0 && !(9.99e-4..1e6).contains(&number.abs()) => format!("{number:.4e}"),
@@ -174,7 +174,7 @@ fn told(value: &Value) -> String {
     }
 }
 
-/// Provenance without JSON's marks; what all entries of an object agree on stands once.
+/// Returns provenance without JSON's marks; values that all entries of an object share are written once.
 fn in_words(value: &Value) -> String {
     match value {
         Value::String(text) => text.clone(),
@@ -187,7 +187,7 @@ fn in_words(value: &Value) -> String {
     }
 }
 
-/// In lines of at most [`WIDTH`] where the words allow it.
+/// Returns the text in lines of at most [`WIDTH`] where the words allow it.
 fn wrapped(text: &str) -> String {
     let (mut lines, mut line) = (Vec::new(), String::new());
     for word in text.split_whitespace() {
@@ -237,7 +237,7 @@ mod tests {
     use imu_core::sample::Channel;
     use serde_json::json;
 
-    /// The first quarter of the record is a turn: it is in no level, and no effect explains it.
+    /// The first quarter of the record is a turn, which is in no level and which no effect explains.
     #[test]
     fn a_model_is_that_of_the_samples_at_rest() {
         use std::fmt::Write as _;

@@ -42,7 +42,7 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// The datasheet that was chosen.
+/// Returns the chosen datasheet.
 fn datasheet(choice: &SheetChoice) -> anyhow::Result<Datasheet> {
     let path = match choice {
         SheetChoice::Named(sheet) => return Ok(sheet.as_ref().clone()),
@@ -53,7 +53,7 @@ fn datasheet(choice: &SheetChoice) -> anyhow::Result<Datasheet> {
     Ok(Datasheet::from_toml(&text, &name)?)
 }
 
-/// What says that parameters contradict the record, and how to have them all the same.
+/// Returns the error that parameters contradict the record, with the option that overrides it.
 pub(super) fn refused(what: &str, why: &str) -> anyhow::Error {
     let message = format!("{what}, since it would be wrong: {why}; --force writes it with a comment");
     failed(message)
@@ -64,7 +64,7 @@ const CURVE: &str = " *";
 /// Marks a channel that is not usable.
 const UNUSABLE: &str = " !";
 
-/// Value with its interval, or the limit below which it lies.
+/// Returns a value with its interval, or the limit below which it lies.
 fn cell(estimate: &Estimate) -> String {
     let mark = if estimate.source.is_some() { CURVE } else { "" };
     match (estimate.value, estimate.ci95, estimate.upper_limit95) {
@@ -143,7 +143,7 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
     Ok(())
 }
 
-/// Which number to paste where.
+/// Writes which number to paste where.
 fn write_paste(mut to: impl std::io::Write, paste: &Paste, captures: &str) -> std::io::Result<()> {
     let (header, rows) = paste.table(number);
     if rows.is_empty() {
@@ -173,7 +173,7 @@ fn write_paste(mut to: impl std::io::Write, paste: &Paste, captures: &str) -> st
     )
 }
 
-/// The datasheet's figures beside the capture's.
+/// Writes the datasheet's figures beside the capture's.
 fn write_comparison(mut to: impl std::io::Write, comparison: &Comparison) -> std::io::Result<()> {
     let sampling = &comparison.sampling;
     writeln!(
@@ -260,7 +260,7 @@ fn write_csv(to: impl std::io::Write, report: &NoiseReport) -> anyhow::Result<()
     Ok(())
 }
 
-/// What was found beside what the emulated sensor's model says.
+/// Returns the found values beside those of the emulated sensor's model.
 pub(super) fn comparison(noise: &Value, model: &SensorModel) -> String {
     let mut rows = table(&["channel", "N model", "N found", "B model", "B found [95 %]", "K model", "K found [95 %]"]);
     for (channel, truth) in &model.channels {
@@ -292,7 +292,7 @@ mod tests {
 
     const FAR: f64 = 1e9;
 
-    /// White noise of 4000 samples at 40 Hz, with what `change` makes of it, as a recording.
+    /// Returns white noise of 4000 samples at 40 Hz, changed by `change`, as a recording.
     fn recording(directory: &std::path::Path, change: impl Fn(usize, f64) -> f64) -> String {
         use std::fmt::Write as _;
         let mut state = 1u64;
@@ -316,7 +316,7 @@ mod tests {
         direct::noise(&together.source, together.plan).unwrap()
     }
 
-    /// What the job's document flags (`Flag::out_of_range`, `Flag::other_rate`) is flagged here.
+    /// Flags of the job's document (`Flag::out_of_range`, `Flag::other_rate`) appear here as well.
     #[test]
     fn what_was_left_out_is_flagged_as_in_the_jobs_document() {
         let directory = tempfile::tempdir().unwrap();
@@ -331,7 +331,7 @@ mod tests {
         assert!(report(quiet).channels[&Channel::GyroX].flags.iter().all(|flag| flag.kind != "other_rate"));
     }
 
-    /// A turn of 20 s at 10 °/s leaves the parameters as they are without it; what never rests tells nothing.
+    /// A turn of 20 s at 10 °/s does not change the parameters; a record that never rests has none.
     #[test]
     fn what_moved_is_left_out_and_what_never_rested_says_so() {
         let directory = tempfile::tempdir().unwrap();
@@ -364,7 +364,7 @@ mod tests {
         );
     }
 
-    /// What is known of motion in real recordings is found through the whole way from the file.
+    /// The known motion in real recordings is found through the whole way from the file.
     #[test]
     fn real_recordings_are_divided_as_they_were_made() {
         for (file, moving) in [
@@ -411,7 +411,8 @@ mod tests {
         assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true,,true,\n"), "{csv}");
     }
 
-    /// What every user asks of a record: B beside the lowest deviation, how long to record, why the curve does not rise.
+    /// The usual questions about a record: B beside the lowest deviation, how long to record, why the curve does not
+    /// rise.
     #[test]
     fn the_table_says_how_long_to_record_and_why_no_walk_is_seen() {
         let directory = tempfile::tempdir().unwrap();
@@ -446,7 +447,7 @@ mod tests {
         );
     }
 
-    /// What is not usable is marked in table and CSV, and no number of it is offered to a program.
+    /// An unusable channel is marked in table and CSV, and none of its numbers is offered to a program.
     #[test]
     fn what_is_not_usable_is_marked_and_goes_to_no_program() {
         let directory = tempfile::tempdir().unwrap();
@@ -486,7 +487,7 @@ mod tests {
         assert!(csv.contains(",true,allan deviation,false,it predicts another deviation\n"), "{csv}");
     }
 
-    /// A datasheet of the reader's own, and one that is none.
+    /// A user's own datasheet, and a file that is none.
     #[test]
     fn a_datasheet_is_read_from_a_file_and_refused_with_its_name() {
         let directory = tempfile::tempdir().unwrap();
@@ -505,7 +506,7 @@ mod tests {
         assert!(error.contains("own.toml") && error.contains("gyroscope") && error.contains("`accel`"), "{error}");
     }
 
-    /// A sensor that sends means of four at its internal rate (finding A1).
+    /// Returns a sensor that sends means of four at its internal rate (finding A1).
     fn means_of_four(directory: &std::path::Path) -> String {
         use rand::SeedableRng as _;
         use rand_distr::{Distribution as _, StandardNormal};

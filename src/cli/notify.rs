@@ -1,4 +1,4 @@
-//! `vn100d notify`: tells the configured receivers a test message, once, and says how it went.
+//! `vn100d notify`: sends a test message to the configured receivers once, and reports the result.
 
 use super::{CliError, Context, Failure, Outcome, failed, print_json};
 use crate::clock::{Clock as _, SystemClock};

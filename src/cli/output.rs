@@ -1,5 +1,5 @@
-//! Files that commands write: whole or not at all, never over a file that is there unless `--force` is said, and never over one
-//! that is read.
+//! Files that commands write: complete or not at all, never over an existing file without `--force`, and never over an
+//! input.
 
 use super::{CliError, Failure};
 use crate::store::is_database;
@@ -10,7 +10,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// Least bytes that a value takes, a digit and a comma, or one byte and its place in a row.
+/// Minimum number of bytes of a value: a digit and a comma, or one byte and its place in a row.
 const LEAST_BYTES: u64 = 2;
 
 /// A file to be written.
@@ -23,26 +23,26 @@ pub(super) struct Output {
 
 #[derive(Debug)]
 enum To {
-    /// A file beside the one to be, which takes its name at the end.
+    /// A temporary file beside the target, which takes its name at the end.
     Beside(NamedTempFile),
-    /// A pipe or a device takes what comes.
+    /// A pipe or a device, which takes all data.
     Stream(File),
 }
 
 impl Output {
-    /// Makes what is written to, once it is clear that `path` may be: it is none of `read` and no database of captures, and
-    /// there is no such file or `force` is said.
+    /// Creates the output after checking that `path` may be written: it is not in `read`, it is not a database of
+    /// captures, and the file does not exist or `force` is set.
     ///
     /// # Errors
-    /// [`CliError`] for a file in the way; what the system says about the folder.
+    /// [`CliError`] for a file in the way; the system's error for the folder.
     pub(super) fn create(path: &Path, force: bool, read: &[&Path]) -> anyhow::Result<Self> {
         Self::create_by("--force", path, force, read)
     }
 
-    /// The same where another option replaces a file.
+    /// Creates the output if another option replaces a file.
     ///
     /// # Errors
-    /// As [`Output::create`].
+    /// The errors of [`Output::create`].
     pub(super) fn create_by(option: &str, path: &Path, force: bool, read: &[&Path]) -> anyhow::Result<Self> {
         let refuse = |failure, message| anyhow::Error::from(CliError { failure, message });
         let shown = path.display();
@@ -64,7 +64,7 @@ impl Output {
             _ => {
                 let mut builder = tempfile::Builder::new();
                 builder.prefix(".vn100d-").permissions(Permissions::from_mode(0o666));
-                // The crate's own error names the file beside, which nobody asked for.
+                // The crate's own error names the temporary file, which the user does not know.
                 let beside = || builder.tempfile_in(folder(path)).map_err(|error| error.kind().into());
                 let made = folder(path).metadata().and_then(|_| beside());
                 To::Beside(made.with_context(cannot)?)
@@ -73,12 +73,12 @@ impl Output {
         Ok(Self { path: path.to_owned(), to, force })
     }
 
-    /// Its name.
+    /// Returns the name.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What is written to.
+    /// Returns the file to write to.
     pub(super) fn file(&self) -> &File {
         match &self.to {
             To::Beside(file) => file.as_file(),
@@ -86,20 +86,20 @@ impl Output {
         }
     }
 
-    /// Writes all of the file and gives it its name.
+    /// Writes the whole file and gives it its name.
     ///
     /// # Errors
-    /// As [`Output::keep`], and where there is no room.
+    /// The errors of [`Output::keep`], and an error if there is no room.
     pub(super) fn put(self, bytes: &[u8]) -> anyhow::Result<()> {
         let written = self.file().write_all(bytes);
         written.with_context(|| format!("{} cannot be written", self.path.display()))?;
         self.keep()
     }
 
-    /// Gives the file its name: from here on it is there.
+    /// Gives the file its name, which makes it visible.
     ///
     /// # Errors
-    /// What the system says; also where a file has come into being in the meantime and `force` was not said.
+    /// The error that the system reports, also if the file was created meanwhile and `force` was not set.
     pub(super) fn keep(self) -> anyhow::Result<()> {
         let To::Beside(file) = self.to else { return Ok(()) };
         let kept = if self.force { file.persist(&self.path) } else { file.persist_noclobber(&self.path) };
@@ -109,13 +109,13 @@ impl Output {
     }
 }
 
-/// Refuses so many values that they cannot lie where `path` is.
+/// Refuses so many values that they do not fit the disk of `path`.
 ///
 /// # Errors
-/// [`CliError`] with what is needed and what is free.
+/// [`CliError`] with the needed and the free space.
 pub(super) fn refuse_without_room(path: &Path, values: u64) -> anyhow::Result<()> {
     const GB: f64 = 1e9;
-    // Where the system does not tell, writing will.
+    // If the system does not report free space, writing will show it.
     let Ok(statistics) = rustix::fs::statvfs(folder(path)) else { return Ok(()) };
     let (free, needed) = (statistics.f_bavail.saturating_mul(statistics.f_frsize), values.saturating_mul(LEAST_BYTES));
     if needed <= free {
@@ -130,7 +130,7 @@ pub(super) fn refuse_without_room(path: &Path, values: u64) -> anyhow::Result<()
     Err(CliError { failure: Failure::InputOutput, message }.into())
 }
 
-/// Whether two paths lead to one file, there or not.
+/// Returns whether two paths lead to the same file, whether it exists or not.
 pub(super) fn is_same(one: &Path, other: &Path) -> bool {
     let place = |path: &Path| {
         path.canonicalize().ok().or_else(|| Some(folder(path).canonicalize().ok()?.join(path.file_name()?)))
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "one");
         write(true, "two").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "two");
-        // One that came in the meantime stays.
+        // A file that was created meanwhile stays.
         let (late, output) =
             (folder.path().join("late.csv"), Output::create(&folder.path().join("late.csv"), false, &[]));
         std::fs::write(&late, "theirs").unwrap();

@@ -10,11 +10,11 @@ use crate::jobs::{Documents, JobError, JobKind};
 use std::io::Write as _;
 use std::path::Path;
 
-/// What a plot came to.
+/// The result of a plot.
 #[derive(Debug, serde::Serialize)]
 struct Report<'a> {
     plot: String,
-    /// Null for a recording.
+    /// The capture's id; null for a recording.
     capture: Option<i64>,
     out: &'a Path,
     bytes: usize,
@@ -53,7 +53,7 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
     Ok(outcome)
 }
 
-/// The form that a file's name ends with.
+/// Returns the form of the file's ending.
 fn form(path: &Path) -> anyhow::Result<Form> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
     ending
@@ -77,7 +77,7 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
     for kind in picture.needs() {
         match subject.document(*kind) {
             Ok(found) => documents.extend(found),
-            // Lines that there will never be are left out.
+            // Lines that can never exist are left out.
             Err(error) if *kind == JobKind::Noise && !matches!(error, JobError::Store(_)) => {}
             Err(error) => return Err(error.into()),
         }

@@ -1,4 +1,4 @@
-//! `vn100d probe`: what is plugged in, without changing anything.
+//! `vn100d probe`: reports the connected sensor without changing anything.
 
 use super::args::ProbeArgs;
 use super::{Context, Outcome, failed, print_json, table};
@@ -15,7 +15,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 
-/// Long enough for every baud rate and every register of one sensor.
+/// Long enough for every baud rate and every register of a sensor.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Nothing is recorded while probing.
@@ -33,7 +33,7 @@ impl Sink for Nowhere {
     }
 }
 
-/// Finds the sensor and prints what it says of itself.
+/// Finds the sensor and prints its description.
 pub(super) fn run(context: &Context, args: &ProbeArgs) -> anyhow::Result<Outcome> {
     let config =
         context.load(&Overrides { device: args.device.clone(), without_token: true, ..Overrides::default() })?;
@@ -76,7 +76,7 @@ async fn find(options: TaskOptions) -> Progress {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock);
     let task =
         tokio::spawn(task::run(options, clock, Box::new(Nowhere), receiver, sender, Arc::new(AtomicU64::new(0))));
-    // Out of patience the last state says what is wrong.
+    // After the time limit, the last state shows the problem.
     let _ = tokio::time::timeout(PATIENCE, progress.wait_for(is_settled)).await;
     let found = progress.borrow().clone();
     let _ = commands.send(TaskCommand::Shutdown).await;
@@ -84,7 +84,7 @@ async fn find(options: TaskOptions) -> Progress {
     found
 }
 
-/// The sensor is described, or there is nothing to wait for.
+/// Returns whether the sensor is described, or there is nothing to wait for.
 fn is_settled(progress: &Progress) -> bool {
     use crate::observe::SensorState::{Absent, NoPermission, NoValidFrames, PortBusy};
     let hopeless = matches!(progress.sensor.state, Absent | NoPermission | NoValidFrames | PortBusy);

@@ -3,15 +3,15 @@
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::IsTerminal as _;
 
-/// Of a command that writes samples.
+/// The template for a command that writes samples.
 pub(super) const SAMPLES: &str = "{bar:30} {percent} % · {human_pos} of {human_len} samples · {eta} left";
 
-/// A bar of this template (indicatif's) up to this length, which may be set later.
+/// Returns a bar with this template (indicatif's) and this length, which may be set later.
 pub(super) fn bar(template: &str, length: u64) -> ProgressBar {
     let target =
         if std::io::stderr().is_terminal() { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
     let bar = ProgressBar::with_draw_target(Some(length), target);
-    // A template that indicatif does not understand leaves its own.
+    // A template that indicatif does not understand leaves its default.
     match ProgressStyle::with_template(template) {
         Ok(style) => bar.with_style(style),
         Err(_) => bar,

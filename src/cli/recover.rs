@@ -1,10 +1,10 @@
-//! `vn100d recover`: what is intact in a damaged database becomes a new one.
+//! `vn100d recover`: salvages the intact part of a damaged database into a new one.
 
 use super::args::RecoverArgs;
 use super::{Context, Outcome, print_json};
 use std::io::Write as _;
 
-/// Salvages; exit code 3 where anything was lost or damaged.
+/// Salvages; exit code 3 if anything was lost or damaged.
 pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcome> {
     let path = args.database.map_or_else(|| context.database(), Ok)?;
     let report = crate::store::recover(&path, &args.out, args.force)?;

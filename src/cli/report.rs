@@ -1,4 +1,4 @@
-//! `vn100d report`: all that is known of a capture as one page that needs nothing else, for colleagues and for paper.
+//! `vn100d report`: everything known about a capture as one self-contained page, for colleagues and for paper.
 
 use super::args::ReportArgs;
 use super::output::Output;
@@ -14,13 +14,13 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 
-/// Diagnoses that stand in a report, the latest: each has a spectrum of every channel.
+/// Maximum number of diagnoses in a report, the latest: each has a spectrum of every channel.
 const ENCLOSED: usize = 8;
 
-/// What a report came to.
+/// The result of a report.
 #[derive(Debug, serde::Serialize)]
 struct Report<'a> {
-    /// Null for a recording.
+    /// The capture's id; null for a recording.
     capture: Option<i64>,
     name: &'a str,
     out: &'a Path,
@@ -78,7 +78,7 @@ fn counted(count: usize, one: &str, several: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { several })
 }
 
-/// A page, and what is in it.
+/// A page and its contents.
 struct Made {
     page: String,
     plots: Vec<String>,
@@ -130,14 +130,14 @@ impl Made {
     }
 }
 
-/// What simulators were found to lack.
+/// The diagnoses of a capture.
 #[derive(Default)]
 struct Diagnosed {
-    /// Which of them are enclosed.
+    /// The ids of the enclosed ones.
     ids: Vec<i64>,
-    /// What stands in their pages.
+    /// The contents of their pages.
     enclosed: Vec<String>,
-    /// The others, with a sentence.
+    /// The others, each with a sentence.
     others: Vec<DiagnosisRow>,
 }
 
@@ -151,11 +151,11 @@ impl Diagnosed {
                 Some(result) => match read_diagnosis(&result.body) {
                     Ok((report, drawings)) => {
                         let body = page::diagnosis_body(&report, &drawings, &[]);
-                        // On paper nothing opens.
+                        // On paper nothing can be opened.
                         own.enclosed.push(body.replace("<details>", "<details open>"));
                         own.ids.push(job.id);
                     }
-                    // A newer program may have made it.
+                    // A newer program may have written it.
                     Err(error) => {
                         let id = job.id;
                         row.summary =
@@ -220,7 +220,7 @@ mod tests {
         assert_eq!(run(&context, &args).unwrap(), Outcome::Done);
         let page = std::fs::read_to_string(out).unwrap();
         assert_eq!(page.matches("class=\"enclosed\"").count(), ENCLOSED);
-        // The latest ones whole, the earliest one by its sentence.
+        // The latest ones completely, the earliest one by its sentence.
         assert!(page.contains("<h3>a &lt;tone&gt; 2</h3>") && page.contains("<li>a &lt;tone&gt; 1</li>"), "{page}");
         assert!(page.contains(&format!("<li>diagnosis {failed}, failed: &lt;too short&gt;</li>")), "{page}");
         assert_eq!(page.matches("<h1>").count(), 1);

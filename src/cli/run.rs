@@ -13,7 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-/// Runs until SIGINT or SIGTERM, of which a second one ends at once, or until the terminal is gone ([`Hangup`]).
+/// Runs until SIGINT or SIGTERM (a second one ends at once), or until the terminal is gone ([`Hangup`]).
 pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> {
     let listen = super::address(args.listen.as_deref())?;
     let overrides = Overrides { device: args.device.clone(), listen, ..Overrides::default() };
@@ -41,12 +41,12 @@ pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> 
     Ok(Outcome::Done)
 }
 
-/// The runtime of the daemon for everything but the reader, which has its own.
+/// Returns the runtime of the daemon for everything except the reader, which has its own.
 pub(super) fn runtime() -> std::io::Result<tokio::runtime::Runtime> {
     tokio::runtime::Builder::new_multi_thread().worker_threads(2).thread_name("vn100d").enable_all().build()
 }
 
-/// SIGINT and SIGTERM stop the daemon; whoever sends a second one does not want to wait.
+/// Lets SIGINT and SIGTERM stop the daemon; a second signal ends it without waiting.
 pub(super) fn stop_on_signal(stop: CancellationToken) -> std::io::Result<()> {
     let (mut interrupt, mut terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
     tokio::spawn(async move {

@@ -1,4 +1,4 @@
-//! Samples: what is exported, from a capture of the database or a recording's file, block by block.
+//! Samples: reads the samples to export, from a capture of the database or a recording's file, block by block.
 
 use super::Context;
 use super::source::{Source, has_rejected, tell_rate, tell_time};
@@ -7,10 +7,10 @@ use imu_core::sample::{Channel, Gap, Record, Sample, SensorDescription};
 use imu_files::export::samples::{About, Rows, Tally};
 use imu_files::recording::{Item, KeepOn, Recording, RecordingAccountant, Stamps};
 
-/// Samples of a block: one short query, some 1 MB.
+/// Samples per block: one short query, some 1 MB.
 const BLOCK: usize = 8192;
 
-/// Which part of a capture is wanted.
+/// The wanted part of a capture.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Part {
     pub from: Option<Moment>,
@@ -20,26 +20,26 @@ pub(super) struct Part {
 
 /// Samples to be exported.
 pub(super) struct Samples {
-    /// What is known of the capture.
+    /// The facts about the capture.
     pub about: About,
-    /// Samples to come: exact for a capture, at most so many for a recording.
+    /// Number of samples to come: exact for a capture, a maximum for a recording.
     pub samples: u64,
     /// Whether frames or lines were rejected on the way in.
     pub rejected: bool,
     held: Held,
 }
 
-/// Where the samples are.
+/// The source of the samples.
 enum Held {
     Capture { reader: Box<Reader>, range: Box<SampleRange> },
     Recording { recording: Box<Recording>, part: Part },
 }
 
 impl Samples {
-    /// A file where one of that name exists, read while `keep_on` says so, else a capture.
+    /// Returns a file if one of that name exists, read while `keep_on` allows it, else a capture.
     ///
     /// # Errors
-    /// What cannot be read, or channels that it does not have.
+    /// If the source cannot be read, or does not have the channels.
     pub(super) fn open(
         context: &Context,
         named: &str,
@@ -57,10 +57,10 @@ impl Samples {
         }
     }
 
-    /// A whole capture with these columns, whether it has them or not.
+    /// Returns a whole capture with these columns, whether it has them or not.
     ///
     /// # Errors
-    /// What the database says.
+    /// The database's error.
     pub(super) fn of_capture(context: &Context, id: i64, channels: Vec<Channel>) -> anyhow::Result<Self> {
         let reader = context.reader()?;
         let range = SampleRange::read(&reader, &id.to_string(), None, None)?;
@@ -116,10 +116,11 @@ impl Samples {
         })
     }
 
-    /// Hands the samples to `take`, block by block, and tells what they are and what is missing between them.
+    /// Passes the samples to `take` block by block, and returns their description and the number of samples missing
+    /// between them.
     ///
     /// # Errors
-    /// What cannot be read, and whatever `take` reports.
+    /// If the source cannot be read, and the errors of `take`.
     pub(super) fn each(self, take: &mut dyn FnMut(Block) -> anyhow::Result<()>) -> anyhow::Result<Tally> {
         match self.held {
             Held::Capture { reader, range } => of_capture(&reader, *range, &self.about.channels, take),
@@ -136,7 +137,7 @@ fn of_capture(
 ) -> anyhow::Result<Tally> {
     let id = range.capture.id;
     let read = read_capture(reader, range, channels, take);
-    // Deleted meanwhile, its rows go step by step: what is left is no damage, and no capture either.
+    // If the capture was deleted meanwhile, its rows go step by step: the rest is neither damage nor a capture.
     match reader.capture(id) {
         Err(gone @ StoreError::NoSuchCapture { .. }) => Err(gone.into()),
         _ => read,
@@ -155,7 +156,7 @@ fn read_capture(
         let limit = BLOCK.min(usize::try_from(to_seq - next_seq).unwrap_or(BLOCK));
         let chunk: Chunk = reader.read_samples(capture.id, next_seq, limit, channels)?;
         if chunk.is_empty() {
-            // It was deleted meanwhile.
+            // The capture was deleted meanwhile.
             return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() }.into());
         }
         let time_ns = axis.times(reader, &chunk)?;
@@ -204,7 +205,7 @@ impl Block {
         self.time_ns.push(time_ns);
         self.device_ns.push(sample.device_time_ns);
         for (column, channel) in self.columns.iter_mut().zip(channels) {
-            // A database keeps no sign of a zero: the same values leave without one.
+            // A database keeps no sign of a zero, so that the same values are exported without one.
             column.push(sample.get(*channel).unwrap_or(f64::NAN) + 0.0);
         }
     }
@@ -219,7 +220,7 @@ impl Block {
         }
     }
 
-    /// As what is written from.
+    /// Returns the rows to write.
     pub(super) fn rows(&self) -> Rows<'_> {
         Rows {
             first_seq: self.first_seq,
@@ -230,7 +231,7 @@ impl Block {
         }
     }
 
-    /// Hands on what it has, and has nothing then.
+    /// Passes its samples on and is empty afterwards.
     fn hand_on(&mut self, take: &mut dyn FnMut(Self) -> anyhow::Result<()>) -> anyhow::Result<()> {
         if self.segment.is_empty() {
             return Ok(());
@@ -263,7 +264,7 @@ fn of_recording(
                         block.hand_on(take)?;
                         return Ok(tally);
                     }
-                    // A gap counts where samples of the part lie on both its sides.
+                    // A gap counts if samples of the part lie on both sides of it.
                     for gap in gaps.drain(..) {
                         if tally.samples > 0 {
                             tally.gap(gap);

@@ -1,5 +1,5 @@
-//! A sealed trial: the processes that make cases and diagnose them, the folder that keeps what they write, and the rates that
-//! are asked for. Stationary trials and those with a motion are both made here.
+//! A sealed trial: the processes that make cases and diagnose them, the folder that keeps their output, and the
+//! required rates. Both stationary trials and those with a motion run here.
 
 use super::args::{TrialArgs, TrialPart};
 use super::progress::bar;
@@ -15,40 +15,40 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// A trial that other processes make and diagnose.
+/// A trial in which other processes make and diagnose the cases.
 pub(super) struct Sealed<'a> {
     pub(super) seed: u64,
     args: &'a TrialArgs,
-    /// Cases, kinds and length.
+    /// Number, kinds and length of the cases.
     shape: Shape<'a>,
-    /// Where corrected models are kept until they are tried again, if they are.
+    /// The folder in which corrected models are kept for a second test, if they are.
     corrected: Option<tempfile::TempDir>,
-    /// The folder of the recording that effects are imposed on.
+    /// The folder of the recording on which effects are imposed.
     ground: Option<&'a Path>,
 }
 
-/// What cases there are.
+/// The cases of a trial.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shape<'a> {
-    /// How many.
+    /// Number of cases.
     pub(super) cases: usize,
-    /// The seed, where one is told.
+    /// The seed, if one is given.
     pub(super) seed: Option<u64>,
-    /// Words for their kinds.
+    /// The words for their kinds.
     pub(super) kinds: &'a str,
-    /// Samples of each, where they are told.
+    /// Number of samples per case, if given.
     pub(super) samples: Option<usize>,
 }
 
 impl<'a> Shape<'a> {
-    /// As the arguments say.
+    /// Creates the shape that the arguments describe.
     pub(super) fn of(args: &'a TrialArgs) -> Self {
         Self { cases: args.cases, seed: args.seed, kinds: &args.kinds, samples: args.samples }
     }
 }
 
 impl<'a> Sealed<'a> {
-    /// With the seed that is asked for, or the time; its folder is made.
+    /// Starts a trial with the given seed or the time, and makes its folder.
     pub(super) fn new(args: &'a TrialArgs, shape: Shape<'a>, ground: Option<&'a Path>) -> anyhow::Result<Self> {
         if let Some(folder) = &args.out {
             let reports = folder.join("reports");
@@ -59,7 +59,7 @@ impl<'a> Sealed<'a> {
         Ok(Self { seed, args, shape, corrected, ground })
     }
 
-    /// The manifest and its SHA-256, which are told and kept; of no case it is `empty`.
+    /// Returns the manifest and its SHA-256, after printing and storing them; `empty` is the manifest of no case.
     pub(super) fn manifest(&self, empty: impl FnOnce() -> String) -> anyhow::Result<(Manifest, String)> {
         let text = self.ask(TrialPart::Manifest, None)?;
         let manifest: Manifest = read(&text, "manifest")?;
@@ -73,7 +73,7 @@ impl<'a> Sealed<'a> {
         Ok((manifest, sha256))
     }
 
-    /// Every case's diagnosis, or why there is none.
+    /// Returns every case's diagnosis, or why there is none.
     pub(super) fn reports(&self, cases: usize) -> anyhow::Result<Vec<Result<Value, String>>> {
         self.each(cases, "cases diagnosed", |index| {
             let text = self.diagnosed(TrialPart::Case, index)?;
@@ -84,7 +84,7 @@ impl<'a> Sealed<'a> {
         })
     }
 
-    /// The keys, kept once they are what the manifest promised.
+    /// Returns and stores the keys once they agree with the manifest.
     pub(super) fn keys<Key: DeserializeOwned>(
         &self,
         verify: impl FnOnce(&[Key]) -> anyhow::Result<()>,
@@ -96,8 +96,8 @@ impl<'a> Sealed<'a> {
         Ok(keys)
     }
 
-    /// What the true effects close of each case's gap, where that is asked for and `of_library` says that a model can have them:
-    /// `closed` of the case's diagnosis and of that under the model that has them.
+    /// Returns how much the true effects close of each case's gap, if requested and if `of_library` reports that a
+    /// model can have them: the `closed` of the case's diagnosis and of that under the model that has them.
     pub(super) fn truths(
         &self,
         reports: &[Result<Value, String>],
@@ -114,7 +114,7 @@ impl<'a> Sealed<'a> {
         })
     }
 
-    /// Does something with every case on as many threads as are asked for.
+    /// Applies a function to every case on the requested number of threads.
     pub(super) fn each<T: Send>(
         &self,
         cases: usize,
@@ -124,7 +124,7 @@ impl<'a> Sealed<'a> {
         each(cases, self.args.threads, what, work)
     }
 
-    /// The diagnosis of a case, or why there is none: a program that dies on one case has failed that one.
+    /// Returns the diagnosis of a case, or why there is none: if the program dies on a case, only that case fails.
     pub(super) fn diagnosed(&self, part: TrialPart, case: usize) -> anyhow::Result<Result<Vec<u8>, String>> {
         let mut maker = self.command(part, Some(case))?.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let parcel = maker.stdout.take().context("the maker has no output")?;
@@ -142,12 +142,12 @@ impl<'a> Sealed<'a> {
         Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
     }
 
-    /// The file of a case's corrected model, where those are kept.
+    /// Returns the file of a case's corrected model, if those are kept.
     fn corrected(&self, case: usize) -> Option<PathBuf> {
         Some(self.corrected.as_ref()?.path().join(format!("{case:05}.json")))
     }
 
-    /// What came of every case on other data, where that is asked for and `has_gap` says so.
+    /// Returns the results of every case on other data, if requested and if `has_gap` holds.
     pub(super) fn again<T: Send>(
         &self,
         cases: usize,
@@ -194,7 +194,7 @@ impl<'a> Sealed<'a> {
         Ok(command)
     }
 
-    /// What a part writes.
+    /// Returns the output of a part.
     fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
         let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
         let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
@@ -203,12 +203,12 @@ impl<'a> Sealed<'a> {
     }
 }
 
-/// A discrepancy of a diagnosis, nats per sample.
+/// Returns a discrepancy of a diagnosis, nats per sample.
 pub(super) fn discrepancy(diagnosis: &Value, name: &str) -> Option<f64> {
     diagnosis["discrepancy"][name].as_f64()
 }
 
-/// A rate that is asked for.
+/// A required rate.
 pub(super) struct Threshold {
     name: String,
     share: f64,
@@ -216,7 +216,7 @@ pub(super) struct Threshold {
 }
 
 impl Threshold {
-    /// Those of the arguments; each has to be one of these names.
+    /// Returns the thresholds of the arguments; each must have one of these names.
     pub(super) fn of(args: &TrialArgs, names: &[&str]) -> anyhow::Result<Vec<Self>> {
         let of = |(text, at_least): (&String, bool)| {
             let (name, share) = text.split_once('=').unwrap_or((text, ""));
@@ -230,7 +230,7 @@ impl Threshold {
         least.chain(args.at_most.iter().map(|text| (text, false))).map(of).collect()
     }
 
-    /// Says which of them the rates do not reach. A rate of no case reaches nothing.
+    /// Reports which thresholds the rates miss. A rate over no case misses every threshold.
     pub(super) fn outcome(all: &[Self], rate: impl Fn(&str) -> Option<f64>) -> Outcome {
         let mut outcome = Outcome::Done;
         for one in all {
@@ -247,7 +247,7 @@ impl Threshold {
     }
 }
 
-/// Does something with every case on several threads, in any order.
+/// Applies a function to every case on several threads, in any order.
 pub(super) fn each<T: Send>(
     cases: usize,
     threads: usize,
@@ -265,7 +265,7 @@ pub(super) fn each<T: Send>(
                     let Some(place) = done.get(index) else { break };
                     let result = work(index);
                     if result.is_err() {
-                        // What one case cannot have, such as a process, the next ones cannot either.
+                        // A resource that one case cannot get, such as a process, the next cases cannot get either.
                         next.store(cases, Ordering::Relaxed);
                     }
                     *place.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);

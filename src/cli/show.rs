@@ -9,9 +9,9 @@ use imu_files::recording::{KeepOn, LoadedRecording, columns};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 
-/// Rows that a person is shown of a long list.
+/// Maximum number of rows shown of a long list.
 const SHOWN: usize = 20;
-/// Rejected lines that a person is shown, and how much of each.
+/// Number of rejected lines shown, and number of characters of each.
 const REJECTED_SHOWN: usize = 5;
 const REJECTED_CHARS: usize = 90;
 
@@ -22,7 +22,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
         Source::Capture(reader, row) => (reader, row),
     };
     let id = row.id;
-    // As of the last commit: what is in flight only the running daemon knows.
+    // As of the last commit: only the running daemon knows the samples in flight.
     let accounting = reader.accounting(id)?;
     let clocks = reader.device_clocks(id)?;
     if context.json {
@@ -106,7 +106,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     Ok(Outcome::Done)
 }
 
-/// Both identities as a person reads them.
+/// Returns both identities for display.
 fn accounting_lines(report: &Report) -> Vec<String> {
     let discarded: u64 = report.discarded.values().sum();
     let mut lines = Vec::new();
@@ -122,7 +122,7 @@ fn accounting_lines(report: &Report) -> Vec<String> {
     lines
 }
 
-/// Prints what a recording's file would be as a capture.
+/// Prints the capture that a recording's file would become.
 fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) -> anyhow::Result<Outcome> {
     let info = &recording.info;
     if context.json {
@@ -170,7 +170,7 @@ fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) ->
     Ok(if has_rejected(info) { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// One line per cause of gaps.
+/// Returns one line per cause of gaps.
 fn by_cause(gaps: impl Iterator<Item = (GapCause, u64)>) -> Vec<String> {
     let mut causes = BTreeMap::<&str, (u64, u64)>::new();
     for (cause, missing) in gaps {

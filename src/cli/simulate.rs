@@ -20,16 +20,16 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Threads that make samples: a third would have no core where two are, and one of four leaves the writer its own.
+/// Number of threads that make samples: with two cores a third would have none, and with four the writer keeps its own.
 const THREADS: usize = 2;
 /// The longest simulation, s: a hundred years. Stamps count nanoseconds from 1970 in 64 bits, which end in 2262.
 const LONGEST_S: f64 = 3_155_760_000.0;
 
-/// What the sensor goes through.
+/// The sensor's motion.
 enum Given {
     /// One of the motions that need no file.
     Course(Course),
-    /// A file at a rate, one row for so many of the sensor's own samples.
+    /// A file at a rate, with one row per `samples_per_row` of the sensor's own samples.
     File { path: String, rows: u64, has_temperature: bool, samples_per_row: u32 },
 }
 
@@ -97,13 +97,13 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
         None => to_csv(out, &mut run)?,
     };
     run.bar.finish_and_clear();
-    // The samples are there: without them their reference is of no use.
+    // The samples are there; their reference would be of no use without them.
     motion_out.map_or(Ok(()), Output::keep)?;
     tell(context, args, &model, rate_hz, &made)?;
     Ok(Outcome::Done)
 }
 
-/// What a simulation came to.
+/// The result of a simulation.
 #[derive(Debug, Default, serde::Serialize)]
 struct Made {
     samples: u64,
@@ -112,10 +112,10 @@ struct Made {
     capture: Option<i64>,
 }
 
-/// A motion's rows that failed are told here: an iterator cannot.
+/// Failed rows of a motion are recorded here, because an iterator cannot report them.
 type Failed = Arc<Mutex<Option<imu_model::motion::file::MotionError>>>;
 
-/// A motion that broke off has been simulated in part only.
+/// Returns an error if the motion broke off, so that only a part was simulated.
 fn whole(failed: &Failed) -> anyhow::Result<()> {
     match failed.lock().unwrap_or_else(PoisonError::into_inner).take() {
         Some(error) => Err(error).context("the motion changed while it was read"),
@@ -123,7 +123,8 @@ fn whole(failed: &Failed) -> anyhow::Result<()> {
     }
 }
 
-/// Where samples and motion go, refused before anything is made; None is standard output or the database.
+/// Returns the outputs of samples and motion, checked before anything is computed; `None` is standard output or the
+/// database.
 fn outputs(args: &SimulateArgs) -> anyhow::Result<(Option<Output>, Option<Output>)> {
     if args.out.is_none() && args.into_db.is_none() {
         return Err(usage("name --out FILE or --into-db NAME: where the samples go"));
@@ -149,7 +150,7 @@ fn outputs(args: &SimulateArgs) -> anyhow::Result<(Option<Output>, Option<Output
     Ok((out, args.motion_out.as_deref().map(output).transpose()?))
 }
 
-/// Leaves gravity to what brings it: a motion, another program.
+/// Leaves gravity to its source: a motion, another program.
 pub(super) fn without_gravity(model: &mut SensorModel, brings: &str) {
     if let Some(level) = gravity::take_out(model, Site::default().gravity_m_s2) {
         eprintln!(
@@ -182,7 +183,7 @@ fn open(path: &str) -> anyhow::Result<BufReader<File>> {
     open_file(path).with_context(|| format!("the motion {path} cannot be read (motions without a file: {kinds})"))
 }
 
-/// A folder can be opened too, and would fail at its first line.
+/// Opens a file. Opening a folder succeeds too, but would fail at the first line.
 fn open_file(path: &str) -> std::io::Result<BufReader<File>> {
     let file = File::open(path)?;
     if file.metadata()?.is_dir() {
@@ -192,7 +193,7 @@ fn open_file(path: &str) -> std::io::Result<BufReader<File>> {
 }
 
 impl Given {
-    /// The rows or instants as they are, at the file's or at `rate_hz`.
+    /// Returns the rows or instants unchanged, at the file's rate or at `rate_hz`.
     fn rows(&self, rate_hz: f64, failed: &Failed) -> anyhow::Result<Box<dyn Iterator<Item = Motion> + Send>> {
         match self {
             Self::Course(course) => Ok(Box::new(course.clone().sampled(rate_hz))),
@@ -209,7 +210,7 @@ impl Given {
         }
     }
 
-    /// At the sensor's own rate.
+    /// Converts the motion to the sensor's own rate.
     fn at_own_rate(
         &self,
         internal_hz: f64,
@@ -223,7 +224,7 @@ impl Given {
     }
 }
 
-/// A temperature in °C, or a file with its course.
+/// Returns a temperature in °C, or a file with its course.
 fn temperature(named: &str) -> anyhow::Result<Temperatures> {
     if let Ok(constant) = named.parse::<f64>() {
         if !(-273.15..=1000.0).contains(&constant) {
@@ -236,7 +237,7 @@ fn temperature(named: &str) -> anyhow::Result<Temperatures> {
     Ok(Temperatures::read(file, named)?)
 }
 
-/// The reference as a diagnosis takes it: a row for every sample sent.
+/// Writes the reference for a diagnosis: one row per sent sample.
 fn write_motion(
     output: &Output,
     motion: &Given,
@@ -263,19 +264,19 @@ fn write_motion(
     write().with_context(|| format!("the motion {} cannot be written", output.path().display()))
 }
 
-/// A simulation under way.
+/// A running simulation.
 struct Run<'a> {
     simulator: &'a mut Simulator,
-    /// Samples at most.
+    /// Maximum number of samples.
     samples: u64,
     bar: ProgressBar,
-    /// Ctrl-C and SIGTERM: what was begun is cleared away.
+    /// Set by Ctrl-C and SIGTERM: partial results are removed.
     stop: Arc<AtomicBool>,
     failed: &'a Failed,
 }
 
 impl Run<'_> {
-    /// Hands the samples to `take`, block by block.
+    /// Passes the samples to `take`, block by block.
     fn each(&mut self, mut take: impl FnMut(&Block<'_>, usize) -> anyhow::Result<()>) -> anyhow::Result<()> {
         let (channels, rate_hz) = (self.simulator.channels(), self.simulator.rate_hz());
         let mut left = self.samples;
@@ -303,7 +304,7 @@ impl Run<'_> {
     }
 }
 
-/// Rows of the CSV of docs/formats.md; lost samples have none. Standard output where there is no file.
+/// Writes the CSV of docs/formats.md; lost samples have no row. Without a file, it goes to standard output.
 fn to_csv(output: Option<Output>, run: &mut Run<'_>) -> anyhow::Result<Made> {
     let Some(output) = output else { return csv_rows(std::io::stdout().lock(), run) };
     let made = csv_rows(output.file(), run).map_err(|error| match error.is::<std::io::Error>() {
@@ -323,7 +324,7 @@ fn csv_rows(to: impl Write, run: &mut Run<'_>) -> anyhow::Result<Made> {
     }
     writeln!(to)?;
     let mut made = Made::default();
-    // Lost before the first sample or after the last one is not missing between any, as in the database.
+    // Samples lost before the first or after the last one do not count as missing, as in the database.
     let mut lost = 0;
     run.each(|block, length| {
         let columns: Vec<&[f64]> = channels.iter().filter_map(|channel| block.values(*channel)).collect();

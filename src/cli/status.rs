@@ -1,4 +1,4 @@
-//! `vn100d status`: what the running daemon says of itself.
+//! `vn100d status`: prints the running daemon's status.
 
 use super::client::{self, ClientError, shown};
 use comfy_table::{Table, presets};
@@ -6,8 +6,8 @@ use imu_core::units::format_duration;
 use serde_json::Value;
 use std::time::Duration;
 
-/// Asks the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its answer as a table, or as the JSON of
-/// `GET /v1/status`.
+/// Queries the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its answer as a table, or as the JSON of `GET
+/// /v1/status`.
 ///
 /// # Errors
 /// [`ClientError`]; [`ClientError::is_unreachable`] is exit code 69.
@@ -106,7 +106,7 @@ fn size(storage: &Value, names: &[&str]) -> String {
     if mib < 1024.0 { format!("{mib:.1} MiB") } else { format!("{:.1} GiB", mib / 1024.0) }
 }
 
-/// Whole seconds, in the units of the command line.
+/// Returns whole seconds, in the units of the command line.
 fn duration(seconds: &Value) -> String {
     match seconds.as_f64().and_then(|seconds| Duration::try_from_secs_f64(seconds.round()).ok()) {
         Some(duration) if duration.is_zero() => "0s".to_owned(),

@@ -1,4 +1,4 @@
-//! What is drawn: a capture of the database, or a recording's file as the capture that it would become.
+//! The subject of a drawing: a capture of the database, or a recording's file as the capture that it would become.
 
 use super::analysis::contradicted;
 use super::emulate::stop_on_signal;
@@ -18,23 +18,23 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tempfile::TempDir;
 
-/// How soon a signal ends what is being read.
+/// Maximum delay between a signal and the end of reading.
 const SOON: Duration = Duration::from_millis(50);
 
-/// A signal that shall end the command, so that nothing half made is left behind.
+/// A signal that ends the command, so that nothing half made is left behind.
 #[derive(Debug, Clone)]
 pub(super) struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// From here on a signal ends no more than what asks.
+    /// From here on, a signal only sets the flag.
     ///
     /// # Errors
-    /// What the system says.
+    /// The error that the system reports.
     pub(super) fn listen() -> anyhow::Result<Self> {
         Ok(Self(stop_on_signal()?))
     }
 
-    /// What reads a recording until then.
+    /// Returns a handle that lets a recording be read until then.
     pub(super) fn keep_on(&self) -> KeepOn {
         let stop = self.clone();
         KeepOn::asking(move || !stop.is_wanted())
@@ -44,10 +44,10 @@ impl Stop {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// The result, unless a signal came: then that is why there is none.
+    /// Returns the result, unless a signal came, which is then the error.
     ///
     /// # Errors
-    /// The result's own; that it was stopped.
+    /// The result's own error, or that the command was stopped.
     pub(super) fn unless<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         if self.is_wanted() {
             return Err(failed("stopped before the end: no file is kept of it"));
@@ -59,25 +59,25 @@ impl Stop {
 /// A capture to be read.
 #[derive(Debug)]
 pub(super) struct Subject {
-    /// Where it is.
+    /// The database of the capture.
     pub reader: Reader,
-    /// What it is; of a capture that runs, as far as it is committed now.
+    /// The row of the capture; for a running capture, as far as it is committed now.
     pub row: CaptureRow,
-    /// Whether it is a recording's file: then nobody else knows its id.
+    /// Whether it is a recording's file, so that its id has no meaning elsewhere.
     pub of_file: bool,
-    /// What the command states of how its samples came about.
+    /// The command's statement about the sampling.
     told: Option<StatedSampling>,
-    /// What a page has to say of it: sentences.
+    /// Remarks for a page, as sentences.
     pub remarks: Vec<String>,
-    /// The recording's database, until nobody reads it any more.
+    /// The folder of the recording's database, kept as long as it is read.
     _folder: Option<TempDir>,
 }
 
 impl Subject {
-    /// A file where one of that name exists, else a capture. What is assumed is said on standard error.
+    /// Returns a file if one of that name exists, else a capture. Assumptions are printed on standard error.
     ///
     /// # Errors
-    /// What cannot be read; a stated sampling that cannot be.
+    /// If neither can be read, or if a stated sampling is impossible.
     pub(super) fn open(
         context: &Context,
         named: &str,
@@ -105,7 +105,7 @@ impl Subject {
         Ok(subject)
     }
 
-    /// As `import` does, into a database that is taken away afterwards.
+    /// Imports the recording into a temporary database.
     fn of_recording(file: &Path, rate_hz: Option<f64>, stop: &Stop) -> anyhow::Result<Self> {
         let folder = tempfile::Builder::new().prefix("vn100d-").tempdir().context("no temporary folder can be made")?;
         let database = folder.path().join("vn100d.db");
@@ -132,7 +132,7 @@ impl Subject {
         Ok(Self { reader, row, of_file: true, told: None, remarks, _folder: Some(folder) })
     }
 
-    /// Ends what is being read once a signal comes: reading is what takes long.
+    /// Ends reading on a signal, because reading takes long.
     fn end_with(&self, stop: &Stop) -> anyhow::Result<()> {
         let (interrupt, stop) = (self.reader.interrupt(), stop.clone());
         std::thread::Builder::new().name("stop".to_owned()).spawn(move || {
@@ -146,10 +146,10 @@ impl Subject {
         Ok(())
     }
 
-    /// What an analysis gives ([`direct::document`]).
+    /// Returns the result of an analysis ([`direct::document`]).
     ///
     /// # Errors
-    /// As there; what is said of a recording names it.
+    /// The errors of [`direct::document`]; those of a recording name it.
     pub(super) fn document(&self, kind: JobKind) -> Result<Documents, JobError> {
         direct::document(&self.reader, &self.row, kind, self.told).map_err(|error| match error {
             JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
@@ -159,7 +159,7 @@ impl Subject {
         })
     }
 
-    /// A channel that it does not have, of those.
+    /// Returns the first of these channels that the capture lacks.
     pub(super) fn lacks(&self, channels: &[Channel]) -> Option<Channel> {
         channels.iter().copied().find(|channel| !self.row.channels.contains(channel))
     }

@@ -1,8 +1,9 @@
 //! `vn100d trial`: the blind check of the diagnosis.
 //!
-//! The program runs itself: one process makes a case from the sealed seed and writes recording and model to its standard output,
-//! another reads them there and writes its diagnosis. Neither says or hears what the case has. The manifest with the digests of
-//! all keys is made first; the keys are asked for when the last diagnosis is there, and have to fit it.
+//! The program runs itself: one process makes a case from the sealed seed and writes recording and model to its
+//! standard output, another reads them there and writes its diagnosis. Neither communicates the effects of the case.
+//! The manifest with the digests of all keys is made first; the keys are requested after the last diagnosis, and must
+//! match it.
 
 use super::args::{TrialArgs, TrialPart};
 use super::sealed::{Sealed, Shape, Threshold, read, words, write};
@@ -14,7 +15,7 @@ use imu_trial::impose::SAMPLES_MIN;
 use imu_trial::page::page;
 use imu_trial::{Answer, Key, Rates, Report, Score, Suite, Wanted, judge};
 
-/// Runs a trial and says what it came to.
+/// Runs a trial and prints the result.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
     if args.motion {
         return super::trial_motion::run(context, args);

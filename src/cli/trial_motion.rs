@@ -1,6 +1,6 @@
 //! `vn100d trial --motion`: the blind check of the diagnosis with a known motion.
 //!
-//! As [`super::trial`] does it: a process makes the cases from the sealed seed, another diagnoses what it is given, a manifest of
+//! As in [`super::trial`], one process makes the cases from the sealed seed and another diagnoses them; a manifest of
 //! the keys' digests comes first and the keys last.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
@@ -18,10 +18,10 @@ use imu_trial::page::{self, percent};
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
 
-/// Misses that are listed on a terminal; JSON has all.
+/// Maximum number of misses listed on a terminal; JSON has all.
 const MISSES_SHOWN: usize = 20;
 
-/// Runs a trial and says what it came to.
+/// Runs a trial and prints the result.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
     plan(0, 1, words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
     if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
@@ -56,19 +56,19 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     Ok(Threshold::outcome(&thresholds, |name| score.rates.get(name).and_then(|rate| rate.share)))
 }
 
-/// What the true effects close: the same discrepancy under the model that has them.
+/// Returns the part that the true effects close: the same discrepancy under the model that has them.
 fn closed_by_truth(report: &Value, truth: &Value) -> Option<f64> {
     let (before, floor) = (discrepancy(report, "after_parameters")?, discrepancy(report, "floor")?);
     let after = discrepancy(truth, "after_parameters")?;
     if discrepancy(report, "closed").is_none() {
-        // Where nothing was named the motion's gap is in no number: the truth closes it. Where something was, nothing was there to
-        // close in what chose nothing.
+        // If nothing was named, no number has the motion's gap, and the truth closes it. If something was named, there
+        // was nothing to close.
         return report["causes"].as_array().is_none_or(Vec::is_empty).then_some(1.0);
     }
     (before > floor).then(|| (before - after) / (before - floor))
 }
 
-/// Runs one part of a trial, for the process that asked.
+/// Runs one part of a trial for the calling process.
 pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
     let mut stdout = std::io::stdout().lock();
     if args.part == TrialPart::Diagnose {

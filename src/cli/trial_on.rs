@@ -1,5 +1,5 @@
-//! The stretches of a recording that a trial imposes effects on: asked for what they show of themselves, and kept in a folder for the
-//! processes that make cases.
+//! The stretches of a recording on which a trial imposes effects: diagnosed for their own effects, and kept in a folder
+//! for the processes that make cases.
 
 use super::args::TrialArgs;
 use super::sealed::each;
@@ -13,24 +13,24 @@ use imu_trial::parcel::Parcel;
 use imu_trial::{Kind, Report, Stretch, Survey, parcel, recorded};
 use std::path::{Path, PathBuf};
 
-/// Samples that half a stretch has at least to be diagnosed under the model of the other.
+/// Minimum number of samples in half a stretch for a diagnosis under the model of the other half.
 const HALF_MIN: usize = 4_000;
-/// How often a stretch is asked what it still shows.
+/// Maximum number of diagnoses of a stretch for its remaining effects.
 const ROUNDS: usize = 3;
 
 /// A recording, ready for cases.
 pub(super) struct Ground {
-    /// What it is called.
+    /// The recording's name.
     pub name: String,
-    /// Its stretches and what can be imposed on them.
+    /// The stretches, and the kinds that can be imposed on them.
     pub survey: Survey,
-    /// Of each stretch the second half under the model of the first: verdict and number of causes.
+    /// For each stretch, the second half under the model of the first: verdict and number of causes.
     pub halves: Vec<(String, usize)>,
     folder: tempfile::TempDir,
 }
 
 impl Ground {
-    /// Of a capture or a file, cut, at most `cases` stretches of it.
+    /// Cuts a capture or a file into at most `cases` stretches.
     pub(super) fn of(context: &Context, args: &TrialArgs, named: &str) -> anyhow::Result<Self> {
         let stretches = {
             let together = analysis::open(context, &[named.to_owned()], args.rate)?;
@@ -59,30 +59,30 @@ impl Ground {
         Ok(Self { name: named.to_owned(), survey, halves: halves.into_iter().flatten().collect(), folder })
     }
 
-    /// Where it is kept while this lives.
+    /// Returns the folder, which exists as long as this value.
     pub(super) fn folder(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// What is known of the stretches in a folder.
+/// Returns the properties of the stretches in a folder.
 pub(super) fn survey(folder: &Path) -> anyhow::Result<Survey> {
     read(&survey_of(folder)).and_then(|text| Ok(serde_json::from_slice(&text)?))
 }
 
-/// One of them.
+/// Returns one of the stretches.
 pub(super) fn stretch(folder: &Path, number: usize) -> anyhow::Result<Stretch> {
     let Parcel { recording, model, .. } = parcel::unpack(&read(&parcel_of(folder, number))?)?;
     let own = serde_json::from_slice(&read(&own(folder, number))?)?;
     Ok(Stretch { recording, model, own })
 }
 
-/// A stretch with the model that has what it shows.
+/// Returns a stretch with the model of its own effects.
 fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
     let mut model = recorded::first_model(recording);
     let mut named = Vec::new();
     for round in 0..ROUNDS {
-        // Of a device that nobody described nothing is believed; of a model that was fitted it is.
+        // For a device without a description there is no prior; for a fitted model there is.
         let options = Options { believed: round > 0, ..Options::default() };
         let outcome = imu_diagnosis::diagnose(recording, &model, &options)?;
         let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
@@ -97,8 +97,8 @@ fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
     Ok(Stretch::new(recording.clone(), model, &named))
 }
 
-/// The second half of a stretch under the model that has what the first shows: verdict and number of causes; none where half of it is
-/// too short.
+/// Returns the second half of a stretch under the model fitted to the first half: verdict and number of causes; `None`
+/// if half of it is too short.
 fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
     let Ok(halves) = recorded::cut_in(stretch, stretch.len() / 2, HALF_MIN) else { return Ok(None) };
     let [first, second, ..] = halves.as_slice() else { return Ok(None) };
@@ -108,7 +108,7 @@ fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
     Ok(Some((report.verdict, report.causes.len())))
 }
 
-/// The model in the form in which the processes read it.
+/// Returns the model in the form in which the processes read it.
 fn read_again(model: &SensorModel) -> anyhow::Result<SensorModel> {
     Ok(SensorModel::from_value(&serde_json::to_value(model)?, "the corrected model")?)
 }

@@ -1,4 +1,4 @@
-//! Parts of a trial, each in a process of its own that the trial starts: cases, their diagnoses, keys.
+//! Parts of a trial, each in a separate process started by the trial: cases, their diagnoses, keys.
 
 use super::args::{TrialPart, TrialPartArgs};
 use super::sealed::words;
@@ -14,7 +14,7 @@ use imu_trial::{Case, Key, Manifest, Wanted, case, parcel, plan};
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
 
-/// Runs one part of a trial, for the process that asked.
+/// Runs one part of a trial for the calling process.
 pub(super) fn run(context: &Context, args: &TrialPartArgs) -> anyhow::Result<Outcome> {
     if args.motion {
         return super::trial_motion::run_part(args);
@@ -77,7 +77,7 @@ pub(super) fn run(context: &Context, args: &TrialPartArgs) -> anyhow::Result<Out
     Ok(Outcome::Done)
 }
 
-/// A diagnosis and the corrected model; what is a table is written and read as one.
+/// Returns a diagnosis and the corrected model; a table is written and read as one.
 fn diagnosed(context: &Context, parcel: &Parcel) -> anyhow::Result<(Diagnosis, SensorModel)> {
     let options = Options { software: SOFTWARE, real: "sealed case", sim: "its model", ..Options::default() };
     if !parcel.table {
@@ -94,9 +94,9 @@ fn diagnosed(context: &Context, parcel: &Parcel) -> anyhow::Result<(Diagnosis, S
     Ok((outcome.diagnosis, outcome.augmented))
 }
 
-/// Diagnoses of a second record, and of a simulation of the corrected model.
+/// Returns diagnoses of a second record and of a simulation of the corrected model.
 fn again(context: &Context, case: Case, corrected: SensorModel, args: &TrialPartArgs) -> anyhow::Result<Diagnoses> {
-    // Another seed than that of any other simulation of this case; what it is, does not matter.
+    // A seed that differs from any other simulation of this case; its value does not matter.
     let seed = args.seed.wrapping_mul(1_000_003).wrapping_add(args.case as u64);
     let plain = case.model();
     let of = |recording: &Recording, model: &SensorModel, table: bool| -> Result<Value, String> {

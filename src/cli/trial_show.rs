@@ -1,4 +1,4 @@
-//! What a trial came to, on a terminal.
+//! Prints the result of a trial on a terminal.
 
 use super::table;
 use imu_trial::page::{limit, percent, size};
@@ -6,7 +6,7 @@ use imu_trial::score::Miss;
 use imu_trial::{Score, Sense, Suite};
 use std::io::Write as _;
 
-/// Misses that are listed on a terminal; JSON and page have all.
+/// Maximum number of misses listed on a terminal; JSON and page have all.
 const MISSES_SHOWN: usize = 12;
 
 /// Prints a score.
@@ -61,7 +61,7 @@ pub(super) fn show(score: &Score) -> std::io::Result<()> {
     if more > 0 { writeln!(stdout, "and {more} more: --json, --html or --out has them") } else { Ok(()) }
 }
 
-/// A case that went wrong, in a line.
+/// Returns a case with a wrong result, as a line.
 fn missed(miss: &Miss) -> String {
     let has = |(kind, sense): (&imu_trial::Kind, &Sense)| match sense {
         Sense::Missing => kind.name().to_owned(),
@@ -80,7 +80,7 @@ fn missed(miss: &Miss) -> String {
     format!("case {}: {has}{size}; {}, {named}", miss.case, miss.verdict)
 }
 
-/// How many of each size were named first, and from which size on.
+/// Prints how many of each size were named first, and from which size on.
 fn show_detection(out: &mut impl std::io::Write, score: &Score) -> std::io::Result<()> {
     let library = || score.kinds.iter().filter_map(|of| Some((of, of.detection.as_ref()?)));
     let Some((first, _)) = library().next() else { return Ok(()) };
@@ -104,7 +104,7 @@ fn show_detection(out: &mut impl std::io::Write, score: &Score) -> std::io::Resu
     writeln!(out, "{rows}")
 }
 
-/// Which part of the causes with a confidence was right.
+/// Prints which part of the causes with a confidence was right.
 fn show_confidence(out: &mut impl std::io::Write, score: &Score) -> std::io::Result<()> {
     let mut rows = table(&["stated confidence", "mean", "causes", "right (95 %)"]);
     for bin in score.reliability.iter().filter(|bin| bin.right.of > 0) {

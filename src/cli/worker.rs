@@ -1,4 +1,4 @@
-//! `vn100d worker`: one piece of heavy work in a process of its own, which the daemon starts and hears over a pipe.
+//! `vn100d worker`: one piece of heavy work in a separate process, which the daemon starts and reads over a pipe.
 
 use super::Outcome;
 use super::args::{Work, WorkerArgs};

@@ -1,4 +1,4 @@
-//! Range checks: pure, over the typed configuration. The room `capture`, which knows the length of a frame, checks
+//! Range checks: pure, over the typed configuration. The module `capture`, which knows the length of a frame, checks
 //! whether a rate fits a baud rate.
 
 use super::sections::{Config, ScheduleConfig};

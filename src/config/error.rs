@@ -30,12 +30,12 @@ impl fmt::Display for Place {
     }
 }
 
-/// The hint for a user who may not read a token's file: how to get access.
+/// Returns a hint that explains how a user who may not read a token's file gets access.
 fn token_hint(source: &std::io::Error) -> &'static str {
     if source.kind() == std::io::ErrorKind::PermissionDenied { JOIN_GROUP } else { "" }
 }
 
-/// How a user gets access to the token that the package created.
+/// The remedy for a user who may not read the token that the package created.
 pub const JOIN_GROUP: &str = "; the package's token is for the group vn100d: add yourself to it (`sudo usermod -aG vn100d \
                               $USER`) and log in again";
 
@@ -57,7 +57,7 @@ pub enum ConfigError {
         file: PathBuf,
         /// The line, from 1.
         line: usize,
-        /// What the parser expected.
+        /// The parser's message.
         problem: String,
     },
     /// A key that does not exist.

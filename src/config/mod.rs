@@ -110,7 +110,7 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
 /// The maximum number of bytes that are read from a token's file.
 const TOKEN_FILE_BYTES: u64 = 64 * 1024;
 
-/// The token is in a separate file, so that the configuration may be readable by all users.
+/// Reads the token from its separate file, so that the configuration may be readable by all users.
 fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigError> {
     if config.http.token_file.as_os_str().is_empty() {
         return Ok(());

@@ -10,11 +10,11 @@ use std::path::{Path, PathBuf};
 pub struct Environment(HashMap<String, OsString>);
 
 impl Environment {
-    /// The names of the variables in use.
+    /// The names of these variables.
     pub const NAMES: [&'static str; 6] =
         ["VN100D_CONFIG", "VN100D_DATA_DIR", "STATE_DIRECTORY", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "HOME"];
 
-    /// The variables of this process.
+    /// Returns the variables of this process.
     pub fn from_process() -> Self {
         Self(
             Self::NAMES
@@ -24,17 +24,17 @@ impl Environment {
         )
     }
 
-    /// The given variables; for tests.
+    /// Returns the given variables; for tests.
     pub fn of<'a>(variables: impl IntoIterator<Item = (&'a str, &'a str)>) -> Self {
         Self(variables.into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect())
     }
 
-    /// The variable's value; an empty one counts as absent.
+    /// Returns the variable's value; an empty one counts as absent.
     fn path(&self, name: &str) -> Option<PathBuf> {
         self.0.get(name).filter(|value| !value.is_empty()).map(PathBuf::from)
     }
 
-    /// The directory that holds the database: `--data-dir`, `VN100D_DATA_DIR`, `$STATE_DIRECTORY`,
+    /// Returns the directory that holds the database: `--data-dir`, `VN100D_DATA_DIR`, `$STATE_DIRECTORY`,
     /// `$XDG_STATE_HOME/vn100d`, `~/.local/state/vn100d`.
     ///
     /// # Errors
@@ -48,19 +48,19 @@ impl Environment {
             .ok_or(ConfigError::NoDataDirectory)
     }
 
-    /// systemd separates several state directories by colons; the first is ours.
+    /// Returns the first of the state directories, which systemd separates by colons: it is the one of this program.
     fn state_directory(&self) -> Option<PathBuf> {
         let all = self.path("STATE_DIRECTORY")?;
         let first = all.to_str().and_then(|text| text.split(':').next()).map(PathBuf::from);
         first.filter(|path| !path.as_os_str().is_empty())
     }
 
-    /// The file that must exist because it was named: `--config`, `VN100D_CONFIG`.
+    /// Returns the file that must exist because it was named: `--config`, `VN100D_CONFIG`.
     pub(super) fn named_config(&self, flag: Option<&Path>) -> Option<PathBuf> {
         flag.map(Path::to_owned).or_else(|| self.path("VN100D_CONFIG"))
     }
 
-    /// The candidate files, of which the first that exists is used.
+    /// Returns the candidate files, of which the first that exists is used.
     pub(super) fn searched_configs(&self) -> Vec<PathBuf> {
         let user = self
             .path("XDG_CONFIG_HOME")

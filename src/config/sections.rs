@@ -48,7 +48,7 @@ pub struct SensorConfig {
 }
 
 impl SensorConfig {
-    /// The divisor of the internal rate of 800 Hz that gives `rate_hz` in binary output; `None` if none does.
+    /// Returns the divisor of the internal rate of 800 Hz that gives `rate_hz` in binary output; `None` if none does.
     ///
     /// # Source
     /// VN-100 user manual, register 75: `RateDivisor`. A rate may be written with a few decimals: 33.33 means 800/24.
@@ -88,7 +88,7 @@ impl Default for CaptureConfig {
     }
 }
 
-/// Scheduled captures: one a night.
+/// Scheduled captures: one per night.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct ScheduleConfig {
@@ -96,17 +96,17 @@ pub struct ScheduleConfig {
     pub at: StartTime,
     /// Its sample time, and how late it may still begin; `capture.duration` if it is empty.
     pub duration: NightLength,
-    /// The beginning of its name; the date of the evening follows.
+    /// The prefix of its name; the date of the evening follows.
     pub name: String,
     /// The days on whose evening a capture begins.
     pub days: Vec<Day>,
 }
 
 impl ScheduleConfig {
-    /// The longest name in characters: with the date it is that of a capture.
+    /// The maximum length of the name in characters: with the date it is a capture's name.
     pub const NAME_MAX: usize = 80;
 
-    /// The minimum time from the start of one night to that of the next; `None` if there is no night.
+    /// Returns the minimum time from the start of one night to that of the next; `None` if there is no night.
     pub fn shortest_interval(&self) -> Option<Duration> {
         let chosen = |day: usize| self.days.contains(&Day::ALL[day % Day::ALL.len()]);
         let following = |day: usize| (1..=Day::ALL.len()).find(|later| chosen(day + later));
@@ -154,11 +154,11 @@ impl StorageConfig {
     /// samples).
     pub const QUEUE_SAMPLES_MIN: usize = 24_000;
 
-    /// The number of samples that the queue between reader and writer holds at the highest rate of a sensor.
+    /// Returns the number of samples that the queue between reader and writer holds at the highest rate of a sensor.
     pub fn queue_samples(&self) -> usize {
         ((self.queue.as_secs_f64() * IMU_RATE_HZ).ceil() as usize).max(Self::QUEUE_SAMPLES_MIN)
     }
-    /// The reserve in bytes.
+    /// Returns the reserve in bytes.
     pub fn reserve_bytes(&self) -> u64 {
         self.reserve_mib << 20
     }
@@ -204,13 +204,13 @@ impl Default for HttpConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
 pub struct NotifyConfig {
-    /// A program and its arguments, run without a shell; empty for none.
+    /// A program and its arguments, run without a shell; empty if there is none.
     pub command: Vec<String>,
-    /// The address to which events are posted; empty for none.
+    /// The address to which events are posted; empty if there is none.
     pub url: Webhook,
     /// The reported events.
     pub events: Vec<NotifyEvent>,
-    /// How long the sensor must be absent before that is reported.
+    /// The minimum absence of the sensor that is reported.
     #[serde(with = "duration_text")]
     pub sensor_lost_after: Duration,
     /// The interval after which the same kind of event is reported again; events in between are reported together.

@@ -1,4 +1,4 @@
-//! The text of a configuration file: maps keys to lines, and TOML's errors to those of this room.
+//! The text of a configuration file: maps keys to lines, and TOML's errors to those of this module.
 
 use super::sections::Config;
 use super::{ConfigError, Place};
@@ -24,7 +24,7 @@ impl<'a> Source<'a> {
         Self { file, text, keys }
     }
 
-    /// The typed configuration, not yet checked for ranges.
+    /// Returns the typed configuration, not yet checked for ranges.
     pub(super) fn read(&self) -> Result<Config, ConfigError> {
         DeTable::parse(self.text).map_err(|error| ConfigError::Syntax {
             file: self.file.to_owned(),
@@ -51,7 +51,7 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// The position of the key, if the file has it.
+    /// Returns the position of the key, if the file has it.
     pub(super) fn place(&self, key: &str) -> Place {
         self.keys.iter().find(|(name, _, _)| name == key).map_or(Place::Default, |(_, span, _)| Place::Line {
             file: self.file.to_owned(),
@@ -59,8 +59,7 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// The defaults, written out, are the list of all keys: an unknown key is refused with the names of that section's
-    /// keys.
+    /// Refuses unknown keys with the names of that section's keys. The defaults, written out, are the list of all keys.
     fn refuse_unknown(&self) -> Result<(), ConfigError> {
         let known = serde_json::to_value(Config::default()).unwrap_or_default();
         for (key, span, _) in &self.keys {

@@ -246,7 +246,7 @@ fn a_token_may_lie_in_a_file_of_its_own() {
     let file = directory.path().join("token");
     let text = format!("[http]\nlisten = \"0.0.0.0:1\"\ntoken-file = {file:?}");
     assert!(refused(&text).starts_with("x.toml:3: `http.token-file`: cannot read "));
-    // A user who only queries may not be allowed to read it.
+    // A user who only sends queries may not be allowed to read the file.
     let asking = Overrides { without_token: true, ..Overrides::default() };
     let config = finish(&Source::new(Path::new("x.toml"), &text), &asking).unwrap();
     assert_eq!(config.http.listen.port(), 1);

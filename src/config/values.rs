@@ -134,15 +134,15 @@ impl fmt::Display for BinaryFields {
 pub struct Token(String);
 
 impl Token {
-    /// The secret itself; empty if there is none.
+    /// Returns the secret itself; empty if there is none.
     pub fn secret(&self) -> &str {
         &self.0
     }
-    /// Whether the token is empty.
+    /// Returns whether the token is empty.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
-    /// A token of this text.
+    /// Creates a token of this text.
     pub fn new(secret: impl Into<String>) -> Self {
         Self(secret.into())
     }
@@ -159,11 +159,11 @@ impl fmt::Debug for Token {
 pub struct Webhook(String);
 
 impl Webhook {
-    /// The whole address; empty if there is none.
+    /// Returns the whole address; empty if there is none.
     pub fn secret(&self) -> &str {
         &self.0
     }
-    /// Whether the address is empty.
+    /// Returns whether the address is empty.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -200,7 +200,7 @@ impl fmt::Debug for Webhook {
     }
 }
 
-/// A local time of day, `22:00`; none if it is empty.
+/// A local time of day, `22:00`; absent if it is empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StartTime(pub Option<NaiveTime>);
 
@@ -221,7 +221,7 @@ impl fmt::Display for StartTime {
     }
 }
 
-/// The duration of a night's capture; if it is empty, that of any other capture.
+/// The duration of a night's capture; if it is empty, the duration of any other capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NightLength(pub Option<Duration>);
 
@@ -266,7 +266,7 @@ impl Day {
     /// All days, in their order.
     pub const ALL: [Self; 7] = [Self::Mon, Self::Tue, Self::Wed, Self::Thu, Self::Fri, Self::Sat, Self::Sun];
 
-    /// The day in the calendar's type.
+    /// Returns the day in the calendar's type.
     pub fn weekday(self) -> Weekday {
         (0..self as u8).fold(Weekday::Mon, |day, _| day.succ())
     }

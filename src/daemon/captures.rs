@@ -32,13 +32,13 @@ pub struct Keeper {
     device: String,
     /// The capture that the task works on.
     running: Option<i64>,
-    /// Whether a query to the database is pending, whether it has ended.
+    /// Whether the query for the end of the capture is pending.
     asking: bool,
     answers: Channel<(i64, bool)>,
 }
 
 impl Keeper {
-    /// A keeper without a capture.
+    /// Creates a keeper without a capture.
     pub fn new(
         store: Store,
         jobs: Jobs,
@@ -192,8 +192,7 @@ impl Keeper {
         Ok(())
     }
 
-    /// Notes that the task no longer has the capture. Whether it has ended is read from the database, once all is
-    /// written.
+    /// Handles a capture that the task no longer has. Once all is written, the database shows whether it has ended.
     fn notice_end(&mut self) {
         let held = self.progress.borrow_and_update().capture.as_ref().map(|(plan, ..)| plan.id);
         let Some(id) = self.running.filter(|id| Some(*id) != held && !self.asking) else { return };
@@ -244,14 +243,14 @@ async fn has_ended(store: &Store, id: i64) -> bool {
     store.offload(move |store| store.reader()?.capture(stored)).await.is_ok_and(|row| !row.state.is_open())
 }
 
-/// A unique name for a request.
+/// Returns a unique name for a request.
 fn token() -> String {
     static NUMBER: AtomicU64 = AtomicU64::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
     format!("{:x}-{:x}-{number:x}", SystemClock.utc_ns(), std::process::id())
 }
 
-/// Whether the request may succeed when it is repeated.
+/// Returns whether the request may succeed when it is repeated.
 fn is_storage(error: &StoreError) -> bool {
     matches!(error.kind(), StoreErrorKind::Io | StoreErrorKind::Unavailable | StoreErrorKind::CannotCreate)
         && !matches!(error, StoreError::Closed)

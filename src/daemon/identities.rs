@@ -1,5 +1,5 @@
-//! Both identities of a capture's numbers, through recorder, store, kills and restarts, against the records of a
-//! simulated sensor.
+//! Tests of both identities of a capture's numbers, through recorder, store, kills and restarts, against the records of
+//! a simulated sensor.
 
 use super::resume_point;
 use crate::capture::recorder::{Plan, Recorder};
@@ -16,19 +16,19 @@ const HOUR_NS: u64 = 3_600_000_000_000;
 enum Step {
     /// This many measurements arrive.
     Run(u64),
-    /// This many are lost on the line.
+    /// This many measurements are lost on the line.
     Drop(u64),
-    /// The last one is repeated.
+    /// The last measurement is repeated.
     Duplicate,
-    /// Two are exchanged.
+    /// Two measurements are exchanged.
     Reorder,
     /// The clock restarts after this many periods of silence.
     Reset(u64),
-    /// Valid measurements of another format.
+    /// This many valid measurements of another format arrive.
     Foreign(u64),
-    /// The queue is full for this many.
+    /// The queue is full for this many measurements.
     Backpressure(u64),
-    /// The cable is unplugged for this many.
+    /// The cable is unplugged for this many measurements.
     Unplug(u64),
     /// The sensor changes its rate by itself.
     Rate(f64),
@@ -36,7 +36,7 @@ enum Step {
     Configure(f64),
     /// The recorded data is committed.
     Commit,
-    /// The daemon is killed, loses what was not committed, and is absent for this many periods.
+    /// The daemon is killed, loses uncommitted data, and is absent for this many periods.
     Kill(u64),
 }
 
@@ -120,7 +120,7 @@ impl World {
         (1e9 / self.rate_hz) as u64
     }
 
-    /// The sensor makes one measurement.
+    /// Makes one measurement, as the sensor.
     fn make(&mut self) -> Sample {
         self.device_ns += self.period_ns();
         self.host_ns += self.period_ns();
@@ -305,19 +305,20 @@ fn play(steps: &[Step]) {
 #[test]
 fn both_identities_hold_where_ticks_leave_their_grid() {
     use Step::{Backpressure, Configure, Drop, Kill, Rate, Reset, Run};
-    // Ticks two and a half periods apart, and the stream interrupted before they count as another rate.
+    // Ticks are two and a half periods apart, and the stream is interrupted before they count as another rate.
     play(&[Reset(100), Rate(200.0), Reset(100), Rate(80.0), Backpressure(1)]);
     // Another rate was announced in between, and its samples are lost.
     play(&[Run(1), Configure(50.0), Drop(6), Configure(40.0), Step::Commit, Run(4), Kill(40), Rate(80.0)]);
     play(&[Configure(100.0), Run(15), Rate(40.0), Kill(41), Configure(100.0), Run(6), Kill(40), Rate(40.0)]);
-    // Another rate was announced and never came.
+    // Another rate was announced and never took effect.
     play(&[Rate(200.0), Drop(1), Configure(40.0), Rate(200.0)]);
     // A reset that is missed: the clock has soon passed its earlier value, between two places of its grid.
     play(&[Reset(100), Run(3), Configure(50.0), Reset(100), Drop(3), Rate(40.0)]);
     play(&[Rate(80.0), Reset(100), Drop(1), Configure(40.0), Run(1), Reset(100), Configure(40.0), Run(1)]);
 }
 
-/// The last good rate, not the one that the capture began with: the sensor may have been set to another in between.
+/// A capture resumes at the last good baud rate, not at the initial one: the sensor may have been set to another in
+/// between.
 #[test]
 fn a_capture_goes_on_at_the_baud_rate_that_worked_last() {
     let folder = tempfile::tempdir().unwrap();

@@ -66,7 +66,7 @@ pub struct Imported {
 }
 
 impl Imported {
-    /// The outcome in the form for programs.
+    /// Returns the outcome in the form for programs.
     pub fn report(&self) -> ImportReport {
         let (samples, missing, gaps) = self.counts;
         let conversions = self.info.conversions.iter().map(|conversion| ConversionReport {
@@ -102,7 +102,7 @@ impl Imported {
     }
 }
 
-/// A plain value as JSON.
+/// Returns a plain value as JSON.
 fn json(value: &impl serde::Serialize) -> serde_json::Value {
     serde_json::to_value(value).unwrap_or_default()
 }
@@ -115,7 +115,7 @@ const HASH_BYTES: usize = 256 * 1024;
 pub struct Source<'a> {
     /// The path of its bytes.
     pub file: &'a Path,
-    /// Its name, if it differs.
+    /// The recording's original file name.
     pub called: &'a Path,
     /// Rate of a recording without stamps, Hz.
     pub rate_hz: Option<f64>,
@@ -130,7 +130,7 @@ pub struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// A file under its own name, without further options.
+    /// Returns a source with the file's own name, without further options.
     pub fn of(file: &'a Path) -> Self {
         Self {
             file,
@@ -147,7 +147,7 @@ impl<'a> Source<'a> {
 /// Imports one file; `progress` receives the number of samples written and the total, and may end the import.
 ///
 /// # Errors
-/// [`ImportError`]; nothing of the recording stays.
+/// [`ImportError`]; nothing of the recording is kept.
 pub fn import(
     store: &Store,
     clock: &dyn Clock,
@@ -228,8 +228,8 @@ pub struct DaemonImporter {
 }
 
 impl DaemonImporter {
-    /// An importer that leaves `reserve_bytes` of the disk free. It removes the files that an earlier run of the daemon
-    /// had put aside when it was killed: the store's lock shows that no other process uses them.
+    /// Creates an importer that leaves `reserve_bytes` of the disk free. It removes the files that an earlier run of
+    /// the daemon left when it was killed: the store's lock shows that no other process uses them.
     pub fn new(store: Store, jobs: Jobs, clock: Arc<dyn Clock>, reserve_bytes: u64) -> Self {
         let folder = store.path().parent().unwrap_or(Path::new("."));
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -298,7 +298,7 @@ impl Importer for DaemonImporter {
     }
 }
 
-/// The error for the client that sent the recording, with the file's name as that client knows it.
+/// Returns the error for the client that sent the recording, with the file's name as that client knows it.
 fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError {
     let reason = error.to_string().replace(&request.file.display().to_string(), &request.called);
     match error {
@@ -363,7 +363,7 @@ fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), Import
 /// Extensions that are not part of a name.
 const ENDINGS: [&str; 7] = [".gz", ".csv", ".txt", ".bag", ".db3", ".mcap", ".bin"];
 
-/// The file's name without its extensions, and without characters that a capture's name must not contain.
+/// Returns the file's name without its extensions, and without characters that a capture's name must not contain.
 fn name_of(file: &Path) -> String {
     let name = file.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = ENDINGS.iter().fold(name.as_str(), |stem, ending| stem.trim_end_matches(ending));
@@ -371,7 +371,7 @@ fn name_of(file: &Path) -> String {
     kept.trim().to_owned()
 }
 
-/// Whether a capture has this name.
+/// Returns whether a capture has this name.
 fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     match store.reader()?.resolve(name) {
         Ok(_) => Ok(true),
@@ -387,7 +387,7 @@ struct Statements {
     definitions: Vec<String>,
 }
 
-/// The capture's configuration.
+/// Returns the capture's configuration.
 fn configuration(info: &RecordingInfo, statements: &Statements) -> CaptureConfiguration {
     let document = serde_json::json!({
         "file": info.file.display().to_string(),

@@ -41,7 +41,7 @@ use tokio_util::sync::CancellationToken;
 
 /// The time to restore the sensor's output.
 const RESTORE: Duration = Duration::from_secs(4);
-/// The time for an import to end: it checks every 64 KiB, and completes its last write.
+/// The time for an import to end: it checks every 64 KiB whether it is still wanted, and completes its last write.
 const IMPORT_END: Duration = Duration::from_secs(1);
 /// The interval at which the store's failures are examined.
 const DISK_LOOK: Duration = Duration::from_millis(200);
@@ -51,7 +51,7 @@ const DISK_LOOK: Duration = Duration::from_millis(200);
 pub struct Options {
     /// The database.
     pub database: PathBuf,
-    /// The configuration, flags applied; a changed one is applied as far as possible ([`reload`]).
+    /// The effective configuration; a changed one is applied as far as possible ([`reload`]).
     pub config: watch::Receiver<Config>,
     /// A capture to start at once, unless one is resumed.
     pub capture: Option<CaptureRequest>,
@@ -131,7 +131,7 @@ impl Sink for Counted {
         }
         match self.records.try_send(capture_id, record) {
             Err(Refused::Full(record)) => Err(Box::new(record)),
-            // A closed queue means that the daemon is ending; the status and the log report what was not written.
+            // A closed queue means that the daemon is ending; the status and the log report the unwritten records.
             Ok(()) | Err(Refused::Closed(_)) => Ok(()),
         }
     }
@@ -191,7 +191,7 @@ pub async fn run(
     let source = device(&config).unwrap_or_else(|| "serial port".to_owned());
     let (control, commands) = CaptureControl::pair();
     let mut keeper = captures::Keeper::new(store.clone(), jobs.clone(), task_sender.clone(), progress.clone(), source);
-    // The capture exists before the port is opened: none of the sensor's first messages is lost to it.
+    // The capture exists before the port is opened: it loses none of the sensor's first messages.
     if !keeper.resume(&*clock).await?
         && let Some(request) = capture
     {
@@ -285,7 +285,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, reader).await.is_err() {
         tracing::warn!("the sensor did not take its previous output back in time");
     }
-    // A disk that refuses writes may delay the keeper; the store reports what was not written.
+    // A disk that refuses writes may delay the keeper; the store reports the unwritten records.
     let mut keeping = keeping;
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
         keeping.abort();
@@ -307,7 +307,7 @@ pub async fn run(
     if disk_failed { Err(DaemonError::Disk) } else { Ok(()) }
 }
 
-/// Returns when the disk has failed too often.
+/// Waits until the disk has failed too often.
 async fn disk_fails(store: &Store) {
     while !store.progress().gives_up() {
         tokio::time::sleep(DISK_LOOK).await;
@@ -329,7 +329,7 @@ fn open_files() -> u64 {
     limit.current.unwrap_or(u64::MAX)
 }
 
-/// The configured port or pattern; `None` is the usual places.
+/// Returns the configured port or pattern; `None` is the usual places.
 pub fn device(config: &Config) -> Option<String> {
     match &config.sensor.device {
         Device::Auto => None,
@@ -337,7 +337,7 @@ pub fn device(config: &Config) -> Option<String> {
     }
 }
 
-/// The options of the session, after checking that the line can carry the output.
+/// Returns the options of the session, after checking that the line can carry the output.
 ///
 /// # Errors
 /// [`DaemonError::Output`] with the calculation, if the wanted output does not fit the configured baud rate (with
@@ -370,8 +370,9 @@ pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
     Ok(SessionOptions { output, bauds, host_jitter_ns: 0 })
 }
 
-/// The point at which an unfinished capture resumes. `boot_id` and `mono_ns` are the clock's present values. Within one
-/// boot of the host its monotonic clock shows how long the daemon was absent; across boots only civil time does.
+/// Returns the point at which an unfinished capture resumes. `boot_id` and `mono_ns` are the clock's present values.
+/// Within one boot of the host its monotonic clock shows how long the daemon was absent; across boots only civil time
+/// does.
 fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mono_ns: u64) -> ResumePoint {
     let same_boot = boot_id.is_some() && unfinished.boot_id.as_deref() == boot_id;
     let discarded: std::collections::BTreeMap<DiscardCause, u64> = (unfinished.rejected.iter())
@@ -396,7 +397,7 @@ fn resume_point(unfinished: &crate::store::Unfinished, boot_id: Option<&str>, mo
             }
         }),
         rate_hz: unfinished.stream.map(|(rate_hz, _)| rate_hz),
-        // A capture belongs to the first sensor that it has samples of.
+        // A capture belongs to the first sensor of which it has samples.
         serial_number: unfinished.sensor.serial_number().filter(|_| unfinished.samples > 0).map(str::to_owned),
         baud: unfinished.baud,
         previous_output: unfinished.configuration.previous_output(),

@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 /// The time for an ended capture's last samples to reach the disk before its notification is dropped.
 const PATIENCE: Duration = Duration::from_secs(3600);
 
-/// The configured recipients and topics.
+/// Returns the configured recipients and topics.
 pub fn options(config: &Config, database: &Path) -> NotifyOptions {
     let notify = &config.notify;
     let mut receivers = Vec::new();
@@ -42,7 +42,8 @@ pub fn options(config: &Config, database: &Path) -> NotifyOptions {
     }
 }
 
-/// Reports each capture that leaves the status because it is complete, once its last sample is on disk; until `stop`.
+/// Reports each capture that leaves the status because it is complete, once its last sample is on disk. Runs until
+/// `stop`.
 pub async fn tell_of_ends(store: Store, tap: Tap, mut status: watch::Receiver<Status>, stop: CancellationToken) {
     if !tap.is_heard() {
         return;
@@ -79,7 +80,7 @@ async fn tell_of_end(store: Store, tap: Tap, id: i64) {
             missing: row.missing,
             gaps: row.gaps,
         }),
-        // A user stopped it, or deleted it already.
+        // A user stopped or deleted it.
         Ok(_) => {}
         Err(error) => tracing::warn!(capture = id, %error, "its end is not told"),
     }

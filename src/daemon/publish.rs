@@ -71,7 +71,7 @@ pub async fn run(
 /// answered at once.
 const WARM: Duration = Duration::from_secs(10);
 
-/// Keeps the live analysis close to the running capture until `stop`.
+/// Keeps the live analysis close to the running capture. Runs until `stop`.
 pub async fn keep_warm(store: Store, live: Arc<Live>, status: watch::Receiver<Status>, stop: CancellationToken) {
     loop {
         let running = status.borrow().capture.as_ref().filter(|capture| capture.samples > 0).map(|capture| capture.id);
@@ -80,7 +80,8 @@ pub async fn keep_warm(store: Store, live: Arc<Live>, status: watch::Receiver<St
             let (live, begun) = (Arc::clone(&live), Instant::now());
             let outcome = store.offload(move |store| Ok(live.catch_up(&store.reader()?, id))).await;
             match outcome {
-                // After a restart a night of data may have to be caught up with; half of the time is left to others.
+                // After a restart a night of data may have to be caught up with; half of the time is left to other
+                // work.
                 Ok(Ok(false)) => pause = begun.elapsed(),
                 Ok(Err(error)) => tracing::warn!(%error, "the running capture could not be analysed"),
                 Ok(Ok(true)) | Err(_) => {}
@@ -133,7 +134,7 @@ fn compose(store: &Store, jobs: &Jobs, captured: &mut Captured, clock: &dyn Cloc
     }
 }
 
-/// The line that `systemctl status` shows.
+/// Returns the line that `systemctl status` shows.
 fn one_line(status: &Status) -> String {
     let sensor = match (status.sensor.state, &status.sensor.port) {
         (SensorState::Streaming, Some(port)) => format!("streaming from {port}"),

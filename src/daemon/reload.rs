@@ -94,7 +94,7 @@ impl Reloading {
     }
 }
 
-/// The present configuration with the applicable parts of the wanted one.
+/// Returns the present configuration with the applicable parts of the wanted one.
 ///
 /// # Errors
 /// The reason why the wanted one is invalid, or contradicts a part that requires a restart.
@@ -112,7 +112,7 @@ fn taken(effective: &Config, wanted: &Config) -> Result<Config, String> {
     Ok(taken)
 }
 
-/// Logs what takes effect now, and what only after a restart.
+/// Logs which changes take effect now, and which only after a restart.
 fn report(before: &Config, now: &Config, wanted: &Config) {
     let (changed, waiting) = (differing(before, now), differing(now, wanted));
     if changed.is_empty() && waiting.is_empty() {
@@ -126,7 +126,7 @@ fn report(before: &Config, now: &Config, wanted: &Config) {
     }
 }
 
-/// The keys in which two configurations differ, with their sections, in alphabetical order.
+/// Returns the keys in which two configurations differ, with their sections, in alphabetical order.
 fn differing(one: &Config, other: &Config) -> Vec<String> {
     let values = |config: &Config| serde_json::to_value(config).unwrap_or_default();
     let (values_of_one, values_of_other) = (values(one), values(other));

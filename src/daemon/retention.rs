@@ -1,4 +1,5 @@
-//! Retention's shell: determines what is to be deleted, announces it, and deletes what is due.
+//! Retention's shell: determines the captures to delete, announces their deletion, and deletes the captures that are
+//! due.
 
 use crate::clock::{Clock, rfc3339};
 use crate::config::Config;
@@ -17,7 +18,7 @@ const EVERY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_
 /// Deletions that the status lists.
 const LISTED: usize = 100;
 
-/// The limits of the configuration.
+/// Returns the limits of the configuration.
 pub fn limits(config: &Config) -> Limits {
     let storage = &config.storage;
     Limits {
@@ -27,7 +28,7 @@ pub fn limits(config: &Config) -> Limits {
     }
 }
 
-/// The parts that it works with.
+/// The parts of the daemon that retention uses.
 #[derive(Debug, Clone)]
 pub struct Retention {
     /// The captures.
@@ -38,13 +39,13 @@ pub struct Retention {
     pub tap: Tap,
     /// The clock.
     pub clock: Arc<dyn Clock>,
-    /// What may be kept.
+    /// The limits.
     pub limits: Limits,
 }
 
 impl Retention {
     /// Looks and deletes until `stop`; `status` receives the planned deletions. Without limits it looks once, to
-    /// withdraw what was announced under others.
+    /// withdraw announcements made under other limits.
     pub async fn run(self, status: watch::Sender<RetentionStatus>, stop: CancellationToken) {
         let every = (self.limits.notice / 4).clamp(EVERY.0, EVERY.1);
         let mut judge = Judge::default();
@@ -155,7 +156,7 @@ impl Retention {
     }
 }
 
-/// The reason why the clock is distrusted, for the status.
+/// Returns the reason why the clock is distrusted, for the status.
 fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
     let now = rfc3339(now_utc_ns);
     let message = match distrust {
@@ -176,7 +177,7 @@ fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
     ClockDistrust { reason: distrust.name().to_owned(), message }
 }
 
-/// Logs that the clock is distrusted, or trusted again.
+/// Logs that the clock is distrusted, or that it is trusted again.
 fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     match distrust {
         None => {
@@ -186,7 +187,7 @@ fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     }
 }
 
-/// The facts about a capture by which the clock is judged.
+/// Returns the facts about a capture by which the clock is judged.
 pub(super) fn candidate(row: &RetentionRow) -> Candidate {
     Candidate {
         id: row.id,

@@ -23,7 +23,7 @@ const EVERY: Duration = Duration::from_secs(60);
 /// The shortest interval in real time, however fast the daemon's clock runs.
 const SHORTEST: Duration = Duration::from_millis(250);
 
-/// The schedule of the configuration; `None` if there is none.
+/// Returns the schedule of the configuration; `None` if there is none.
 pub fn schedule(config: &Config) -> Option<Schedule> {
     let schedule = &config.schedule;
     Some(Schedule {
@@ -34,7 +34,7 @@ pub fn schedule(config: &Config) -> Option<Schedule> {
     })
 }
 
-/// The parts that it works with.
+/// The parts of the daemon that the schedule uses.
 #[derive(Debug, Clone)]
 pub struct Scheduler {
     /// The store with the captures.
@@ -66,7 +66,7 @@ struct Course {
 struct Waiting {
     night: Night,
     why: Why,
-    /// The reason as text, as of the last look.
+    /// The last logged reason.
     told: String,
 }
 
@@ -82,7 +82,7 @@ enum Why {
 }
 
 impl Why {
-    /// A sentence for the user; the clock shows `now_utc_ns`.
+    /// Returns a sentence for the user; the clock shows `now_utc_ns`.
     fn message(&self, now_utc_ns: i64) -> String {
         match self {
             Self::Clock(doubt) => doubt.message(now_utc_ns),
@@ -120,7 +120,7 @@ impl Scheduler {
         }
     }
 
-    /// Does one look; returns the status, and how long nothing is to be done by the daemon's clock. `None` once the
+    /// Does one look; returns the status, and the time until the next look by the daemon's clock. `None` once the
     /// daemon is ending.
     async fn look(&self, course: &mut Course) -> Option<(Option<ScheduleStatus>, Duration)> {
         let now = Moment {
@@ -132,8 +132,8 @@ impl Scheduler {
         if let Some(Waiting { night, told, .. }) =
             course.waiting.take_if(|waiting| nights.due.as_ref() != Some(&waiting.night))
         {
-            // Otherwise the clock was set back before its hour and it may still come, or the zone has changed and it
-            // begins at another time.
+            // Otherwise the clock was set back before its hour and the night may still come, or the zone has changed
+            // and it begins at another time.
             let is_same = nights.due.as_ref().is_some_and(|due| due.date == night.date);
             if now.utc_ns >= night.start_utc_ns && !is_same {
                 tracing::warn!(night = night.name, "the night was skipped: {told}");
@@ -178,7 +178,7 @@ impl Scheduler {
         Some((next.map(|night| self.told(night, waits)), until_next.min(EVERY)))
     }
 
-    /// Reads from the database how its captures judge the clock, and whether the night has a capture.
+    /// Reads from the database the verdict of its captures on the clock, and whether the night has a capture.
     async fn ask_store(
         &self,
         due: Option<&Night>,
@@ -238,7 +238,7 @@ mod tests {
     use crate::store::{CaptureState, NewCapture, StoreOptions};
     use std::sync::Mutex;
 
-    /// 2027-01-15 22:00 UTC.
+    /// 2027-01-15, 22:00 UTC.
     const START_NS: i64 = 1_800_050_400_000_000_000;
     const MINUTE_NS: i64 = 60_000_000_000;
     const HOUR: Duration = Duration::from_secs(3600);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     impl World {
-        /// The machine has been running for an hour at `utc_ns`.
+        /// Creates a world whose machine has been running for an hour at `utc_ns`.
         fn at(utc_ns: i64) -> Self {
             let folder = tempfile::tempdir().unwrap();
             let clock = Arc::new(ManualClock::new(utc_ns - HOUR.as_nanos() as i64));
@@ -288,7 +288,7 @@ mod tests {
             Self { scheduler, clock, asked, refusal, _folder: folder }
         }
 
-        /// One look: the name of the night that is shown, and why it waits.
+        /// Does one look; returns the name of the displayed night, and why it waits.
         async fn look(&self, course: &mut Course) -> (String, Option<String>) {
             let (status, wait) = self.scheduler.look(course).await.unwrap();
             assert!(wait <= EVERY);
@@ -329,7 +329,7 @@ mod tests {
         let asked = world.asked.lock().unwrap().clone();
         let (name, duration) = (Some(night("2027-01-15")), 5 * HOUR);
         assert_eq!(asked, [CaptureRequest { duration, name, start_at_utc_ns: None }]);
-        // Everything that the next run of the daemon knows is in the database.
+        // The next run of the daemon knows only the data in the database.
         assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
         assert_eq!(world.asked().len(), 1);
     }
@@ -379,17 +379,17 @@ mod tests {
 
     #[tokio::test]
     async fn a_clock_that_is_not_believed_begins_no_night() {
-        // Woke in 1970, at 22:30 of all times.
+        // The machine woke in 1970, at 22:30.
         let world = World::at(HOUR.as_nanos() as i64 * 45 / 2);
         let mut course = Course::default();
         let (name, waits) = world.look(&mut course).await;
         assert_eq!(name, night("1970-01-01"));
         assert!(waits.unwrap().contains("so it was never set"));
-        // Set by a time server: the night in progress begins late.
+        // A time server sets the clock: the night in progress begins late.
         world.clock.step_utc(START_NS + 10 * MINUTE_NS - world.clock.utc_ns());
         assert_eq!(world.look(&mut course).await, (night("2027-01-16"), None));
         assert_eq!(world.asked(), [night("2027-01-15")]);
-        // It ends, and then the clock is set two days back.
+        // The night ends, and then the clock is set two days back.
         world.clock.advance(Duration::from_secs(20 * 60));
         let since = START_NS + 30 * MINUTE_NS;
         let store = world.scheduler.store.clone();

@@ -20,7 +20,7 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Whether both counters have advanced since the last call (the first call returns `true`).
+    /// Returns whether both counters have advanced since the last call (the first call returns `true`).
     pub fn is_alive(&mut self, reader: u64, writer: u64) -> bool {
         let alive = self.last.is_none_or(|(last_reader, last_writer)| reader != last_reader && writer != last_writer);
         self.last = Some((reader, writer));

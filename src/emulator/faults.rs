@@ -1,4 +1,4 @@
-//! Fault: the faults of a sensor and its line, and their times, as a script describes them. Pure.
+//! Faults of a sensor and its line, and their times, as a script describes them. Pure.
 //!
 //! One fault per line, `#` begins a comment. In a file each line begins with the sensor's time since its start: `10s
 //! unplug 10s`. On standard input the time is omitted, and the fault occurs at once.
@@ -21,7 +21,7 @@ pub enum Fault {
     Reset,
     /// The sensor neither receives nor sends for this time; its clock continues.
     Silence(Duration),
-    /// This many random bytes between frames.
+    /// This many random bytes arrive between frames.
     Garbage(u64),
     /// One bit of each of the next frames is flipped.
     Checksum(u64),
@@ -50,7 +50,7 @@ pub enum Fault {
 pub enum Format {
     /// An ASCII message, at the rate of register 7.
     Ascii(AsciiType),
-    /// Binary output 1 with these groups and fields, at the rate of the output before it, else 40 Hz.
+    /// Binary output 1 with these groups and fields, at the rate of the previous output, else 40 Hz.
     Binary(BinaryHeader),
 }
 
@@ -102,7 +102,7 @@ fn refuse(expected: impl Into<String>, found: &str) -> Refusal {
     (expected.into(), found)
 }
 
-/// The words of a line up to its comment.
+/// Returns the words of a line up to its comment.
 fn words(line: &str) -> Vec<&str> {
     line.split('#').next().unwrap_or_default().split_whitespace().collect()
 }
@@ -212,19 +212,19 @@ impl Schedule {
         Ok(Self { coming })
     }
 
-    /// The next fault whose time has come.
+    /// Returns the next fault whose time has come.
     pub fn due(&mut self, tick: u64) -> Option<Fault> {
         let (at, _) = self.coming.last()?;
         if *at <= tick { self.coming.pop().map(|(_, fault)| fault) } else { None }
     }
 
-    /// The tick of the next fault.
+    /// Returns the tick of the next fault.
     pub fn next_tick(&self) -> Option<u64> {
         self.coming.last().map(|(tick, _)| *tick)
     }
 }
 
-/// A duration in ticks of 1/800 s.
+/// Returns a duration in ticks of 1/800 s.
 pub fn ticks(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos() / u128::from(TICK_NS)).unwrap_or(u64::MAX)
 }

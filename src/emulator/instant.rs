@@ -20,7 +20,7 @@ fn vector(values: &Values, channels: [Channel; 3]) -> Vector {
     channels.map(|channel| values[channel as usize])
 }
 
-/// Rotation from body to north, east, down for yaw, pitch, roll (turned in this order) in degrees.
+/// Returns the rotation from body to north, east, down for yaw, pitch, roll (turned in this order) in degrees.
 fn body_to_ned(yaw_pitch_roll_deg: Vector) -> Matrix {
     let [(sy, cy), (sp, cp), (sr, cr)] = yaw_pitch_roll_deg.map(|angle| (angle * RAD_PER_DEG).sin_cos());
     [
@@ -30,7 +30,7 @@ fn body_to_ned(yaw_pitch_roll_deg: Vector) -> Matrix {
     ]
 }
 
-/// The same rotation as a quaternion, scalar last.
+/// Returns that rotation as a quaternion, scalar last.
 fn quaternion(yaw_pitch_roll_deg: Vector) -> [f64; 4] {
     let [(sy, cy), (sp, cp), (sr, cr)] = yaw_pitch_roll_deg.map(|angle| (angle * RAD_PER_DEG / 2.0).sin_cos());
     [cy * cp * sr - sy * sp * cr, cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr, cy * cp * cr + sy * sp * sr]
@@ -44,8 +44,8 @@ fn times(matrix: Matrix, [x, y, z]: Vector) -> Vector {
     matrix.map(|[a, b, c]| a * x + b * y + c * z)
 }
 
-/// The measurement of that kind at an instant. `interval_s` is the time since the last message of the kind, over which
-/// delta theta and delta velocity are integrated.
+/// Returns the measurement of that kind at an instant. `interval_s` is the time since the last message of the kind,
+/// over which delta theta and delta velocity are integrated.
 pub fn measure(kind: MeasurementKind, values: &Values, interval_s: f64) -> Measurement {
     use Channel::{
         AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Pressure, Roll, Temperature, Yaw,

@@ -1,4 +1,4 @@
-//! Line: determines what happens to each frame between the sensor and the terminal. Pure.
+//! Line: determines the fate of each frame between the sensor and the terminal. Pure.
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -11,9 +11,9 @@ const GARBAGE_AT_ONCE: u64 = 512;
 /// A frame of measurements that the sensor made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Frame {
-    /// Frames are numbered from 0 as they are made.
+    /// Its number, from 0 in the order of creation.
     pub number: u64,
-    /// The tick it was made at, since the emulator was started.
+    /// The tick of its creation, counted from the start of the emulator.
     pub tick: u64,
     /// TimeStartup, ns.
     pub device_time_ns: u64,
@@ -25,19 +25,19 @@ pub struct Frame {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Fate {
-    /// It is in the terminal, complete and in its order.
+    /// The frame is in the terminal, complete and in its order.
     Sent,
-    /// It is in the terminal, complete, after a delay.
+    /// The frame is in the terminal, complete, after a delay.
     Held,
-    /// It is in the terminal twice.
+    /// The frame is in the terminal twice.
     Duplicated,
-    /// It is in the terminal, complete, after the frame that followed it.
+    /// The frame is in the terminal, complete, after the following frame.
     Reordered,
-    /// It is in the terminal with a bit flipped.
+    /// The frame is in the terminal with a flipped bit.
     Garbled,
-    /// It is in the terminal at another baud rate than the terminal's.
+    /// The frame is in the terminal at another baud rate than the terminal's.
     WrongBaud,
-    /// It was omitted.
+    /// The frame was omitted.
     Dropped,
     /// The sensor was silent.
     Silent,
@@ -48,13 +48,13 @@ pub enum Fate {
 }
 
 impl Fate {
-    /// The word for it in the log.
+    /// Returns the word for this fate in the log.
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 }
 
-/// Bytes that go to the terminal, or a frame that does not.
+/// Bytes for the terminal, or a frame that is not sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Piece {
     /// The bytes to send; empty for a frame that is not sent.
@@ -66,15 +66,15 @@ pub struct Piece {
 /// The present faults of a line.
 #[derive(Debug)]
 pub struct Line {
-    /// Random bytes still to come.
+    /// Number of random bytes still to be sent.
     pub garbage: u64,
-    /// Frames still to be garbled.
+    /// Number of frames still to be garbled.
     pub checksum: u64,
-    /// Frames still to be omitted.
+    /// Number of frames still to be omitted.
     pub drop: u64,
-    /// Frames still to be sent twice.
+    /// Number of frames still to be sent twice.
     pub duplicate: u64,
-    /// Pairs still to be swapped.
+    /// Number of pairs still to be swapped.
     pub reorder: u64,
     /// Nothing is sent or received before this tick.
     pub silent_until: u64,
@@ -86,7 +86,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// A line without faults; `seed` determines the bits and the noise of its faults.
+    /// Creates a line without faults; `seed` determines the bits and the noise of its faults.
     pub fn new(seed: u64) -> Self {
         Self {
             garbage: 0,
@@ -102,12 +102,12 @@ impl Line {
         }
     }
 
-    /// Whether the sensor is silent at this tick.
+    /// Returns whether the sensor is silent at this tick.
     pub fn is_silent(&self, tick: u64) -> bool {
         tick < self.silent_until
     }
 
-    /// Sends a frame; `there` if the line has a terminal.
+    /// Sends a frame; `there` states whether the line has a terminal.
     pub fn frame(&mut self, tick: u64, device_time_ns: u64, bytes: &[u8], there: bool, out: &mut Vec<Piece>) {
         let frame = Frame { number: self.made, tick, device_time_ns, bytes: bytes.len() };
         self.made += 1;

@@ -1,4 +1,4 @@
-//! Outbox: bytes that are to be written to the terminal, and where each frame ends. Pure.
+//! Outbox: the bytes to be written to the terminal, and the end of each frame in them. Pure.
 
 use super::line::{Fate, Frame, Piece};
 use std::collections::VecDeque;
@@ -16,12 +16,12 @@ pub struct Outbox {
 }
 
 impl Outbox {
-    /// The bytes that the terminal does not have yet.
+    /// Returns the bytes that the terminal does not have yet.
     pub fn waiting(&self) -> &[u8] {
         &self.bytes[self.sent..]
     }
 
-    /// Whether nothing waits.
+    /// Returns whether nothing waits.
     pub fn is_empty(&self) -> bool {
         self.sent == self.bytes.len()
     }
@@ -57,7 +57,7 @@ impl Outbox {
         self.sent = 0;
     }
 
-    /// Frames whose fate became known since the last call.
+    /// Returns the frames whose fate became known since the last call.
     pub fn settled(&mut self) -> std::vec::Drain<'_, (Frame, Fate)> {
         self.settled.drain(..)
     }

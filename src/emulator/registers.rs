@@ -65,7 +65,7 @@ pub struct Settings {
 }
 
 impl Default for Settings {
-    /// As delivered: VNYMR at 40 Hz on both ports, 115200 baud, no binary output.
+    /// Returns the settings as delivered: VNYMR at 40 Hz on both ports, 115200 baud, no binary output.
     fn default() -> Self {
         Self {
             baud: [DEFAULT_BAUD; PORTS],
@@ -82,8 +82,8 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Whether the total output of every port fits its baud rate. A real sensor refuses VNYMR at 100 Hz and 115200 baud
-    /// (106 %) and accepts 95.5 %. The exact limit is not documented; here it is 100 %.
+    /// Returns whether the total output of every port fits its baud rate. A real sensor refuses VNYMR at 100 Hz and
+    /// 115200 baud (106 %) and accepts 95.5 %. The exact limit is not documented; here it is 100 %.
     fn fits(&self) -> bool {
         (1..=2_u8).zip(0..PORTS).all(|(port, index)| {
             let mut bytes_per_s = 0.0;
@@ -111,7 +111,7 @@ pub struct RegisterFile {
     port: u8,
 }
 
-/// Whether the values are comma-separated numbers that a sensor accepts: finite decimals.
+/// Returns whether the values are comma-separated numbers that a sensor accepts: finite decimals.
 fn are_numbers(values: &str) -> bool {
     values.split(',').all(|field| field.trim().parse::<f64>().is_ok_and(f64::is_finite))
 }
@@ -125,7 +125,7 @@ fn expect_count(found: usize, expected: usize) -> Result<(), DeviceError> {
 }
 
 impl RegisterFile {
-    /// The registers of a sensor as delivered, accessed through serial port `port` (1 or 2).
+    /// Returns the registers of a sensor as delivered, accessed through serial port `port` (1 or 2).
     pub fn new(options: &super::SensorOptions) -> Self {
         let settings = Settings { user_tag: options.user_tag.clone(), ..Settings::default() };
         let mut version = options.firmware.split('.').map(|part| part.parse().unwrap_or(0));
@@ -146,23 +146,23 @@ impl RegisterFile {
         }
     }
 
-    /// The settings in force.
+    /// Returns the settings in force.
     pub fn settings(&self) -> &Settings {
         &self.ram
     }
-    /// The serial port in use, 1 or 2.
+    /// Returns the serial port in use, 1 or 2.
     pub fn port(&self) -> u8 {
         self.port
     }
-    /// Index of that port in the settings.
+    /// Returns the index of that port in the settings.
     pub fn port_index(&self) -> usize {
         usize::from(self.port) - 1
     }
-    /// Major and minor number of the firmware.
+    /// Returns the major and minor number of the firmware.
     pub fn firmware(&self) -> (u32, u32) {
         self.firmware
     }
-    /// How often the flash was written since the sensor was made.
+    /// Returns how often the flash was written since the sensor was made.
     pub fn flash_writes(&self) -> u64 {
         self.flash_writes
     }
@@ -175,12 +175,12 @@ impl RegisterFile {
     pub fn load(&mut self) {
         self.ram = self.flash.clone();
     }
-    /// Restores the factory settings, in flash as well.
+    /// Restores the factory settings, also in flash.
     pub fn restore_factory(&mut self) {
         self.ram = Settings { user_tag: self.ram.user_tag.clone(), ..Settings::default() };
         self.save();
     }
-    /// Turns the asynchronous ASCII output of the port in use off, as ErrorMode 2 does.
+    /// Turns off the asynchronous ASCII output of the port in use, as ErrorMode 2 does.
     pub fn stop_ascii(&mut self) {
         let index = self.port_index();
         self.ram.ascii[index] = None;
@@ -247,7 +247,7 @@ impl RegisterFile {
         }
     }
 
-    /// The port that a command names; `0` and `?` (which the SDK sends) are the one in use.
+    /// Returns the port that a command names; `0` and `?` (which the SDK sends) are the one in use.
     fn named_port(&self, argument: &str) -> Result<usize, DeviceError> {
         match argument {
             "1" => Ok(0),
@@ -257,7 +257,7 @@ impl RegisterFile {
         }
     }
 
-    /// The values of a register in the form of a reply. `argument` is the text after the register number.
+    /// Returns the values of a register in the form of a reply. `argument` is the text after the register number.
     ///
     /// # Errors
     /// 08 for a register that does not exist, 06 for a surplus argument, 07 for a port that does not exist.
@@ -408,7 +408,7 @@ impl RegisterFile {
         Ok(())
     }
 
-    /// Ticks of 1/800 s between two ASCII messages of the port in use; `None` if none is sent.
+    /// Returns the number of ticks of 1/800 s between two ASCII messages of the port in use; `None` if none is sent.
     pub fn ascii_period_ticks(&self) -> Option<u64> {
         let rate = self.ram.ascii_rate_hz[self.port_index()];
         (rate != 0).then(|| u64::from(link::INTERNAL_RATE_HZ / rate))

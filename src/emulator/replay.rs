@@ -23,18 +23,18 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// A recording of these lines, without their line ends, at `speed` times real time.
+    /// Creates a recording of these lines, without their line ends, at `speed` times real time.
     pub fn new(mut lines: Box<dyn Iterator<Item = Vec<u8>> + Send>, speed: f64) -> Self {
         let next = lines.next();
         Self { lines, next, asked_ns: None, first_ns: None, start: None, speed: speed.max(1.0) }
     }
 
-    /// Notes that the host sent something.
+    /// Records that the host sent a command.
     pub fn heard(&mut self, now_ns: u64) {
         self.asked_ns = Some(now_ns);
     }
 
-    /// The tick at which the next line is due, if the recording has begun and has not ended.
+    /// Returns the tick at which the next line is due, if the recording has begun and has not ended.
     pub fn next_tick(&mut self, tick: u64, rate_hz: f64, now_ns: u64) -> Option<u64> {
         self.next.as_ref()?;
         let first_ns = *self.first_ns.get_or_insert(now_ns);

@@ -60,7 +60,7 @@ impl Default for SensorOptions {
     }
 }
 
-/// Something to be sent later, in order.
+/// Output to be sent later, in order.
 #[derive(Debug, Clone)]
 enum Queued {
     /// A reply that is ready.
@@ -78,9 +78,9 @@ pub struct VirtualSensor {
     boot_ticks: u64,
     /// The tick at which its clock read 0; negative if before tick 0.
     clock_start: i64,
-    /// The offset of TimeStartup from that clock, ns.
+    /// The offset from that clock to TimeStartup, ns.
     clock_offset_ns: u64,
-    /// It receives and sends nothing before this tick.
+    /// The sensor neither receives nor sends before this tick.
     silent_until: u64,
     /// The latest tick passed by the caller.
     now: u64,
@@ -102,7 +102,7 @@ pub struct VirtualSensor {
 }
 
 impl VirtualSensor {
-    /// A running sensor with its settings as delivered.
+    /// Creates a running sensor with its settings as delivered.
     pub fn new(options: &SensorOptions) -> Self {
         Self {
             registers: RegisterFile::new(options),
@@ -124,17 +124,17 @@ impl VirtualSensor {
         }
     }
 
-    /// Its registers.
+    /// Returns the registers.
     pub fn registers(&self) -> &RegisterFile {
         &self.registers
     }
 
-    /// Its registers, to be set before the first command ([`RegisterFile::preset`]).
+    /// Returns the registers, to be set before the first command ([`RegisterFile::preset`]).
     pub fn registers_mut(&mut self) -> &mut RegisterFile {
         &mut self.registers
     }
 
-    /// Baud rate of the port in use.
+    /// Returns the baud rate of the port in use.
     pub fn baud(&self) -> u32 {
         self.registers.settings().baud[self.registers.port_index()]
     }
@@ -145,12 +145,12 @@ impl VirtualSensor {
         self.replaying = replaying;
     }
 
-    /// Whether asynchronous output goes out at this tick: the sensor runs and is not paused.
+    /// Returns whether asynchronous output goes out at this tick: the sensor runs and is not paused.
     pub fn may_send(&self, tick: u64) -> bool {
         tick >= self.silent_until && !self.paused
     }
 
-    /// TimeStartup at a tick, ns.
+    /// Returns TimeStartup at a tick, ns.
     pub fn device_time_ns(&self, tick: u64) -> u64 {
         (self.clock_ticks(tick) * TICK_NS).wrapping_add(self.clock_offset_ns)
     }
@@ -169,7 +169,7 @@ impl VirtualSensor {
         self.reset(tick);
     }
 
-    /// Restarts at `tick` without a command: a brown-out, a watchdog.
+    /// Restarts at `tick` without a command, as after a brown-out or by a watchdog.
     pub fn reset(&mut self, tick: u64) {
         self.now = self.now.max(tick);
         self.registers.load();
@@ -191,7 +191,8 @@ impl VirtualSensor {
         (self.sync_out_count, self.sync_since) = (0, self.silent_until);
     }
 
-    /// Ticks between two SyncOut events (register 32): IMU samples come at 800 Hz, attitude at 400 Hz; GPS pulses never.
+    /// Returns the ticks between two SyncOut events (register 32): IMU samples come at 800 Hz, attitude at 400 Hz; GPS
+    /// pulses never.
     fn sync_out_period(&self) -> Option<u64> {
         let control = &self.registers.settings().synchronization;
         let events = match control.sync_out_mode {
@@ -402,8 +403,8 @@ impl VirtualSensor {
         }
     }
 
-    /// The next tick at which the sensor sends something, later than every tick emitted so far; `None` if it has
-    /// nothing to send until the next command.
+    /// Returns the next tick at which the sensor sends something, later than every tick emitted so far; `None` if it
+    /// has nothing to send until the next command.
     pub fn next_output_tick(&self) -> Option<u64> {
         let from = self.emitted.map_or(0, |emitted| emitted + 1).max(self.silent_until);
         // a reply may be due while the output rests
@@ -464,8 +465,8 @@ impl VirtualSensor {
         }
     }
 
-    /// The positions of the messages of the last [`VirtualSensor::emit`] in the output; the bytes before and between
-    /// are replies.
+    /// Returns the positions of the messages of the last [`VirtualSensor::emit`] in the output; the bytes before and
+    /// between are replies.
     pub fn frames(&self) -> &[Range<usize>] {
         &self.frames
     }
@@ -499,14 +500,14 @@ impl VirtualSensor {
         self.frames.push(start..out.len());
     }
 
-    /// The binary output of the port in use with the lowest register number: the one that a logger configured.
+    /// Returns the binary output of the port in use with the lowest register number: the one that a logger configured.
     pub fn binary_output(&self) -> Option<(u16, vn100_proto::register::BinaryOutput)> {
         let port = self.registers.port();
         (BINARY_OUTPUT_1..).zip(self.registers.settings().outputs).find(|(_, output)| output.is_sent_on(port))
     }
 }
 
-/// The register number in a command, and the text after it.
+/// Returns the register number in a command, and the text after it.
 fn register_number(rest: Option<&str>) -> Result<(u16, Option<&str>), DeviceError> {
     let rest = rest.ok_or(DeviceError::NotEnoughParameters)?;
     let (number, values) = rest.split_once(',').map_or((rest, None), |(number, values)| (number, Some(values)));

@@ -11,7 +11,7 @@ use vn100_proto::register::{ASYNC_RATE, ASYNC_TYPE, BinaryOutput};
 /// Length of the records for which the simulated spectra hold at the low end, s.
 const RECORD_LENGTH_S: f64 = 86_400.0;
 
-/// The output of the sensor.
+/// The source of the sensor's output.
 pub enum Source {
     /// Simulated noise.
     Model(Box<Noise>),
@@ -50,7 +50,7 @@ impl Stream {
         Self { binary: sensor.binary_output(), ascii: (read(ASYNC_TYPE), read(ASYNC_RATE)) }
     }
 
-    /// The rate of its fastest output in Hz.
+    /// Returns the rate of its fastest output in Hz.
     fn rate_hz(&self) -> f64 {
         let binary = self.binary.as_ref().and_then(|(_, output)| output.rate_hz()).unwrap_or(0.0);
         let ascii = if self.ascii.0 == "0" { 0.0 } else { self.ascii.1.parse().unwrap_or(0.0) };
@@ -60,15 +60,15 @@ impl Stream {
 }
 
 impl Source {
-    /// Noise of this model. The simulation begins with the first message after each change of the output, so that a
-    /// stream's noise depends on the seed and not on the time of the request.
+    /// Creates noise of this model. The simulation begins with the first message after each change of the output, so
+    /// that a stream's noise depends on the seed and not on the time of the request.
     pub fn model(model: SensorModel, seed: u64) -> Self {
         Self::Model(Box::new(Noise { model, seed, running: None }))
     }
 }
 
 impl Noise {
-    /// The values at `tick`; ticks do not run back within a stream.
+    /// Returns the values at `tick`; ticks do not run back within a stream.
     pub(super) fn at(&mut self, tick: u64, stream: Stream) -> Result<Values, SimulatorError> {
         let running = match &mut self.running {
             Some(running) if running.stream == stream => running,

@@ -73,7 +73,7 @@ pub enum EmulatorError {
         /// The error message of the system.
         source: std::io::Error,
     },
-    /// The model cannot run at the rate that the sensor was configured to.
+    /// The model cannot run at the sensor's configured rate.
     #[error(transparent)]
     Simulator(#[from] SimulatorError),
     /// A requested fault is invalid.
@@ -110,7 +110,7 @@ struct Pair {
 pub struct Terminal {
     /// `None` while it is unplugged.
     pair: Option<Pair>,
-    /// The terminal on which it comes back, and the tick. It exists before the old one is closed, so that its name
+    /// The terminal with which it returns, and the tick. It exists before the old one is closed, so that its name
     /// differs.
     back: Option<(u64, Pair)>,
     /// The side of a hung-up terminal, kept open to reserve its number: a link that dangles must not lead to another
@@ -119,7 +119,7 @@ pub struct Terminal {
     options: TerminalOptions,
     line: Line,
     outbox: Outbox,
-    /// Kept until the end of a hold.
+    /// Pieces kept until the end of a hold.
     held: Vec<Piece>,
     /// Whether the delayed data is being sent.
     burst: bool,
@@ -161,7 +161,7 @@ impl Terminal {
         Ok(terminal)
     }
 
-    /// The terminal's name, such as /dev/pts/7; empty while there is no terminal.
+    /// Returns the terminal's name, such as /dev/pts/7; empty while there is no terminal.
     pub fn path(&self) -> &Path {
         self.pair.as_ref().map_or(Path::new(""), |pair| &pair.path)
     }
@@ -205,7 +205,7 @@ impl Terminal {
                 };
                 let next = next.filter(|next| *next <= due);
                 if self.happen(next.unwrap_or(due), &mut sensor, clock)? {
-                    // The fault may have changed what is sent next.
+                    // The fault may have changed the next output.
                     continue;
                 }
                 let Some(next) = next else {
@@ -228,7 +228,7 @@ impl Terminal {
                         }
                     }
                     Source::Replay(replay) => {
-                        // Replies that were waiting go first; the sensor itself sends no message.
+                        // Waiting replies go first; the sensor itself sends no message.
                         sensor.emit(tick, &[0.0; Channel::COUNT], &mut emitted);
                         self.reply(&sensor, tick, &emitted);
                         let due = replay.next_tick(tick, ascii_rate_hz(&sensor), clock.schedule_mono_ns());
@@ -279,7 +279,7 @@ impl Terminal {
         self.note(clock)
     }
 
-    /// Handles the bytes from the host.
+    /// Passes the host's bytes to the sensor.
     fn hear(
         &mut self,
         sensor: &mut VirtualSensor,
@@ -310,7 +310,7 @@ impl Terminal {
         Ok(())
     }
 
-    /// The next fault that is to occur at once.
+    /// Returns the next live fault, which occurs at once.
     fn said(&mut self) -> Result<Option<Fault>, EmulatorError> {
         match self.options.live_faults.as_ref().map(mpsc::Receiver::try_recv) {
             Some(Ok(fault)) => Ok(Some(fault?)),
@@ -422,7 +422,7 @@ impl Terminal {
         }
     }
 
-    /// The baud rate of the terminal, if it differs from the sensor's and that matters.
+    /// Returns the baud rate of the terminal, if it differs from the sensor's and that matters.
     fn wrong_baud(&self, sensor: &VirtualSensor) -> Option<u32> {
         let pair = self.pair.as_ref().filter(|_| self.options.strict_baud)?;
         let set = rustix::termios::tcgetattr(&pair.slave).ok()?.output_speed();
@@ -460,8 +460,8 @@ impl Terminal {
         }
     }
 
-    /// Whether the waiting data is lost, as on a real line: the terminal's data is not read. If the terminal is not
-    /// full, the kernel is late, and that loses nothing until its own buffer is full.
+    /// Returns whether the waiting data is lost, as on a real line: the terminal's data is not read. If the terminal is
+    /// not full, the kernel is late, and that loses nothing until its own buffer is full.
     fn overruns(&mut self) -> bool {
         let waiting = self.outbox.waiting().len();
         let (most, driver) = if self.burst { (BURST_BYTES, BURST_BYTES) } else { (PENDING_BYTES / 2, DRIVER_BYTES) };
@@ -554,7 +554,7 @@ impl Drop for Terminal {
     }
 }
 
-/// The rate of register 7 in Hz, at which recorded lines are sent.
+/// Returns the rate of register 7 in Hz, at which recorded lines are sent.
 fn ascii_rate_hz(sensor: &VirtualSensor) -> f64 {
     let text = sensor.registers().read(ASYNC_RATE, None).unwrap_or_default();
     text.parse().ok().filter(|rate: &f64| *rate > 0.0).unwrap_or(40.0)

@@ -5,7 +5,7 @@ use imu_core::sample::Channel;
 use vn100_proto::register::BinaryOutput;
 use vn100_proto::{ChecksumKind, Command, Decoder, DecoderOptions, DeviceError, Event, Measurement, Quantity, encode};
 
-/// The first line of the manual's chapter on registers, for a sensor at rest on a desk.
+/// Returns the first line of the manual's chapter on registers, for a sensor at rest on a desk.
 fn values() -> Values {
     let mut values = [0.0; Channel::COUNT];
     for (channel, value) in [
@@ -36,28 +36,28 @@ fn sensor() -> VirtualSensor {
     VirtualSensor::new(&SensorOptions::default())
 }
 
-/// A sensor that sends nothing by itself.
+/// Returns a sensor that sends nothing by itself.
 fn quiet_sensor() -> VirtualSensor {
     let mut sensor = sensor();
     assert_eq!(ask(&mut sensor, 0, "$VNWRG,06,0*6C\r\n"), "$VNWRG,06,0*6C\r\n");
     sensor
 }
 
-/// The immediate reply of the sensor.
+/// Returns the immediate reply of the sensor.
 fn ask(sensor: &mut VirtualSensor, tick: u64, command: &str) -> String {
     let mut out = Vec::new();
     sensor.on_bytes(tick, command.as_bytes(), &mut out);
     String::from_utf8(out).unwrap()
 }
 
-/// The body of the sensor's reply to a command without checksum.
+/// Returns the body of the sensor's reply to a command without checksum.
 fn bare(sensor: &mut VirtualSensor, tick: u64, body: &str) -> String {
     let reply = ask(sensor, tick, &format!("${body}*XX\r\n"));
     let body = reply.strip_prefix('$').and_then(|line| line.rsplit_once('*'));
     body.map_or(String::new(), |(body, _)| body.to_owned())
 }
 
-/// Everything that the sensor sends up to and including `until`, with the ticks it requested.
+/// Returns everything that the sensor sends up to and including `until`, with the ticks it requested.
 fn run(sensor: &mut VirtualSensor, until: u64) -> (Vec<u64>, Vec<u8>) {
     let (mut ticks, mut out) = (Vec::new(), Vec::new());
     while let Some(tick) = sensor.next_output_tick().filter(|tick| *tick <= until) {
@@ -310,7 +310,7 @@ fn a_reset_answers_first_then_is_silent_then_begins_at_zero() {
     assert_eq!((sensor.next_output_tick(), sensor.may_send(5009)), (Some(5010), false));
     let (ticks, bytes) = run(&mut sensor, 5050);
     assert_eq!(ticks, [5010, 5030, 5050]);
-    // what was not saved is gone: text again
+    // settings that were not saved are gone: text again
     assert_eq!(bytes, RECORDED.repeat(3).into_bytes());
     assert_eq!(sensor.device_time_ns(5050), 50_000_000);
     assert_eq!(bare(&mut sensor, 5051, "VNRRG,75"), "VNRRG,75,0,0,0");
@@ -350,7 +350,7 @@ fn a_baud_change_is_answered() {
     // a lower rate than the stream needs is refused
     assert_eq!(bare(&mut sensor, 3, "VNWRG,05,38400"), "VNERR,0C");
     assert_eq!(sensor.baud(), 921_600);
-    // the other port's rate is not ours
+    // the other port's rate is not the rate of this port
     assert_eq!(bare(&mut sensor, 3, "VNWRG,05,57600,2"), "VNWRG,05,57600,2");
     assert_eq!(sensor.baud(), 921_600);
 }

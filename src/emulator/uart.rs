@@ -1,10 +1,10 @@
-//! Uart: the bytes that a receiver at one baud rate reads from bytes sent at another. Pure.
+//! Uart: computes the bytes that a receiver at one baud rate reads from bytes sent at another. Pure.
 
 /// Bits of one byte on the line: start, eight data bits from the lowest, stop.
 const BITS: usize = 10;
 
-/// The bytes that a receiver at `heard_baud` reads from `bytes` sent without pause at `sent_baud`, with an idle line
-/// before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
+/// Returns the bytes that a receiver at `heard_baud` reads from `bytes` sent without pause at `sent_baud`, with an idle
+/// line before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
 pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
     if sent_baud == heard_baud || bytes.is_empty() {
         return bytes.to_vec();
@@ -47,7 +47,7 @@ mod tests {
     #[test]
     fn at_the_same_rate_everything_is_heard() {
         assert_eq!(heard(b"$VNRRG,01*72\r\n", 115_200, 115_200), b"$VNRRG,01*72\r\n");
-        // 2 % is within what a receiver tolerates
+        // 2 % is within a receiver's tolerance
         assert_eq!(heard(b"$VNRRG,01*72\r\n", 117_000, 115_200), b"$VNRRG,01*72\r\n");
     }
 
@@ -57,7 +57,7 @@ mod tests {
         let more = heard(&bytes, 115_200, 921_600).len();
         let fewer = heard(&bytes, 921_600, 115_200).len();
         assert!(more > 256 && fewer < 256 / 4 && fewer > 0, "{more} {fewer}");
-        // U is 01010101: at half the rate one byte of each two bits
+        // U is 01010101: at half the rate every two bits are read as one byte
         assert_eq!(heard(b"U", 9600, 9600), b"U");
         assert_ne!(heard(b"UUUU", 19_200, 9600), b"UUUU");
     }

@@ -24,7 +24,7 @@ enum Word {
     Refused(String),
 }
 
-/// The picture as PNG, made by a child.
+/// Returns the picture as PNG, made by a child.
 ///
 /// # Errors
 /// The reason why there is no PNG, for the user.

@@ -1,4 +1,4 @@
-//! Facts: what a capture's page shows apart from its analyses, and the pictures that can be drawn of it.
+//! Facts: the content of a capture's page apart from its analyses, and the pictures that can be drawn of it.
 
 use super::{Picture, samples};
 use crate::jobs::Documents;
@@ -25,7 +25,7 @@ pub fn facts(reader: &Reader, id: i64) -> Result<Facts, StoreError> {
     })
 }
 
-/// The pictures that can be drawn of a capture and its analyses.
+/// Returns the pictures that can be drawn of a capture and its analyses.
 pub fn pictures(facts: &Facts, documents: &Documents) -> Vec<Picture> {
     let row = &facts.row;
     let deviates =

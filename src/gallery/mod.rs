@@ -27,7 +27,7 @@ pub enum Picture {
     Histogram(Channel),
     /// `allan-<triad>`: Allan deviation.
     Allan(Triad),
-    /// `allan-<channel>`: the same of one channel, with the lines of N, B and K.
+    /// `allan-<channel>`: Allan deviation of one channel, with the lines of N, B and K.
     AllanOfOne(Channel),
     /// `hourly-<channel>`: Allan deviation hour by hour.
     Hourly(Channel),
@@ -38,7 +38,7 @@ pub enum Picture {
 }
 
 impl Picture {
-    /// All pictures of a capture with these channels.
+    /// Returns all pictures of a capture with these channels.
     pub fn all(channels: &[Channel]) -> Vec<Self> {
         let there = |triad: &Triad| triad.channels().iter().any(|channel| channels.contains(channel));
         let triads: Vec<Triad> = TRIADS.into_iter().filter(there).collect();
@@ -53,12 +53,12 @@ impl Picture {
         all
     }
 
-    /// The picture with that name.
+    /// Returns the picture with that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::all(&Channel::ALL).into_iter().find(|picture| picture.name() == name)
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("timeseries-{}", channel.name()),
@@ -71,7 +71,7 @@ impl Picture {
         }
     }
 
-    /// The channels that it requires.
+    /// Returns the channels that it requires.
     pub fn channels(self) -> Vec<Channel> {
         match self {
             Self::Timeseries(channel)
@@ -83,7 +83,7 @@ impl Picture {
         }
     }
 
-    /// The analyses that it requires. Noise parameters may be absent.
+    /// Returns the analyses that it requires. Noise parameters may be absent.
     pub fn needs(self) -> &'static [JobKind] {
         match self {
             Self::Timeseries(_) | Self::Gaps => &[],
@@ -94,7 +94,7 @@ impl Picture {
         }
     }
 
-    /// Its height in units in which its width is 560.
+    /// Returns the height in units in which its width is 560.
     pub fn height(self) -> u32 {
         match self {
             Self::Gaps => 130,
@@ -106,7 +106,7 @@ impl Picture {
         }
     }
 
-    /// A description of the picture for users who cannot see it.
+    /// Returns a description of the picture for users who cannot see it.
     pub fn told(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("{} over time", channel.name()),
@@ -137,7 +137,7 @@ pub struct Window {
     pub to: Option<Moment>,
 }
 
-/// What a picture is written as.
+/// The file format of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     /// SVG, with its style.
@@ -147,7 +147,7 @@ pub enum Form {
 }
 
 impl Form {
-    /// The form of files whose name ends with this.
+    /// Returns the form of files whose name ends with this.
     pub fn from_suffix(suffix: &str) -> Option<Self> {
         match suffix {
             "svg" => Some(Self::Svg),
@@ -155,7 +155,7 @@ impl Form {
             _ => None,
         }
     }
-    /// The media type.
+    /// Returns the media type.
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Svg => "image/svg+xml",
@@ -164,8 +164,8 @@ impl Form {
     }
 }
 
-/// The content of a picture's file; `None` if there is nothing to draw, or a required document is missing. A PNG is made
-/// in a separate process if `is_apart`.
+/// Returns the content of a picture's file; `None` if there is nothing to draw, or a required document is missing. A
+/// PNG is made in a separate process if `is_apart`.
 ///
 /// # Errors
 /// The error that the database reports, or the reason why there is no PNG.
@@ -189,7 +189,7 @@ pub fn file(
     })
 }
 
-/// The picture as SVG; empty if there is nothing to draw, or a required document is missing.
+/// Returns the picture as SVG; empty if there is nothing to draw, or a required document is missing.
 ///
 /// # Errors
 /// The error that the database reports.
@@ -223,7 +223,7 @@ pub fn svg(
     Ok(drawn.unwrap_or_default())
 }
 
-/// The lines of all channels.
+/// Returns the lines of all channels.
 fn lines(noise: Option<&NoiseReport>) -> Vec<NamedLine<'_>> {
     let disturbances = noise.into_iter().flat_map(|report| &report.disturbances);
     disturbances.flat_map(|(channel, found)| found.lines.iter().map(|line| (*channel, line))).collect()

@@ -11,12 +11,12 @@ use imu_noise::welch::Welch;
 const STRETCHES: u64 = 1000;
 /// Samples read at once.
 const CHUNK: usize = 16_384;
-/// Bins that are closer than this part of their frequency are one point of a spectrum.
+/// Bins closer than this share of their frequency form one point of a spectrum.
 const APART: f64 = 0.02;
-/// The maximum number of gaps drawn: the longest lists are of minutes of trouble.
+/// The maximum number of gaps drawn: the longest lists come from minutes of trouble.
 const GAPS_MAX: usize = 2000;
 
-/// The picture of the times of missing samples.
+/// Returns the picture of the times of missing samples.
 pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError> {
     let mut range = SampleRange::read(reader, capture, None, None)?;
     let (gaps, [_, last_s]) = (all_gaps(reader, &range, [f64::MIN, f64::MAX])?, range.ends_s(reader)?);
@@ -26,7 +26,7 @@ pub(super) fn gaps(reader: &Reader, capture: &str) -> Result<String, StoreError>
     Ok(Gaps { length_s, samples: range.samples(), count: range.capture.gaps, causes, gaps }.svg())
 }
 
-/// Gaps that overlap this time, s since the first sample; of very many the first.
+/// Returns the gaps that overlap this time, s since the first sample; only the first ones if there are very many.
 fn all_gaps(reader: &Reader, range: &SampleRange, within_s: [f64; 2]) -> Result<Vec<Gap>, StoreError> {
     let mut all: Vec<Gap> = Vec::new();
     let mut cursor = None;
@@ -46,7 +46,7 @@ fn all_gaps(reader: &Reader, range: &SampleRange, within_s: [f64; 2]) -> Result<
     }
 }
 
-/// The picture of a channel over time.
+/// Returns the picture of a channel over time.
 pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: Window) -> Result<String, StoreError> {
     let range = &mut SampleRange::read(reader, capture, window.from, window.to)?;
     let mut bucket = Bucket::new(range.samples().div_ceil(STRETCHES).max(1), 1);
@@ -79,12 +79,12 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
     Ok(Course { channel: channel.name(), unit: channel.unit(), points, gaps }.svg())
 }
 
-/// The number of samples of each segment; of very many segments the first.
+/// Returns the number of samples of each segment; only of the first ones if there are very many.
 pub(super) fn stretches(reader: &Reader, capture: i64) -> Result<Vec<u64>, StoreError> {
     Ok(reader.segments(capture, &PageRequest::first())?.rows.iter().map(|segment| segment.samples).collect())
 }
 
-/// The picture of a triad's power spectra, with `lines` of its channels by name.
+/// Returns the picture of a triad's power spectra, with `lines` of its channels by name.
 pub(super) fn density(
     reader: &Reader,
     capture: &str,

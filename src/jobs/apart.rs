@@ -43,7 +43,7 @@ enum Message {
     Unopened(String),
 }
 
-/// Works on a claimed job in a separate process until it is done, cancelled, or `keep_on` returns `false`.
+/// Works on a claimed job in a separate process until the job is done or cancelled, or `keep_on` returns `false`.
 pub(super) fn run(
     store: &Store,
     reader: &Reader,

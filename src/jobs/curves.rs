@@ -43,7 +43,7 @@ pub(super) struct Curves {
 }
 
 impl Curves {
-    /// The state before any sample.
+    /// Returns the state before any sample.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
         let estimator = parameters.estimator;
         let grid = TauGrid::new(parameters.taus, plan.longest)?;
@@ -82,7 +82,7 @@ impl Curves {
         self.current = self.read_channels().iter().map(|_| vec![Vec::new()]).collect();
     }
 
-    /// The plan, the estimator and every channel's curve, once the last pass has ended.
+    /// Returns the plan, the estimator and every channel's curve, once the last pass has ended.
     pub(super) fn finish(self) -> (Plan, Estimator, Vec<(Channel, AllanCurve)>) {
         let curves = self.plan.channels.iter().copied().zip(self.done).collect();
         (self.plan, self.estimator, curves)

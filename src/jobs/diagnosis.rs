@@ -20,9 +20,9 @@ use std::sync::{Mutex, PoisonError};
 /// The maximum number of grid places, missing samples included, times (channels + [`BESIDES`]), about 35 bytes each:
 /// five hours of nine channels at 40 Hz.
 const ROOM: u64 = 14_000_000;
-/// The memory for the work on one channel, beyond what is kept for all, in channels.
+/// The additional memory for the work on one channel, in channels.
 const BESIDES: u64 = 10;
-/// The factor by which the room is smaller for a record of a motion.
+/// The factor by which the room is smaller if the sensor moved.
 const OF_A_MOTION: u64 = 4;
 /// The prefix of a model's number in its id: a number alone is a capture.
 const MODEL: &str = "model-";
@@ -31,7 +31,7 @@ const MODEL: &str = "model-";
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Simulator {
-    /// A capture that a simulator made, by its id.
+    /// The id of a capture that a simulator made.
     Capture(i64),
     /// A sensor model.
     Model(Box<SensorModel>),
@@ -51,8 +51,8 @@ impl Simulator {
     /// Looks up the requested simulator: a model by its id, a model, or a capture by its id or name.
     ///
     /// # Errors
-    /// [`JobError::Parameters`] if the value is not a simulator, [`JobError::Model`], [`JobError::Store`] if there is
-    /// no such model or capture.
+    /// [`JobError::Parameters`] if the value is not a simulator, [`JobError::Model`] if the model is invalid,
+    /// [`JobError::Store`] if there is no such model or capture.
     pub(super) fn of(reader: &Reader, sim: Value) -> Result<Self, JobError> {
         let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
         let capture = |id: i64| {
@@ -101,7 +101,7 @@ impl DiagnosisParameters {
         Ok(Self { sim, reference })
     }
 
-    /// The SHA-256 of the reference that the database stores for this job.
+    /// Returns the SHA-256 of the reference that the database stores for this job.
     pub(super) fn stored_reference(&self) -> Option<&str> {
         match &self.reference {
             Some(ReferenceMotion::Stored { sha256, .. }) => Some(sha256),
@@ -125,7 +125,7 @@ pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
     }
 }
 
-/// The motion of the sensor during a recording.
+/// Returns the motion of the sensor during a recording.
 fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Reference, JobError> {
     let none = |reason: String| JobError::InsufficientData { reason };
     let text = match given {
@@ -146,7 +146,7 @@ fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> 
     Reference::new(rows).map_err(|error| none(error.to_string()))
 }
 
-/// The result of a diagnosis: parts of one JSON text, each as it is returned.
+/// The result of a diagnosis: parts of one JSON text, unchanged.
 #[derive(Debug, Deserialize)]
 pub struct DiagnosisDocument<'a> {
     /// The report, `vn100d-diagnosis-1`.
@@ -176,7 +176,7 @@ pub fn read_diagnosis(body: &str) -> Result<(Diagnosis, Drawings), JobError> {
     Ok((serde_json::from_str(report.get())?, serde_json::from_str(body)?))
 }
 
-/// The same for writing.
+/// A [`DiagnosisDocument`] to be written.
 #[derive(Serialize)]
 struct Written<'a> {
     report: &'a Diagnosis,
@@ -227,7 +227,7 @@ pub(super) fn work(
     }
 }
 
-/// The result's text.
+/// Returns the result's text.
 fn document_of(
     reader: &Reader,
     job: &JobRow,
@@ -268,7 +268,7 @@ fn document_of(
     Ok(serde_json::to_string(&written)?)
 }
 
-/// The number of places for which there is room with a plan's channels.
+/// Returns the number of places for which there is room with a plan's channels.
 fn room(plan: &Plan) -> u64 {
     ROOM / (plan.channels.len() as u64 + BESIDES)
 }

@@ -43,7 +43,7 @@ pub enum ReferenceMotion {
 /// The body of a request for a diagnosis.
 #[derive(Debug, Clone, Copy)]
 pub enum DiagnosisBody<'a> {
-    /// A small one.
+    /// A body in memory.
     Bytes(&'a [u8]),
     /// A body stored in a file.
     File(&'a Path),
@@ -67,7 +67,7 @@ struct Members<'a> {
     reference: Option<&'a RawValue>,
 }
 
-/// A refusal, which may quote a part of the body, but not all of it.
+/// Returns a refusal, which may quote a part of the body, but not all of it.
 fn refused(reason: impl Into<String>) -> JobError {
     let reason: String = reason.into();
     JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.chars().take(REASON_CHARS).collect() }
@@ -156,7 +156,7 @@ impl<'a> StoringReference<'a> {
         Ok(())
     }
 
-    /// Records that a job has claimed it.
+    /// Records that a job has claimed the reference.
     pub(super) fn claimed(mut self) {
         self.is_claimed = true;
     }
@@ -167,7 +167,7 @@ impl Drop for StoringReference<'_> {
         if !self.is_claimed
             && let Err(error) = self.store.let_reference_go(self.id)
         {
-            // It is then removed at the next start.
+            // The reference is then removed at the next start.
             tracing::debug!(%error, "A reference that no diagnosis has stays for now.");
         }
     }
@@ -180,7 +180,7 @@ enum Message {
     Request { sim: String, reference: Option<ReferenceMotion> },
     /// The next part of the reference is the frame's body.
     Part,
-    /// The end of the parts.
+    /// All parts were sent.
     End,
     /// The body is no valid request.
     Refused { reason: String, too_large: bool },

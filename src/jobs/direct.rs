@@ -14,7 +14,7 @@ use imu_core::sample::{Channel, StatedSampling};
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanReport, Estimator};
 
-/// The noise parameters of a plan's samples, computed on two threads; memory is bounded as a job's is.
+/// Returns the noise parameters of a plan's samples, computed on two threads; memory is bounded as a job's is.
 ///
 /// # Errors
 /// The error that `source` reports.
@@ -22,7 +22,7 @@ pub fn noise(source: &dyn SampleSource, plan: Plan) -> Result<NoiseReport, JobEr
     noise_at_rest(source, at_rest(source, plan, true, || Ok(()))?)
 }
 
-/// The same of a plan whose motion is known.
+/// As [`noise`], for a plan whose motion is known.
 pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Result<NoiseReport, JobError> {
     let mut spectra = Spectra::of(at_rest);
     take_all(source, &mut spectra)?;
@@ -30,7 +30,7 @@ pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Resul
     report::noise(source, &plan, &sums, held, |_| Ok(()))
 }
 
-/// The deviation curves of a plan's samples. An estimator other than `oadev` holds all of them in memory.
+/// Returns the deviation curves of a plan's samples. An estimator other than `oadev` holds all of them in memory.
 ///
 /// # Errors
 /// [`JobError::Allan`] if there are too few samples for a curve, or the error that `source` reports.
@@ -48,7 +48,7 @@ pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) 
     Ok(report::curves(&plan, estimator, curves, &Extent::of_plan(source, &plan)?))
 }
 
-/// Moments, histogram and a test for normality of every channel of a capture.
+/// Returns moments, histogram and a test for normality of every channel of a capture.
 ///
 /// # Errors
 /// The error that the database reports.
@@ -68,9 +68,9 @@ pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, 
     Ok(report::statistics(distribution.statistics(), Extent::read(reader, capture_id, row.samples)?))
 }
 
-/// The result of a job of one of the usual kinds, over the samples in `capture`'s row. It is the stored result if this
-/// version of the program has finished such a job, else it is computed at once and not stored. `stated` is the user's
-/// statement about the sampling, which no job has.
+/// Returns the result of a job of one of the usual kinds, over the samples in `capture`'s row. It is the stored result
+/// if this version of the program has finished such a job, else it is computed at once and not stored. `stated` is the
+/// user's statement about the sampling; queued jobs have none.
 ///
 /// # Errors
 /// [`JobError::InsufficientData`], [`JobError::Parameters`] for a diagnosis, which is never usual, or the error that

@@ -21,7 +21,7 @@ pub(super) struct Distribution {
 }
 
 impl Distribution {
-    /// The state before any sample.
+    /// Returns the state before any sample.
     pub(super) fn new(channels: Vec<Channel>) -> Self {
         let accumulators = channels.iter().map(|_| Accumulator::new()).collect();
         Self { channels, accumulators }
@@ -36,7 +36,7 @@ impl Distribution {
         (accumulators.len() == channels.len()).then_some(Self { channels, accumulators })
     }
 
-    /// The statistics of every channel that has a value.
+    /// Returns the statistics of every channel that has a value.
     pub(super) fn statistics(&self) -> BTreeMap<Channel, Statistics> {
         self.channels
             .iter()

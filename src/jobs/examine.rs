@@ -1,6 +1,6 @@
 //! Disturbances of the captures of a plan: reads their samples once more, channel by channel, after the exact sums.
 //!
-//! Captures are examined one after the other; the sums of what remains are fitted. Captures of a single block
+//! Captures are examined one after the other; the sums of the remaining samples are fitted. Captures of a single block
 //! ([`robust::BLOCK`] samples) are examined two channels at a time, and are not read again if their samples are held
 //! ([`Held`]). If one is longer, all are read twice, block by block, one channel after the other: memory does not grow
 //! with their length.
@@ -57,23 +57,23 @@ impl<'a> Blocks<'a> {
         self.portions(plan, channels, self.range(block), read)
     }
 
-    /// All samples of a channel that are held.
+    /// Returns all samples of a channel that are held.
     fn held(&self, held: &Held, plan: &Plan, channel: Channel) -> Portion {
         let read = |seq, limit| Ok::<_, Infallible>(held.chunk(seq, limit, &[channel]));
         let Ok(portions) = self.portions(plan, &[channel], self.slice.samples.clone(), read);
         portions.into_iter().next().unwrap_or_default()
     }
 
-    /// The plan's numbers of a block's samples.
+    /// Returns the plan's numbers of a block's samples.
     fn range(&self, block: usize) -> Range<u64> {
         let length = self.samples.div_ceil(self.count as u64);
         let from = self.slice.samples.start + block as u64 * length;
         from.min(self.slice.samples.end)..(from + length).min(self.slice.samples.end)
     }
 
-    /// The samples of channels in a range of the plan's numbers, cut at gaps and absent values; times count from the
-    /// capture's first sample. Temperature, which may be sent less often than the rest, keeps its value until the next
-    /// one. `read` returns chunks of these channels.
+    /// Returns the samples of channels in a range of the plan's numbers, cut at gaps and absent values; times count
+    /// from the capture's first sample. Temperature, which may be sent less often than the rest, keeps its value until
+    /// the next one. `read` returns chunks of these channels.
     fn portions<E>(
         &self,
         plan: &Plan,

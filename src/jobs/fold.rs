@@ -11,7 +11,7 @@ use crate::store::{Chunk, JobRow, Reader, StoreError};
 use imu_core::sample::Channel;
 use imu_noise::allan::Estimator;
 
-/// The job's computation at its last checkpoint, and the next `seq` it needs.
+/// Returns the job's computation at its last checkpoint, and the next `seq` that it needs.
 pub(super) fn begin(
     reader: &Reader,
     job: &JobRow,
@@ -67,7 +67,7 @@ pub(super) fn begin(
     Ok((pass, next_seq.min(end_seq)))
 }
 
-/// The next samples of this pass, at most `limit`.
+/// Returns the next samples of this pass, at most `limit`.
 pub(super) fn read_chunk(
     pass: &dyn Pass,
     source: &dyn SampleSource,
@@ -90,13 +90,14 @@ pub(super) fn read_chunk(
 
 /// A computation that receives samples, in one pass over them or several.
 pub(super) trait Pass {
-    /// The samples it takes in; `None` if these are all samples of the capture.
+    /// Returns the plan of the samples that this computation takes in; `None` if it takes in all samples of the
+    /// capture.
     fn plan(&self) -> Option<&Plan>;
 
-    /// The channels to be read in this pass.
+    /// Returns the channels to be read in this pass.
     fn read_channels(&self) -> &[Channel];
 
-    /// The next samples of this pass if they are held; otherwise they must be read.
+    /// Returns the next samples of this pass if they are held; otherwise they must be read.
     fn held_chunk(&self, _from: u64, _limit: usize) -> Option<Chunk> {
         None
     }
@@ -114,13 +115,13 @@ pub(super) trait Pass {
         false
     }
 
-    /// The overall progress when this pass has reached `next_seq` of `end_seq`, 0–1.
+    /// Returns the overall progress when this pass has reached `next_seq` of `end_seq`, 0–1.
     fn progress(&self, next_seq: u64, end_seq: u64) -> f64;
 
-    /// The state for a checkpoint: everything that continuing needs besides the samples.
+    /// Returns the state for a checkpoint: everything that continuing needs besides the samples.
     fn save(&mut self) -> Result<Vec<u8>, JobError>;
 
-    /// The result's text, once the last pass has ended; `go_on` receives the progress of what is still to be computed.
+    /// Returns the result's text, once the last pass has ended; `go_on` receives the progress of the remaining work.
     fn document(self: Box<Self>, reader: &Reader, job: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError>;
 }
 

@@ -18,7 +18,7 @@ pub struct Gridded {
     pub from_s: f64,
     /// The number of the plan's samples outside it.
     pub left_out: u64,
-    /// Whether it ends because the room is exhausted.
+    /// Whether the part ends because the room is exhausted.
     pub full: bool,
 }
 
@@ -146,7 +146,7 @@ impl Part {
         self.there += 1;
         self.columns.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
     }
-    /// The samples' stamps, if all are of one run of one clock.
+    /// Returns the samples' stamps, if all are of one run of one clock.
     fn time_s(&self) -> Vec<f64> {
         let Some(Some((run, begin_s))) = self.stamps.first().copied() else { return Vec::new() };
         let times = self.stamps.iter().map(|stamp| stamp.filter(|(own, _)| *own == run).map(|(_, s)| s - begin_s));

@@ -17,7 +17,7 @@ pub(super) struct Held {
 }
 
 impl Held {
-    /// Room for the samples of a plan; `None` if they are too many, or those of one capture exceed a block.
+    /// Creates room for the samples of a plan; `None` if there are too many, or if a capture has more than a block.
     pub(super) fn for_plan(plan: &Plan) -> Option<Self> {
         let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
         let fits = plan.end_seq.saturating_mul(8 * channels.len() as u64) <= MEMORY;
@@ -27,12 +27,12 @@ impl Held {
         Some(Self { channels, segment: Vec::with_capacity(length), columns })
     }
 
-    /// The channels to read.
+    /// Returns the channels to read.
     pub(super) fn channels(&self) -> &[Channel] {
         &self.channels
     }
 
-    /// Whether a channel is held.
+    /// Returns whether a channel is held.
     pub(super) fn has(&self, channel: Channel) -> bool {
         self.channels.contains(&channel)
     }
@@ -43,12 +43,12 @@ impl Held {
         self.columns.iter_mut().zip(&chunk.columns).for_each(|(own, column)| own.extend_from_slice(column));
     }
 
-    /// The number of samples.
+    /// Returns the number of samples.
     pub(super) fn len(&self) -> u64 {
         self.segment.len() as u64
     }
 
-    /// Up to `limit` samples from number `from` on; a channel that is not held is absent.
+    /// Returns up to `limit` samples from number `from` on; a channel that is not held is absent.
     pub(super) fn chunk(&self, from: u64, limit: usize, channels: &[Channel]) -> Chunk {
         let end = self.segment.len();
         let from = usize::try_from(from).unwrap_or(end).min(end);

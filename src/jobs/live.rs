@@ -53,7 +53,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// Whether it may be reused as the report of this capture's samples up to `next_seq`.
+    /// Returns whether this report may be reused for the capture's samples up to `next_seq`.
     fn stands_for(&self, capture_id: i64, next_seq: u64) -> bool {
         let is_near = self.next_seq.abs_diff(next_seq) < self.next_seq / FRESH_SHARE;
         self.capture_id == capture_id && is_near && self.made.elapsed() < FRESH
@@ -84,14 +84,14 @@ struct Pyramid {
     channels: BTreeMap<Channel, LiveAllan>,
 }
 
-/// A report, and whether it is of all there is.
+/// A report, and whether it covers all committed samples.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct SoFar<T> {
-    /// The report; its `samples` says how many samples, from the first one on, it is made of.
+    /// The report; its `samples` is the number of samples that it covers, from the first one on.
     #[serde(flatten)]
     pub report: T,
-    /// Only while the capture runs: whether that is all that was committed. False for some time after the daemon has
-    /// started, while the analysis catches up: ask again.
+    /// Only while the capture runs: whether the report covers all committed samples. False for some time after the
+    /// daemon has started, while the analysis catches up: ask again.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub caught_up: Option<bool>,
 }
@@ -121,12 +121,12 @@ pub struct LivePoints {
 }
 
 impl Live {
-    /// The state before any capture.
+    /// Returns the state before any capture.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The same, taking in at most `catch_up` samples per call instead of [`CATCH_UP`].
+    /// Returns the state before any capture; every call takes in at most `catch_up` samples instead of [`CATCH_UP`].
     pub fn taking_in(catch_up: usize) -> Self {
         Self { pyramids: Mutex::default(), noise: Mutex::default(), catch_up }
     }
@@ -157,7 +157,7 @@ impl Live {
         outcome
     }
 
-    /// The octaves of the samples so far, after taking in new ones.
+    /// Returns the octaves of the samples so far, after taking in new ones.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] before the first sample; [`JobError::Store`].
@@ -184,7 +184,7 @@ impl Live {
         })
     }
 
-    /// Deviation curves of the samples so far (`complete: false`).
+    /// Returns the deviation curves of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
@@ -201,7 +201,7 @@ impl Live {
 }
 
 impl Live {
-    /// Noise parameters of the samples so far (`complete: false`).
+    /// Returns the noise parameters of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
@@ -221,7 +221,7 @@ impl Live {
         Ok(report)
     }
 
-    /// How long the sensor moved, s, within the samples of the octaves; `None` if motion is unknown.
+    /// Returns how long the sensor moved, s, within the samples of the octaves; `None` if motion is unknown.
     fn moving_s(&self, capture_id: i64) -> Option<f64> {
         // The division is done outside the lock.
         let (rate_hz, samples, stillness) = {
@@ -235,7 +235,7 @@ impl Live {
         Some(places as f64 / rate_hz)
     }
 
-    /// Statistics of the samples so far (`complete: false`).
+    /// Returns the statistics of the samples so far (`complete: false`).
     ///
     /// # Errors
     /// As [`Self::points`].
@@ -249,7 +249,7 @@ impl Live {
         Ok(SoFar { report, caught_up: Some(points.caught_up) })
     }
 
-    /// The document of a kind.
+    /// Returns the document of a kind.
     ///
     /// # Errors
     /// As the function of that kind.

@@ -26,8 +26,8 @@ pub struct Fitted {
 }
 
 impl Fitted {
-    /// The model as the simulator of a diagnosis, and a sentence for its notes if there is a reason not to use the
-    /// model.
+    /// Returns the model as the simulator of a diagnosis, and a sentence for its notes if there is a reason not to use
+    /// the model.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] if no channel has white noise and there is a reason for that.
@@ -43,8 +43,8 @@ impl Fitted {
     }
 }
 
-/// The model of a plan's samples at rest, named `name`, with the wanted effects, as far as they are found in the part
-/// for which there is `room` ([`gridded`]).
+/// Returns the model of a plan's samples at rest, named `name`, with the wanted effects, as far as they are found in
+/// the part for which there is `room` ([`gridded`]).
 ///
 /// # Errors
 /// [`JobError::Diagnosis`] if effects are wanted and cannot be searched for, or the error that `source` reports.
@@ -75,9 +75,9 @@ pub fn fitted(
     Ok(Fitted { model, refusal })
 }
 
-/// The reason not to use a model with effects, if there is one. The base of the effects is the law of the diagnosis,
-/// which compares it with the record itself, unless something remains unexplained there. No noise can be determined
-/// from a motion or from raw counts.
+/// Returns the reason not to use a model with effects, if there is one. The base of the effects is the law of the
+/// diagnosis, which compares it with the record itself, unless something remains unexplained there. No noise can be
+/// determined from a motion or from raw counts.
 fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found: &Diagnosis) -> Option<String> {
     let effects = |of: &SensorModel, channel| of.channels.get(&channel).map(|of| of.effects.clone());
     let remains = |channel: Channel| {
@@ -89,7 +89,7 @@ fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found
     report.refusal(|channel| !has_n(channel) || effects(model, channel) == effects(plain, channel) || remains(channel))
 }
 
-/// Mean at rest of every channel of a plan, and of the temperature if it was recorded.
+/// Returns the mean at rest of every channel of a plan, and of the temperature if it was recorded.
 fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
     let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();

@@ -14,7 +14,7 @@ use imu_noise::robust::BLOCK;
 use imu_noise::stillness::{Stillness, TELLING};
 use std::ops::Range;
 
-/// A plan without the samples in motion, and its samples if there is room for all.
+/// A plan without the samples in motion, and the plan's samples if there is room for all.
 #[derive(Debug)]
 pub(super) struct AtRest {
     pub(super) plan: Plan,
@@ -65,7 +65,7 @@ pub(super) fn at_rest(
             *count += own;
             *of += own_of;
         }
-        // A capture of a few samples shows nothing, and the motion of the others is unaffected.
+        // A capture of a few samples shows no motion, and does not affect the others.
         let Some(places) = stillness.settle() else { continue };
         judged = true;
         moving.extend(places.into_iter().map(|places| {
@@ -81,7 +81,7 @@ pub(super) fn at_rest(
     Ok(AtRest { plan, held })
 }
 
-/// The first sample of `samples` whose place, missing ones included, is not before `place`.
+/// Returns the first sample of `samples` whose place, missing ones included, is not before `place`.
 fn first_at(place: u64, samples: u64, missing: &Missing) -> u64 {
     let (mut from, mut to) = (0, samples);
     while from < to {

@@ -21,7 +21,7 @@ pub struct Plan {
     pub slices: Vec<Slice>,
     /// The end of the sample numbers: all samples have a lower one.
     pub end_seq: u64,
-    /// The rate of most of them, Hz. Segments of another rate are excluded: two rates are never mixed.
+    /// The rate of most samples, Hz. Segments of another rate are excluded: two rates are never mixed.
     pub rate_hz: f64,
     /// The requested channels that occur, in column order.
     pub channels: Vec<Channel>,
@@ -87,7 +87,7 @@ impl Plan {
         rest.get(..count.min(rest.len())).unwrap_or_default()
     }
 
-    /// The plan for the capture's samples below `end_seq` and the requested channels.
+    /// Returns the plan for the capture's samples below `end_seq` and the requested channels.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] if there is no sample of such a channel; [`JobError::Store`].
@@ -120,7 +120,7 @@ impl Plan {
         })
     }
 
-    /// The plan for all samples of a recording whose segments are given, in order, all of one rate.
+    /// Returns the plan for all samples of a recording whose segments are given, in order, all of one rate.
     ///
     /// # Errors
     /// [`JobError::InsufficientData`] if there is no sample of an analysed channel.
@@ -155,7 +155,7 @@ impl Plan {
         })
     }
 
-    /// The plan extended by another capture's samples, for the channels that both have.
+    /// Returns the plan extended by another capture's samples, for the channels that both have.
     ///
     /// # Errors
     /// [`JobError::Together`] if they have no channel in common or more segments than can be numbered.
@@ -209,12 +209,13 @@ impl Plan {
         Ok(())
     }
 
-    /// The sampling of a channel, if known.
+    /// Returns the sampling of a channel, if known.
     pub fn sampling(&self, channel: Channel) -> Option<&Sampling> {
         self.sampling.get(&channel.triad()?)
     }
 
-    /// The next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at the end.
+    /// Returns the next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at
+    /// the end.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`] if the capture's samples are gone, or the error that the database reports.
@@ -239,7 +240,7 @@ impl Plan {
         Ok(chunk)
     }
 
-    /// The `seq` range of a segment that is taken in.
+    /// Returns the `seq` range of a segment that is taken in.
     pub fn segment(&self, number: u32) -> Option<Range<u64>> {
         let index = self.segments.binary_search_by_key(&number, |segment| segment.number).ok()?;
         let segment = self.segments.get(index).filter(|segment| segment.taken)?;
@@ -267,7 +268,7 @@ impl Plan {
         self.moving.as_ref().is_some_and(|moving| !moving.is_empty())
     }
 
-    /// Motion that touches a range, cut to it.
+    /// Returns the motion that touches a range, cut to the range.
     fn moving_in(&self, range: &Range<u64>) -> impl Iterator<Item = Range<u64>> {
         let moving = self.moving.as_deref().unwrap_or_default();
         let from = moving.partition_point(|part| part.end <= range.start);
@@ -276,7 +277,7 @@ impl Plan {
         touching.map(move |part| part.start.max(start)..part.end.min(end))
     }
 
-    /// The parts of a range without motion.
+    /// Returns the parts of a range without motion.
     fn resting_in(&self, range: &Range<u64>) -> Vec<Range<u64>> {
         let mut found = Vec::new();
         let mut from = range.start;
@@ -289,7 +290,7 @@ impl Plan {
         found
     }
 
-    /// The segments of a range that are taken in.
+    /// Returns the segments of a range that are taken in.
     fn taken_in(&self, range: &Range<u64>) -> impl Iterator<Item = Range<u64>> {
         let from = self.segments.partition_point(|segment| segment.first_seq < range.start);
         let (end, whole) = (range.end, self.end_seq);
@@ -306,8 +307,8 @@ impl Plan {
         self.taken_in(range).flat_map(|part| self.resting_in(&part))
     }
 
-    /// How long the sensor was at rest in a range of samples, such as a capture's, and how long it moved; `None` if
-    /// motion is unknown, as for raw counts.
+    /// Returns how long the sensor was at rest in a range of samples, such as a capture's, and how long it moved;
+    /// `None` if motion is unknown, as for raw counts.
     pub fn shares(&self, range: &Range<u64>) -> Option<Shares> {
         self.moving.as_ref().filter(|_| self.raw_counts.is_none())?;
         let taken: u64 = self.taken_in(range).map(|part| part.end - part.start).sum();
@@ -316,16 +317,16 @@ impl Plan {
         Some(Shares { at_rest_s: seconds(at_rest), moving_s: seconds(taken - at_rest) })
     }
 
-    /// The stretch of samples at rest that contains a sample: its segment and where it begins; `None` if the sample is
-    /// excluded.
+    /// Returns the stretch of samples at rest that contains a sample: its segment and where it begins; `None` if the
+    /// sample is excluded.
     pub(super) fn stretch_of(&self, number: u32, seq: u64) -> Option<(u32, u64)> {
         let segment = self.segment(number)?;
         let own = self.resting_in(&segment).into_iter().find(|part| part.contains(&seq))?;
         Some((number, own.start))
     }
 
-    /// The rows of a chunk by segment, in order: segment number (`None` if it is excluded, as samples in motion are)
-    /// and rows.
+    /// Returns the rows of a chunk by segment, in order: segment number (`None` if it is excluded, as samples in motion
+    /// are) and rows.
     pub fn runs(&self, chunk: &Chunk) -> Vec<(Option<u32>, Range<usize>)> {
         let mut runs = Vec::new();
         let mut from = 0;
@@ -341,7 +342,7 @@ impl Plan {
         runs
     }
 
-    /// Divides rows of one segment by whether they moved.
+    /// Divides rows of one segment into runs at rest and in motion.
     fn divide(
         &self,
         number: Option<u32>,
@@ -368,7 +369,7 @@ impl Plan {
 /// A segment's first sample, its number, and the index of its rate.
 type Met = (u64, u32, usize);
 
-/// All segments that begin below `end_seq`, and the totals of each rate.
+/// Returns all segments that begin below `end_seq`, and the totals of each rate.
 fn all_segments(
     reader: &Reader,
     capture_id: i64,
@@ -402,7 +403,7 @@ fn all_segments(
     Ok((segments, rates))
 }
 
-/// The last segment ends here. Its own counter is not used: it may have grown since the job was submitted.
+/// Ends the last segment. Its own counter is not used: it may have grown since the job was submitted.
 fn close(segments: &[Met], rates: &mut [OfRate], end: u64, channels: &[Channel]) {
     let Some((first_seq, _, rate)) = segments.last() else { return };
     let samples = end.saturating_sub(*first_seq);

@@ -12,7 +12,7 @@ pub(super) struct RawCounts {
 }
 
 impl RawCounts {
-    /// `None` if at most half of a channel's values exceed the range.
+    /// Returns the channel if more than half of its values exceed its measuring range.
     pub(super) fn of(channel: Channel, beyond: u64, values: u64) -> Option<Self> {
         (beyond > values / 2).then_some(Self { channel, beyond, values })
     }

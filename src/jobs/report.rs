@@ -20,7 +20,7 @@ use imu_noise::{Contribution, NoiseParameters, NoiseReport, hold_against};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Statistics of a capture, as `GET /v1/captures/{id}/statistics` answers them.
+/// Statistics of a capture, as returned by `GET /v1/captures/{id}/statistics`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StatisticsReport {
     /// [`StatisticsReport::FORMAT`].
@@ -29,9 +29,9 @@ pub struct StatisticsReport {
     pub capture: String,
     /// Sample time covered, s.
     pub duration_s: f64,
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
     /// Whether the capture has ended.
     pub complete: bool,
@@ -51,9 +51,9 @@ pub struct Extent {
     pub capture: String,
     /// Sample time covered, received and missing, s.
     pub duration_s: f64,
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
     /// Whether no sample will follow.
     pub complete: bool,
@@ -62,7 +62,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The extent of all captures of a plan together.
+    /// Returns the extent of all captures of a plan together.
     pub(super) fn of_plan(source: &dyn SampleSource, plan: &Plan) -> Result<Self, JobError> {
         let mut whole: Option<Self> = None;
         for slice in &plan.slices {
@@ -99,7 +99,8 @@ impl Extent {
         }
     }
 
-    /// The capture's samples below `end_seq`; `rate_hz` turns them into time if that is not all of an ended capture.
+    /// Returns the capture's samples below `end_seq`; `rate_hz` turns them into time if that is not all of an ended
+    /// capture.
     pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, StoreError> {
         let capture = reader.capture(capture_id)?;
         if !capture.state.is_open() && capture.samples == end_seq {
@@ -118,7 +119,7 @@ impl Extent {
     }
 }
 
-/// Deviation curves of exact sums.
+/// Converts exact sums to deviation curves.
 pub(super) fn allan(plan: &Plan, sums: &[(Channel, AllanSums)], extent: &Extent) -> AllanReport {
     let curve =
         |(channel, sums): &(Channel, AllanSums)| (*channel, AllanCurve::from_sums(sums, plan.rate_hz, channel.unit()));
@@ -132,7 +133,7 @@ pub(super) fn allan(plan: &Plan, sums: &[(Channel, AllanSums)], extent: &Extent)
     report
 }
 
-/// Deviation curves of an estimator.
+/// Makes a report of an estimator's deviation curves.
 pub(super) fn curves(
     plan: &Plan,
     estimator: Estimator,
@@ -149,7 +150,7 @@ pub(super) fn curves(
     report
 }
 
-/// The facts that a curve does not show: the points at which its input was cut.
+/// Returns the warnings that a curve does not show: the places where its input was cut.
 fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     let mut warnings = Vec::new();
     if plan.taken > 1 {
@@ -163,8 +164,8 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     warnings
 }
 
-/// `raw_counts` if the values are such. Else `in_motion` if the sensor moved for a part of the time, `not_at_rest` if
-/// it moved all the time, and `None` if it did not move.
+/// Returns `raw_counts` if the values are raw counts. Otherwise returns `in_motion` if the sensor moved for a part of
+/// the time, `not_at_rest` if it moved all the time, and `None` if it did not move.
 fn motion(plan: &Plan) -> Option<Flag> {
     if let Some(raw) = plan.raw_counts {
         return Some(Flag::whole("raw_counts", raw.to_string()));
@@ -181,7 +182,7 @@ fn motion(plan: &Plan) -> Option<Flag> {
     })
 }
 
-/// Noise parameters of spectral sums, with and without disturbances; `held` and `go_on` as in [`examine`].
+/// Returns the noise parameters of spectral sums, with and without disturbances; `held` and `go_on` as in [`examine`].
 pub(super) fn noise(
     source: &dyn SampleSource,
     plan: &Plan,
@@ -232,7 +233,7 @@ pub(super) fn noise(
     })
 }
 
-/// Noise parameters of octaves of a capture that still runs.
+/// Returns the noise parameters of octaves of a capture that still runs.
 pub(super) fn noise_of_points(
     points: &LivePoints,
     moving_s: Option<f64>,
@@ -280,7 +281,7 @@ fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseP
     }
 }
 
-/// Statistics of every channel.
+/// Makes a report of the statistics of every channel.
 pub(super) fn statistics(channels: BTreeMap<Channel, Statistics>, extent: Extent) -> StatisticsReport {
     StatisticsReport {
         format: StatisticsReport::FORMAT.to_owned(),

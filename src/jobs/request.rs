@@ -1,4 +1,4 @@
-//! Requests for jobs: what is computed, and with which parameters.
+//! Requests for jobs: the kind of a job and its parameters.
 
 use super::diagnosis::DiagnosisParameters;
 use super::{CAPTURES_MAX, JobError};
@@ -29,7 +29,7 @@ pub enum AnalysisRequest {
 }
 
 impl AnalysisRequest {
-    /// The request for an analysis. Equal requests are equal values however they are written.
+    /// Returns the request for an analysis. Equal requests are equal values however they are written.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for values that the kind does not have; a diagnosis takes none of these parameters.
@@ -66,7 +66,7 @@ impl AnalysisRequest {
         }
     }
 
-    /// The request for an analysis with the usual parameters.
+    /// Returns the request for an analysis with the usual parameters.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for a diagnosis, which is never usual.
@@ -74,7 +74,7 @@ impl AnalysisRequest {
         Self::new(kind, JobParameters::default())
     }
 
-    /// The request for an analysis whose parameters a client gives as members of an object.
+    /// Returns the request for an analysis whose parameters a client gives as members of an object.
     ///
     /// # Errors
     /// [`JobError::Parameters`] for unknown names and impossible values.
@@ -87,7 +87,7 @@ impl AnalysisRequest {
         Self::new(kind, read.map_err(refuse)?)
     }
 
-    /// The kind of job.
+    /// Returns the kind of job.
     pub fn kind(&self) -> JobKind {
         match self {
             Self::Allan(_) => JobKind::Allan,
@@ -96,13 +96,13 @@ impl AnalysisRequest {
         }
     }
 
-    /// The parameters.
+    /// Returns the parameters.
     pub fn parameters(&self) -> &JobParameters {
         let (Self::Allan(parameters) | Self::Noise(parameters) | Self::Statistics(parameters)) = self;
         parameters
     }
 
-    /// The parameters as the database stores them.
+    /// Returns the parameters as the database stores them.
     ///
     /// # Errors
     /// [`JobError::Json`] if they cannot be written.
@@ -112,7 +112,7 @@ impl AnalysisRequest {
 }
 
 impl JobRequest {
-    /// The request that a row of the database holds.
+    /// Returns the request that a row of the database holds.
     ///
     /// # Errors
     /// [`JobError::Parameters`] or [`JobError::Model`] if the row's parameters are not those of its kind.
@@ -123,7 +123,7 @@ impl JobRequest {
         })
     }
 
-    /// The job that is to be stored.
+    /// Returns the job that is to be stored.
     pub(super) fn job(&self, capture_id: i64) -> Result<NewJob, JobError> {
         let (kind, params, reference) = match self {
             Self::Analysis(analysis) => (analysis.kind(), analysis.text()?, None),
@@ -135,7 +135,7 @@ impl JobRequest {
     }
 }
 
-/// Parameters as JSON with sorted keys, so that equal ones are the same text.
+/// Returns parameters as JSON with sorted keys, so that equal ones are the same text.
 fn text(parameters: &impl Serialize) -> Result<String, JobError> {
     Ok(serde_json::to_value(parameters)?.to_string())
 }
@@ -144,21 +144,22 @@ fn text(parameters: &impl Serialize) -> Result<String, JobError> {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobParameters {
-    /// Averaging times: `log` (twenty to the decade), `octave`, or of `allan` `all`; without effect on noise and statistics.
+    /// Averaging times: `log` (twenty per decade), `octave`, or, for `allan`, `all`; no effect on noise and statistics.
     #[serde(default)]
     pub taus: TauSpacing,
-    /// Of `allan`: which deviation. All but `oadev` hold a channel's samples in memory.
+    /// For `allan`: the estimator. All but `oadev` hold a channel's samples in memory.
     #[serde(default, skip_serializing_if = "is_default")]
     pub estimator: Estimator,
-    /// Of `allan` and `noise`: ids of further captures of the same sensor, to be analysed with this one.
+    /// For `allan` and `noise`: ids of further captures of the same sensor, to be analysed with this one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub with: Vec<i64>,
-    /// Which channels; where absent those whose noise is analysed, for statistics all.
+    /// The channels; if absent, those whose noise is analysed, for statistics all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Channel>>,
 }
 
-/// Defaults from before there was a choice are not written, so that the job stays the same.
+/// Returns whether this is the default. The default is not written, so that jobs from before there was a choice stay
+/// the same.
 fn is_default(estimator: &Estimator) -> bool {
     *estimator == Estimator::default()
 }
@@ -167,7 +168,7 @@ fn is_default(estimator: &Estimator) -> bool {
 mod tests {
     use super::*;
 
-    /// The request with these members.
+    /// Returns the request with these members.
     fn request(kind: JobKind, members: Value) -> Result<AnalysisRequest, JobError> {
         AnalysisRequest::of_read(kind, serde_json::from_value(members))
     }

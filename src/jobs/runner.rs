@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 pub const CHUNK: usize = 65_536;
 /// The progress of a job over a long capture when its fold is done and disturbances are still to be searched for.
 pub(super) const FOLDED: f64 = 0.4;
-/// The same if the search is done in one go.
+/// [`FOLDED`] if the search is done in one go.
 pub(super) const FOLDED_SHORT: f64 = 0.9;
 /// The share of its time that a job leaves to others after each chunk.
 const REST: u32 = 10;
@@ -38,7 +38,7 @@ pub(super) trait Keeper: Send {
     fn progress(&mut self, progress: f64) -> Result<(), JobError>;
 }
 
-/// Stores it in the database; `keep_on` is called after each step and returns `false` when the program ends.
+/// Stores the progress in the database; `keep_on` is called after each step and returns `false` when the program ends.
 pub(super) struct InStore<'a, K> {
     store: &'a Store,
     job: i64,
@@ -100,7 +100,7 @@ impl<K: FnMut() -> bool + Send> Keeper for InStore<'_, K> {
     }
 }
 
-/// Works on a claimed job in this process until it is done, cancelled, or `keep_on` returns `false`.
+/// Works on a claimed job in this process until the job is done or cancelled, or `keep_on` returns `false`.
 pub(super) fn run(
     store: &Store,
     reader: &Reader,

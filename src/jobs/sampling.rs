@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 /// Rates that differ by less than this share are equal.
 const SAME: f64 = 1e-3;
 
-/// Reports why a stated sampling is impossible.
+/// Reasons why a stated sampling is impossible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SamplingError {
     /// The samples' rate does not divide the internal one.
@@ -53,8 +53,8 @@ pub enum SamplingError {
     },
 }
 
-/// The sampling at `rate_hz`, as stated by the user, given what is `known`. A capture's register 85 stays the source of
-/// its values.
+/// Returns the sampling at `rate_hz`, as stated by the user, given what is `known`. A capture's register 85 stays the
+/// source of its values.
 ///
 /// # Errors
 /// [`SamplingError`] with both numbers.
@@ -93,7 +93,7 @@ fn agreed(stated: StatedSampling, known: &Sampling, triad: Triad) -> Result<&Sam
     }
 }
 
-/// The sampling that a capture's configuration states: register 85, or the statement at its import.
+/// Returns the sampling that a capture's configuration states: register 85, or the statement at its import.
 pub(super) fn of_configuration(configuration: &CaptureConfiguration) -> BTreeMap<Triad, Sampling> {
     let Some(windows) = configuration.filter_windows() else { return BTreeMap::new() };
     let stated = configuration.stated_sampling().filter(|_| configuration.register_85().is_none());

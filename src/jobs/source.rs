@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 /// Samples of captures, by the captures' ids.
 pub trait SampleSource {
-    /// Up to `limit` samples from `from_seq` on: one column per channel in the channel's unit, NaN if a sample has no
-    /// value.
+    /// Returns up to `limit` samples from `from_seq` on: one column per channel in the channel's unit, NaN if a sample
+    /// has no value.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
@@ -21,21 +21,21 @@ pub trait SampleSource {
         channels: &[Channel],
     ) -> Result<Chunk, StoreError>;
 
-    /// The samples missing before each sample.
+    /// Returns the samples missing before each sample.
     ///
     /// # Errors
     /// The error that the database reports.
     fn missing(&self, capture_id: i64) -> Result<Missing, StoreError>;
 
-    /// The device's own stamps of up to `limit` samples from `from_seq` on: the run of its clock, and the time in that
-    /// run in s. Empty if none of them has one. An arrival time is not a stamp, because it scatters with the host's
-    /// deliveries.
+    /// Returns the device's own stamps of up to `limit` samples from `from_seq` on: the run of its clock, and the time
+    /// in that run in s. Empty if none of them has one. An arrival time is not a stamp, because it scatters with the
+    /// host's deliveries.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError>;
 
-    /// The extent of the samples below `end_seq`, for a report.
+    /// Returns the extent of the samples below `end_seq`, for a report.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.

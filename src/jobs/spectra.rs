@@ -41,7 +41,7 @@ pub(super) struct Spectra {
 }
 
 impl Spectra {
-    /// The state before any sample.
+    /// Returns the state before any sample.
     pub(super) fn new(plan: Plan) -> Self {
         let longest = usize::try_from(plan.longest).unwrap_or(usize::MAX);
         let group = (MEMORY / DstEstimator::bytes(longest).max(1)).clamp(1, plan.channels.len().max(1));
@@ -52,7 +52,7 @@ impl Spectra {
         spectra
     }
 
-    /// The same for the samples at rest, and for samples that are held already.
+    /// Returns the state before any sample, for the samples at rest; keeps the samples that are held already.
     pub(super) fn of(at_rest: AtRest) -> Self {
         let mut spectra = Self::new(at_rest.plan);
         if spectra.held.is_some() && at_rest.held.is_some() {
@@ -102,7 +102,7 @@ impl Spectra {
         Ok(Some(self))
     }
 
-    /// The channels that are summed in this pass.
+    /// Returns the channels that are summed in this pass.
     fn pass_channels(&self) -> &[Channel] {
         self.plan.channels_after(self.done.len(), self.group)
     }
@@ -118,13 +118,14 @@ impl Spectra {
         self.current = self.pass_channels().iter().map(estimator).collect();
     }
 
-    /// Whether the search for disturbances takes long: there are several captures, or one has more than one block.
+    /// Returns whether the search for disturbances takes long: there are several captures, or one has more than one
+    /// block.
     fn is_long(&self) -> bool {
         self.plan.slices.len() > 1
             || self.plan.slices.iter().any(|slice| blocks_of(slice.samples.end - slice.samples.start) > 1)
     }
 
-    /// The plan, every channel's sums, and all samples if they are held, once the last pass has ended.
+    /// Returns the plan, every channel's sums, and all samples if they are held, once the last pass has ended.
     pub(super) fn finish(self) -> (Plan, Vec<(Channel, DstSums)>, Option<Held>) {
         let sums = self.plan.channels.iter().copied().zip(self.done).collect();
         let whole = self.plan.end_seq;
@@ -136,7 +137,7 @@ impl Pass for Spectra {
     fn plan(&self) -> Option<&Plan> {
         Some(&self.plan)
     }
-    /// Those that are summed first.
+    /// Returns the channels that are summed first.
     fn read_channels(&self) -> &[Channel] {
         self.held.as_ref().map_or_else(|| self.pass_channels(), Held::channels)
     }
@@ -221,7 +222,7 @@ impl Spectra {
     }
 }
 
-/// The sums of earlier passes; of this one with the samples of the open stretch.
+/// The sums of earlier passes, and those of this pass with the number of samples of the open stretch.
 type State = (Vec<DstSums>, Vec<(DstSums, u64)>);
 
 fn decode(state: &[u8]) -> Option<State> {

@@ -33,7 +33,7 @@ pub(super) struct Summation {
 }
 
 impl Summation {
-    /// The state before any sample.
+    /// Returns the state before any sample.
     pub(super) fn new(plan: Plan, parameters: &JobParameters) -> Result<Self, JobError> {
         let grid = TauGrid::new(parameters.taus, plan.longest)?;
         let group = (MEMORY / Overlapping::bytes(&grid, plan.longest).max(1)).clamp(1, plan.channels.len());
@@ -72,7 +72,7 @@ impl Summation {
                 }
                 None => Vec::new(),
             };
-            // What precedes an absent value belongs to a stretch that has ended.
+            // The samples before an absent value belong to a stretch that has ended.
             let since = values.iter().rposition(|value| value.is_nan()).map_or(0, |index| index + 1);
             let restored = Overlapping::restore(&saved, values.get(since..).unwrap_or_default());
             let Some(estimator) = restored.ok().filter(|estimator| *estimator.grid() == self.grid) else {
@@ -85,13 +85,13 @@ impl Summation {
         Ok(Some(self))
     }
 
-    /// Sums over this grid; `None` if one is damaged or of another grid.
+    /// Reads the sums over this grid; `None` if one is damaged or of another grid.
     fn decode_sums(&self, entries: &[Vec<u8>]) -> Option<Vec<AllanSums>> {
         let decode = |bytes: &Vec<u8>| AllanSums::from_bytes(bytes).ok().filter(|sums| *sums.grid() == self.grid);
         entries.iter().map(decode).collect()
     }
 
-    /// The segment of the sample before `next_seq`, and the point from which it is needed again.
+    /// Returns the segment of the sample before `next_seq`, and the point from which it is needed again.
     fn halo(&self, next_seq: u64, source: &dyn SampleSource) -> Result<Option<(u32, u64)>, JobError> {
         let Some(last) = next_seq.checked_sub(1) else { return Ok(None) };
         let chunk = self.plan.read_chunk(source, last, 1, &[])?;
@@ -109,7 +109,7 @@ impl Summation {
             .collect();
     }
 
-    /// The plan and every channel's sums, once the last pass has ended.
+    /// Returns the plan and every channel's sums, once the last pass has ended.
     pub(super) fn finish(self) -> (Plan, Vec<(Channel, AllanSums)>) {
         let sums = self.plan.channels.iter().copied().zip(self.done).collect();
         (self.plan, sums)

@@ -194,7 +194,7 @@ fn what_would_not_fit_into_memory_or_time_is_refused_with_what_to_do() {
     assert!(curves::check(&parameters, &too_long).is_err(), "of the exact sums too");
 }
 
-/// Several captures beside the world's first.
+/// Tests of several captures beside the world's first.
 impl World {
     fn add(&self, name: &str, sensor: &serde_json::Value, rate_hz: f64, range: std::ops::Range<u64>) -> i64 {
         let named = NewCapture {
@@ -319,7 +319,7 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
     jobs.stop();
 }
 
-/// Before any fit: these 300 samples would not suffice for one.
+/// The check precedes any fit: these 300 samples would not suffice for one.
 #[test]
 fn a_simulator_of_another_rate_is_refused_before_any_work() {
     let world = World::new();
@@ -332,7 +332,7 @@ fn a_simulator_of_another_rate_is_refused_before_any_work() {
     assert!(error.contains("recording has 40 Hz") && error.contains("simulator 100 Hz"), "{error}");
 }
 
-/// One rate by two clocks: the whole has their mean, weighted by samples.
+/// The clocks of the captures differ: the whole has their mean rate, weighted by samples.
 #[test]
 fn rates_that_differ_by_their_clocks_are_one_rate() {
     let world = World::new();

@@ -35,7 +35,7 @@ pub struct Setting {
 }
 
 impl Setting {
-    /// A recording of which only the rate is known.
+    /// Returns the setting of a recording of which only the rate is known.
     pub fn of_rate(name: &str, rate_hz: f64) -> Self {
         Self {
             name: name.to_owned(),
@@ -49,7 +49,7 @@ impl Setting {
         }
     }
 
-    /// The setting of a capture whose samples have the rate `rate_hz`.
+    /// Returns the setting of a capture whose samples have the rate `rate_hz`.
     pub fn of(row: &CaptureRow, rate_hz: f64) -> Self {
         let unit = |channel: &Channel| {
             let row = row.units.get(channel.name())?;
@@ -66,7 +66,7 @@ impl Setting {
         }
     }
 
-    /// The differences from another setting, one phrase each.
+    /// Returns the differences from another setting, one phrase each.
     fn differences(&self, other: &Self) -> Vec<String> {
         let mut found = Vec::new();
         let mut known = |what: &str, one: Option<String>, two: Option<String>| {
@@ -120,7 +120,7 @@ pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
     Ok(())
 }
 
-/// The plan over several captures of one sensor: (id, samples) of each.
+/// Returns the plan over several captures of one sensor: (id, samples) of each.
 ///
 /// # Errors
 /// [`JobError::Together`] if one is given twice or they are not of one sensor at one setting; else as [`Plan::read`].
@@ -134,7 +134,7 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
         let plan = Plan::read(reader, *id, *end_seq, wanted)?;
         if captures.len() > 1 {
             settings.push(Setting::of(&reader.capture(*id)?, plan.rate_hz));
-            // Before their samples are put side by side.
+            // This check comes before the samples are put side by side.
             one_sensor(&settings)?;
         }
         whole = Some(match whole {
@@ -145,8 +145,8 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
     whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })
 }
 
-/// The plan of a job: its capture's samples below `end_seq`, and all samples of further captures, since those have
-/// ended.
+/// Returns the plan of a job: its capture's samples below `end_seq`, and all samples of further captures, since those
+/// have ended.
 ///
 /// # Errors
 /// [`JobError::Together`] if one still runs; else as [`plan`].

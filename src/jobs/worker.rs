@@ -26,7 +26,7 @@ pub struct JobsOptions {
     /// The number of jobs at a time, at least 1: each takes a core, and a noise job two while it searches for
     /// disturbances and fits.
     pub threads: usize,
-    /// The place where they are run.
+    /// The place where jobs are run.
     pub place: Place,
 }
 
@@ -162,7 +162,7 @@ impl Jobs {
         Ok(submitted)
     }
 
-    /// Captures that do not belong together are refused at once, not by the job.
+    /// Refuses captures that do not belong together at once, instead of in the job.
     fn check_together(&self, capture_id: i64, parameters: &JobParameters) -> Result<(), JobError> {
         let reader = self.inner.readers.get()?;
         let end_seq = reader.capture(capture_id)?.samples;
@@ -182,7 +182,7 @@ impl Jobs {
         JobKind::USUAL.into_iter().map(queue).collect()
     }
 
-    /// The place where heavy work is done.
+    /// Returns the place where heavy work is done.
     pub fn place(&self) -> Place {
         self.inner.options.place
     }
@@ -201,7 +201,7 @@ impl Jobs {
         self.inner.called.notify_all();
     }
 
-    /// The numbers of jobs; read from memory.
+    /// Returns the numbers of jobs; read from memory.
     pub fn status(&self) -> JobsStatus {
         JobsStatus {
             queued: self.inner.queued.load(Ordering::Relaxed),
@@ -224,7 +224,8 @@ impl Jobs {
     }
 }
 
-/// As [`Jobs::submit_all`], for a program without workers: the daemon does the work when it runs next.
+/// Queues the jobs that [`Jobs::submit_all`] queues, for a program without workers: the daemon does the work when it
+/// runs next.
 ///
 /// # Errors
 /// As [`Jobs::submit`].
@@ -253,7 +254,7 @@ impl Inner {
                 Err(JobError::Store(StoreError::Closed)) => return,
                 Err(error) => {
                     tracing::warn!(message = "Background work waits.", %error);
-                    // Deleted rows are removed nevertheless: the problem may be a lack of space.
+                    // Deleted rows are removed anyway: a lack of space may be the problem.
                     if let Err(error) =
                         self.readers.get().map_err(JobError::from).and_then(|reader| self.clear_away(&reader))
                     {
@@ -318,7 +319,7 @@ impl Inner {
         Ok(released.inspect_err(|_| self.strand(id))?)
     }
 
-    /// Records a job that the database did not take back: it is put into the queue before anything else.
+    /// Records a job that could not be put back into the queue: it is put there before anything else.
     fn strand(&self, id: i64) {
         self.stranded.lock().unwrap_or_else(PoisonError::into_inner).push(id);
     }
@@ -381,7 +382,7 @@ impl Inner {
     }
 }
 
-/// Whether the same job may succeed later without a change to it.
+/// Returns whether the same job may succeed later without a change to it.
 fn is_passing(error: &StoreError) -> bool {
     // A disk that reports an error now may recover; a damaged database does not.
     let passing = matches!(error.kind(), StoreErrorKind::Unavailable | StoreErrorKind::Io);

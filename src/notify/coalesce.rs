@@ -27,7 +27,7 @@ pub struct Coalescer {
 }
 
 impl Coalescer {
-    /// A coalescer with `interval` after the first message of a kind.
+    /// Creates a coalescer with `interval` after the first message of a kind.
     pub fn new(interval: Duration) -> Self {
         Self { first_ns: interval.as_nanos() as u64, slots: BTreeMap::new() }
     }
@@ -60,7 +60,8 @@ impl Coalescer {
         Some(notice)
     }
 
-    /// The notices that have been held long enough, in the order of their last event; with `u64::MAX` all of them.
+    /// Returns the notices that have been held long enough, in the order of their last event; with `u64::MAX` all of
+    /// them.
     pub fn due(&mut self, now_ns: u64) -> Vec<Notice> {
         let mut due = Vec::new();
         for slot in self.slots.values_mut().filter(|slot| slot.until_ns <= now_ns) {
@@ -74,7 +75,7 @@ impl Coalescer {
         due
     }
 
-    /// The time at which [`Self::due`] returns something; `None` if nothing is held.
+    /// Returns the time at which [`Self::due`] returns something; `None` if nothing is held.
     pub fn deadline_ns(&self) -> Option<u64> {
         self.slots.values().filter(|slot| slot.held.is_some()).map(|slot| slot.until_ns).min()
     }

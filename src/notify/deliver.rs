@@ -75,8 +75,8 @@ pub enum DeliverError {
 }
 
 impl DeliverError {
-    /// Whether the same message may be accepted later. A status that reports an error in the request (4xx except 408
-    /// Request Timeout and 429 Too Many Requests) or another location (3xx) is permanent.
+    /// Returns whether the same message may be accepted later. A status that reports an error in the request (4xx
+    /// except 408 Request Timeout and 429 Too Many Requests) or another location (3xx) is permanent.
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Answered { status, .. } => !(300..500).contains(status) || matches!(status, 408 | 429),
@@ -87,7 +87,7 @@ impl DeliverError {
 }
 
 impl Receiver {
-    /// The receiver in the form for logs.
+    /// Returns the receiver in the form for logs.
     pub fn shown(&self) -> &str {
         match self {
             Self::Command(command) => command.first().map_or("", String::as_str),

@@ -48,40 +48,40 @@ pub struct NotifyOptions {
     pub sender: notice::Sender,
 }
 
-/// Receives the observations of other rooms; never waits, cheap to clone. Without receivers it discards everything.
+/// Receives the observations of other modules; never waits, cheap to clone. Without receivers it discards everything.
 #[derive(Debug, Clone, Default)]
 pub struct Tap(Option<mpsc::Sender<Sign>>);
 
 impl Tap {
     fn put(&self, sign: Sign) {
-        // Full during many gaps: the status still counts them.
+        // The queue is full during many gaps: the status still counts them.
         let _ = self.0.as_ref().map(|sender| sender.try_send(sign));
     }
-    /// Whether there is a receiver.
+    /// Returns whether there is a receiver.
     pub fn is_heard(&self) -> bool {
         self.0.is_some()
     }
-    /// A gap was recorded: it is closed.
+    /// Reports that a gap was recorded: it is closed.
     pub fn gap(&self, capture_id: i64, gap: &Gap) {
         if self.is_heard() {
             self.put(Sign::Gap(capture_id, gap.clone()));
         }
     }
-    /// A capture is complete and on disk.
+    /// Reports that a capture is complete and on disk.
     pub fn completed(&self, capture: CaptureFacts) {
         self.put(Sign::Ended(capture));
     }
-    /// Deletions of captures are planned.
+    /// Reports that deletions of captures are planned.
     pub fn deletions(&self, planned: Vec<PlannedDeletion>) {
         self.put(Sign::Deletions(planned));
     }
-    /// A night of the schedule was not recorded: the name that it would have had, and why.
+    /// Reports that a night of the schedule was not recorded: the name that it would have had, and the reason.
     pub fn night_skipped(&self, name: String, reason: String) {
         self.put(Sign::Skipped(NightFacts { name, reason }));
     }
 }
 
-/// The notifications of a daemon. It is created first, so that other rooms have its [`Tap`]; then it runs.
+/// The notifications of a daemon. It is created first, so that other modules have its [`Tap`]; then it runs.
 #[derive(Debug)]
 pub struct Notifier {
     options: NotifyOptions,
@@ -95,7 +95,7 @@ pub struct Notifier {
 pub struct NotifyFigures(Vec<Arc<worker::Figures>>);
 
 impl NotifyFigures {
-    /// The sum over all receivers.
+    /// Returns the sum over all receivers.
     pub fn status(&self) -> NotifyStatus {
         let mut sum = NotifyStatus::default();
         for figures in &self.0 {
@@ -121,18 +121,17 @@ impl Notifier {
         Ok(Self { options, signs, tap, workers })
     }
 
-    /// The tap for the observations of other rooms.
+    /// Returns the tap for the observations of other modules.
     pub fn tap(&self) -> Tap {
         self.tap.clone()
     }
 
-    /// The state of the notifications.
+    /// Returns the state of the notifications.
     pub fn figures(&self) -> NotifyFigures {
         NotifyFigures(self.workers.iter().map(Worker::figures).collect())
     }
 
-    /// Watches and reports until `stop`; then what was held back is reported, in the short time that an ending daemon
-    /// has.
+    /// Watches and reports until `stop`; then held notices are reported, in the short time that an ending daemon has.
     pub async fn run(mut self, mut status: channel::Receiver<Status>, clock: Arc<dyn Clock>, stop: CancellationToken) {
         if self.workers.is_empty() {
             return;

@@ -26,13 +26,13 @@ pub struct CaptureFacts {
     pub name: String,
     /// Its state.
     pub state: String,
-    /// Sample time it holds, s.
+    /// Sample time so far, s.
     pub duration_s: f64,
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: u64,
 }
 
@@ -52,7 +52,7 @@ pub struct GapFacts {
 }
 
 impl GapFacts {
-    /// A gap that is over.
+    /// Returns a gap that is over.
     pub fn closed(gap: &Gap) -> Self {
         Self {
             from: rfc3339(gap.from_utc_ns),
@@ -62,7 +62,7 @@ impl GapFacts {
             length_s: Some((gap.to_utc_ns - gap.from_utc_ns) as f64 / 1e9),
         }
     }
-    /// A gap that is open.
+    /// Returns a gap that is open.
     pub fn open(since: &str) -> Self {
         Self { from: since.to_owned(), to: None, missing: None, cause: None, length_s: None }
     }
@@ -85,10 +85,10 @@ pub struct Notice {
     /// The time of the event, UTC ns; of several the last.
     #[serde(skip)]
     pub utc_ns: i64,
-    /// The first of several, UTC ns.
+    /// The time of the first event, if there are several, UTC ns.
     #[serde(skip)]
     pub first_utc_ns: i64,
-    /// The number of events it stands for.
+    /// The number of events that it covers.
     pub count: u64,
     /// The capture it concerns.
     pub capture: Option<CaptureFacts>,
@@ -117,12 +117,12 @@ pub struct Message {
     pub event: &'static str,
     /// The JSON.
     pub body: String,
-    /// The same for a shell script: names and values of environment variables.
+    /// The same data for a shell script: names and values of environment variables.
     pub environment: Vec<(&'static str, String)>,
 }
 
 impl Notice {
-    /// A message of this event, with nothing else set.
+    /// Creates a message of this event, with nothing else set.
     pub fn new(event: NotifyEvent, utc_ns: i64) -> Self {
         Self {
             event,
@@ -157,7 +157,7 @@ impl Notice {
         }
     }
 
-    /// One sentence for the user.
+    /// Returns one sentence for the user.
     pub fn message(&self) -> String {
         let capture = self
             .capture
@@ -236,7 +236,7 @@ impl Notice {
         format!("storage runs low: {free} MiB free{lasts}, state {state}{error}")
     }
 
-    /// The message in the form for receivers.
+    /// Returns the message in the form for receivers.
     pub fn rendered(&self, sender: &Sender) -> Message {
         let (message, at) = (self.message(), rfc3339(self.utc_ns));
         // A serialisation of texts and finite numbers cannot fail.

@@ -127,7 +127,7 @@ fn storage_is_low_by_space_by_time_and_by_trouble_and_well_again_with_room_to_sp
     assert_eq!(at(4, 9000, Some(11.9), StorageState::Ok), ["storage_low"]);
     assert_eq!(at(5, 9000, Some(12.5), StorageState::Ok), [""; 0]);
     assert_eq!(at(6, 9000, None, StorageState::Slow), ["storage_ok"]);
-    // A lock that passes is not reported; a disk that refuses for seconds is.
+    // A brief lock is not reported; a disk that refuses for seconds is.
     assert_eq!(at(7, 9000, None, StorageState::StorageLocked), [""; 0]);
     assert_eq!(at(9, 9000, None, StorageState::Ok), [""; 0]);
     assert_eq!(at(10, 9000, None, StorageState::StorageReadonly), [""; 0]);
@@ -209,8 +209,8 @@ fn effort(attempts: u32, timeout_ms: u64) -> Effort {
     Effort { attempts, timeout: Duration::from_millis(timeout_ms), retry_after: Duration::from_millis(20) }
 }
 
-/// A receiver that answers one connection after the other with these bytes (`None`: it sends nothing and keeps it
-/// open), and the data it received.
+/// Returns a receiver that answers one connection after the other with these bytes (`None`: it sends nothing and keeps
+/// it open), and the data it received.
 fn receiver(answers: Vec<Option<&'static str>>) -> (Receiver, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let shown = format!("http://{}", listener.local_addr().unwrap());
@@ -368,7 +368,7 @@ fn a_long_body_is_handed_over_whole_and_waits_for_no_program_that_does_not_read(
     assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
     let error = command(&["sleep", "600"]).attempt(&long, Duration::from_secs(600), || false).unwrap_err();
     assert_eq!(error, DeliverError::Stopped);
-    // If it is read slowly, it arrives nevertheless; if the pipe is closed at once, the program's exit code counts.
+    // A body that is read slowly still arrives; if the pipe is closed at once, the program's exit code counts.
     let slow = "head -c 300000 | wc -c; sleep 0.3; test \"$(wc -c)\" -eq 748576";
     command(&["sh", "-c", slow]).attempt(&long, Duration::from_secs(60), || true).unwrap();
     command(&["sh", "-c", "exec <&-; exit 0"]).attempt(&long, Duration::from_secs(60), || true).unwrap();

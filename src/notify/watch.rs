@@ -10,7 +10,7 @@ const TROUBLE_NS: u64 = 5_000_000_000;
 /// Space that lasts less than the first value is low, s; it is sufficient again only when it lasts an hour longer.
 const LASTS_S: (f64, f64) = (12.0 * 3600.0, 13.0 * 3600.0);
 
-/// The limits for lost and low.
+/// The limits for a lost sensor and for low space.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WatchOptions {
     /// The minimum absence of the sensor.
@@ -49,12 +49,12 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// A watcher that has seen no snapshot.
+    /// Creates a watcher that has seen no snapshot.
     pub fn new(options: WatchOptions) -> Self {
         Self { options, capture: None, gap: None, away_since_ns: None, lost: false, trouble_since_ns: None, low: false }
     }
 
-    /// The notices that follow from a snapshot at monotonic `now_ns`.
+    /// Returns the notices that follow from a snapshot at monotonic `now_ns`.
     pub fn observe(&mut self, now_ns: u64, utc_ns: i64, status: &Status) -> Vec<Notice> {
         let mut notices = Vec::new();
         self.capture = status.capture.as_ref().map(facts);
@@ -64,7 +64,7 @@ impl Watcher {
         notices
     }
 
-    /// The notices that follow from a sign.
+    /// Returns the notices that follow from a sign.
     pub fn sign(&mut self, utc_ns: i64, sign: Sign) -> Vec<Notice> {
         match sign {
             Sign::Gap(capture_id, gap) => {

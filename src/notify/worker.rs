@@ -30,7 +30,7 @@ pub struct Effort {
 }
 
 impl Effort {
-    /// The delay after this many failed attempts (from 1).
+    /// Returns the delay after this many failed attempts (from 1).
     pub fn wait(&self, failed: u32) -> Duration {
         self.retry_after.saturating_mul(1 << failed.saturating_sub(1).min(16)).min(LONGEST.max(self.retry_after))
     }
@@ -47,7 +47,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// Adds them to a sum.
+    /// Adds these counts to a sum.
     pub fn add_to(&self, sum: &mut NotifyStatus) {
         let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
         sum.sent += read(&self.sent);
@@ -96,7 +96,7 @@ impl Worker {
         Ok(Self { queue, shared, thread })
     }
 
-    /// Its counts.
+    /// Returns the counts.
     pub fn figures(&self) -> Arc<Figures> {
         Arc::clone(&self.shared.figures)
     }

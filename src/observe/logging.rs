@@ -6,39 +6,39 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer as _, Registry, fmt, reload};
 
-/// Changes how much is logged while the program runs.
+/// Changes the log level while the program runs.
 static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
 
-/// Why logging could not be set up.
+/// The reasons why logging could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum LoggingError {
-    /// The directives cannot be read.
+    /// The directives are invalid.
     #[error(
         "`{found}` is not a log level: allowed are error, warn, info, debug, trace, off, or directives such as info,vn100d::capture=debug"
     )]
     Level {
-        /// What was given.
+        /// The text found.
         found: String,
     },
-    /// It was set up before.
+    /// Logging was set up before.
     #[error("logging is set up already")]
     Twice,
 }
 
-/// How lines look.
+/// The style of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogStyle {
     /// One JSON object per line.
     pub json: bool,
-    /// Colours.
+    /// Whether lines are coloured.
     pub ansi: bool,
-    /// A time in front of each line.
+    /// Whether each line begins with a time.
     pub time: bool,
 }
 
 impl LogStyle {
-    /// The style for this process's standard error: colours on a terminal that wants them, no times where journald
-    /// adds its own (it sets `JOURNAL_STREAM`).
+    /// Returns the style for this process's standard error: colours on a terminal that supports them, no times if
+    /// journald adds its own (it sets `JOURNAL_STREAM`).
     pub fn of_process(json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|term| term != "dumb");
         Self::of(json, terminal, std::env::var_os("NO_COLOR").is_some(), std::env::var_os("JOURNAL_STREAM").is_some())
@@ -49,11 +49,11 @@ impl LogStyle {
     }
 }
 
-/// Sends this process's log to standard error. A line that cannot be written, since the terminal was closed, is lost and
-/// nothing else.
+/// Sends this process's log to standard error. A line that cannot be written, because the terminal was closed, is lost
+/// without further effect.
 ///
 /// # Errors
-/// [`LoggingError`] where `level` is none or logging is set up already.
+/// [`LoggingError`] if `level` is invalid or logging was set up before.
 pub fn init(level: &str, style: LogStyle) -> Result<(), LoggingError> {
     let (filter, handle) = reload::Layer::new(filter(level)?);
     let lines = fmt::layer().with_writer(std::io::stderr).with_ansi(style.ansi).log_internal_errors(false);
@@ -63,18 +63,18 @@ pub fn init(level: &str, style: LogStyle) -> Result<(), LoggingError> {
         (false, false) => lines.without_time().boxed(),
     };
     tracing_subscriber::registry().with(filter).with(lines).try_init().map_err(|_| LoggingError::Twice)?;
-    // Logging is set up once: nobody was here before.
+    // Logging is set up only once, so this cell is empty.
     let _ = FILTER.set(handle);
     Ok(())
 }
 
-/// Changes how much is logged from here on.
+/// Changes the log level from now on.
 ///
 /// # Errors
-/// [`LoggingError::Level`] if `level` is none.
+/// [`LoggingError::Level`] if `level` is invalid.
 pub fn set_level(level: &str) -> Result<(), LoggingError> {
     let filter = filter(level)?;
-    // Without a log there is nothing to change.
+    // Without a log there is no level to change.
     let _ = FILTER.get().map(|handle| handle.reload(filter));
     Ok(())
 }

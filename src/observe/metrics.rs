@@ -1,8 +1,8 @@
 //! Metrics: counters since the start, and their OpenMetrics text together with the status snapshot.
 //!
-//! Enters: every [`Record`] of the capture ([`Metrics::record`], one atomic addition or two), what the HTTP server counts,
-//! and at a scrape the [`Status`] and the writer's figures. Leaves: text. There is no global registry and no thread: a
-//! scrape reads memory alone and answers while the disk hangs.
+//! In: every [`Record`] of the capture ([`Metrics::record`], one or two atomic additions), the counts of the HTTP
+//! server, and, for each scrape, the [`Status`] and the writer's figures. Out: text. There is no global registry and no
+//! thread: a scrape reads only memory, and is answered even if the disk hangs.
 
 use super::{SensorState, Status, StorageState};
 use imu_core::sample::{DiscardCause, GapCause, Record};
@@ -21,7 +21,8 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 
 type GaugeF64 = Gauge<f64, AtomicU64>;
 
-/// What the writer has done since the start; the store's own figures, so that this room need not know the store.
+/// The writer's counts since the start. They are the store's own figures, so that this module does not depend on the
+/// store.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct WriterFigures {
     /// Commits of batches.
@@ -34,7 +35,7 @@ pub struct WriterFigures {
     pub busy: u64,
     /// Commits that took longer than a second.
     pub slow_commits: u64,
-    /// How long the slowest commit took, s.
+    /// The duration of the slowest commit, s.
     pub slowest_commit_s: f64,
     /// Records that the schema refused: faults of this program.
     pub refused: u64,
@@ -59,7 +60,7 @@ pub struct Metrics {
     wakes: Wakes,
 }
 
-/// How late the reader runs after it was to wake, s.
+/// The delays with which the reader woke, s.
 #[derive(Debug)]
 struct Wakes(Histogram);
 
@@ -82,7 +83,7 @@ fn read(counter: &AtomicU64) -> u64 {
 }
 
 impl Metrics {
-    /// Counts what a capture recorded.
+    /// Counts a record of a capture.
     pub fn record(&self, record: &Record) {
         match record {
             Record::Sample { .. } => add(&self.samples, 1),
@@ -109,13 +110,12 @@ impl Metrics {
         }
     }
 
-    /// Takes note of how late the capture's reader ran after it was to wake, s: the system's and this program's other
-    /// work in one figure.
+    /// Counts the delay, s, with which the capture's reader woke: the system's and this program's other work cause it.
     pub fn reader_woke(&self, late_s: f64) {
         self.wakes.0.observe(late_s);
     }
 
-    /// Counts an answered request by its status code.
+    /// Counts a request by the status code of its answer.
     pub fn request(&self, status: u16) {
         if let Some(counter) = usize::from(status / 100).checked_sub(1).and_then(|class| self.requests.get(class)) {
             add(counter, 1);
@@ -133,22 +133,22 @@ impl Metrics {
         self.connections.fetch_sub(1, Ordering::Relaxed);
     }
 
-    /// Counts a connection that was turned away because there are too many.
+    /// Counts a connection that was refused because there are too many.
     pub fn connection_refused(&self) {
         add(&self.connections_refused, 1);
     }
 
-    /// Counts a connection that could not be accepted (no file descriptor was free).
+    /// Counts a connection that could not be accepted (no free file descriptor).
     pub fn accept_failed(&self) {
         add(&self.accept_failures, 1);
     }
 
-    /// Counts a query that was turned away because too many run.
+    /// Counts a query that was refused because too many run.
     pub fn query_refused(&self) {
         add(&self.overloaded, 1);
     }
 
-    /// Everything as OpenMetrics text. `uptime_s` is the process's age in seconds.
+    /// Returns everything as OpenMetrics text. `uptime_s` is the process's age in seconds.
     ///
     /// # Errors
     /// [`fmt::Error`]: never for a text in memory.

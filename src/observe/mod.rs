@@ -1,4 +1,4 @@
-//! Observation: what the daemon says about itself, from memory: the status snapshot, metrics, the log.
+//! Observation: the daemon's status snapshot, metrics and log, from memory.
 
 pub mod logging;
 pub mod metrics;

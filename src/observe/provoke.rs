@@ -1,6 +1,6 @@
-//! Provocation: a panic or a delay on demand, so that tests can see what it does. In debug builds alone.
+//! Provocation: a panic or a delay on demand, so that tests can see its effect. Only in debug builds.
 
-/// Where the program may be provoked.
+/// A place where the program can be provoked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Point {
     /// A background job, before each chunk.
@@ -19,7 +19,7 @@ impl Point {
     }
 }
 
-/// Panics at this point where `VN100D_PROVOKE` is `panic:job` or `panic:handler`, takes 300 ms where it is `slow:job` or
+/// Panics at this point if `VN100D_PROVOKE` is `panic:job` or `panic:handler`; waits 300 ms if it is `slow:job` or
 /// `slow:handler`. Does nothing in a release build.
 pub fn provoke(point: Point) {
     #[cfg(debug_assertions)]

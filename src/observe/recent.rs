@@ -1,7 +1,7 @@
-//! The last minute: what the sensor sent, for eyes, from memory and whether a capture runs or not.
+//! The last minute: the sensor's values for display, from memory, whether a capture runs or not.
 //!
-//! In: samples as they come. Out: least and greatest value of each quarter of a second, so that the picture of a minute
-//! costs the same at 40 and at 800 Hz and no peak is lost.
+//! In: samples as they arrive. Out: least and greatest value of each quarter of a second, so that the picture of a
+//! minute costs the same at 40 and at 800 Hz and shows every peak.
 
 use imu_core::sample::{Channel, ChannelSet, Sample};
 use std::collections::VecDeque;
@@ -9,16 +9,16 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Length of a bucket, ns.
 const BUCKET_NS: u64 = 250_000_000;
-/// How much further a sample may put the device's clock back than the one before it, ns: 80 ppm at 40 Hz, and a burst of a
-/// thousand late ones is seen by nobody.
+/// The maximum by which a sample may raise the offset between the clocks, ns: 80 ppm at 40 Hz. The shift by a burst of
+/// a thousand late samples is not visible.
 const DRIFT_NS: i64 = 2_000;
-/// Buckets of the minute.
+/// Number of buckets in a minute.
 const BUCKETS: usize = 240;
 
-/// What came within one quarter of a second.
+/// The values of a quarter of a second.
 #[derive(Debug, Clone, Copy)]
 struct Bucket {
-    /// Its number since the host's monotonic clock began.
+    /// Its number, counted from the start of the host's monotonic clock.
     number: u64,
     channels: ChannelSet,
     ends: [[f64; 2]; Channel::COUNT],
@@ -26,27 +26,27 @@ struct Bucket {
     last: [f64; Channel::COUNT],
 }
 
-/// The last minute, as the reader of the port writes it.
+/// The last minute, as the port's reader writes it.
 #[derive(Debug, Default)]
 pub struct Recent {
     buckets: VecDeque<Bucket>,
-    /// The last device time, and how far the host's clock is ahead of the device's, ns: samples are read in bursts, and are a
-    /// line all the same.
+    /// The last device time, and the offset of the host's clock from the device's, ns. Samples are read in bursts, and
+    /// are nevertheless shown at equal distances.
     device: Option<(i64, i64)>,
 }
 
-/// The last minute, shared with whoever looks at it.
+/// The last minute, shared with its viewers.
 #[derive(Debug, Clone, Default)]
 pub struct SharedRecent(Arc<Mutex<Recent>>);
 
 /// The last minute of one channel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
-    /// Whose.
+    /// The channel.
     pub channel: Channel,
-    /// Age in s of the middle of a stretch (0 is now), its least and its greatest value; oldest first.
+    /// For each stretch the age of its middle in s (0 is now), the least and the greatest value; oldest first.
     pub points: Vec<(f64, f64, f64)>,
-    /// The latest value, channel's unit.
+    /// The latest value in the channel's unit.
     pub last: f64,
 }
 
@@ -75,30 +75,30 @@ impl Recent {
         }
     }
 
-    /// When a sample was taken, ns of the host's monotonic clock: by the device's clock, held to the samples that took the
-    /// shortest way; by its arrival where the sensor sends no time.
+    /// Returns the time at which a sample was taken, ns of the host's monotonic clock. It follows the device's clock,
+    /// aligned with the samples that arrived with the least delay, or the arrival if the sensor sends no time.
     fn at_ns(&mut self, sample: &Sample) -> u64 {
         let arrived_ns = sample.host_mono_ns;
         let Some(device_ns) = sample.device_time_ns.and_then(|ns| i64::try_from(ns).ok()) else { return arrived_ns };
         let ahead_ns = i64::try_from(arrived_ns).unwrap_or(i64::MAX).saturating_sub(device_ns);
         let kept_ns = match self.device {
-            // A clock that began anew, or ran away.
+            // The clock started again, or jumped.
             Some((last_ns, kept_ns))
                 if device_ns < last_ns || ahead_ns.abs_diff(kept_ns) > BUCKETS as u64 * BUCKET_NS =>
             {
                 ahead_ns
             }
-            // Clocks drift apart slowly: later arrivals raise what is kept by little, earlier ones lower it at once.
+            // Clocks drift apart slowly: later arrivals raise the offset slightly, earlier ones lower it at once.
             Some((_, kept_ns)) => ahead_ns.min(kept_ns.saturating_add(DRIFT_NS)),
             None => ahead_ns,
         };
         self.device = Some((device_ns, kept_ns));
-        // Never back: what was shown stays where it was.
+        // Never back: points that were shown stay in place.
         let at_ns = u64::try_from(device_ns.saturating_add(kept_ns)).unwrap_or(arrived_ns);
         self.buckets.back().map_or(at_ns, |bucket| at_ns.max(bucket.number * BUCKET_NS))
     }
 
-    /// The minute before `mono_ns` of every channel that came within it.
+    /// Returns the minute before `mono_ns` of every channel that has values in it.
     pub fn traces(&self, mono_ns: u64) -> Vec<Trace> {
         let now = mono_ns / BUCKET_NS;
         let bucket_s = BUCKET_NS as f64 / 1e9;
@@ -123,7 +123,7 @@ impl SharedRecent {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).note(sample);
     }
 
-    /// [`Recent::traces`].
+    /// Returns the traces ([`Recent::traces`]).
     pub fn traces(&self, mono_ns: u64) -> Vec<Trace> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).traces(mono_ns)
     }
@@ -155,7 +155,7 @@ mod tests {
     #[test]
     fn bursts_of_a_device_with_a_clock_are_a_line() {
         let mut recent = Recent::default();
-        // Two seconds are read at once, every two seconds; the clock begins anew after twenty.
+        // Two seconds are read at once, every two seconds; the clock restarts after twenty.
         for index in 0_u64..1600 {
             let mut sample = sample(2000 * (index / 80 + 1), 1.0);
             sample.device_time_ns = Some(25_000_000 * (index % 800) + 3_600_000_000_000 * (1 - index / 800));
@@ -174,7 +174,7 @@ mod tests {
         }
         assert_eq!(recent.buckets.len(), BUCKETS);
         assert_eq!(recent.traces(200_000_000_000)[0].points.len(), BUCKETS - 1);
-        // What is older than a minute is no longer shown.
+        // Values older than a minute are no longer shown.
         assert!(recent.traces(300_000_000_000).is_empty());
     }
 }

@@ -1,5 +1,5 @@
-//! The status snapshot: published by the daemon through a watch channel, read by the HTTP interface without ever
-//! touching the disk (docs/formats.md).
+//! The status snapshot: published by the daemon through a watch channel, and read by the HTTP interface without access
+//! to the disk (docs/formats.md).
 
 use super::notify::NotifyStatus;
 use imu_core::sample::device_clock::ClockEstimate;
@@ -7,32 +7,32 @@ use imu_core::sample::{DiscardCause, Timebase};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What the connection to the sensor is doing (docs/formats.md).
+/// The state of the connection to the sensor (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorState {
-    /// No port to open.
+    /// There is no port to open.
     #[default]
     Absent,
     /// A port is being opened.
     Opening,
-    /// Baud rate, identity and registers are being found out, the output is being configured.
+    /// Baud rate, identity and registers are being determined, or the output is being configured.
     Probing,
     /// Samples arrive.
     Streaming,
-    /// The port is open, nothing arrives.
+    /// The port is open, but nothing arrives.
     Stalled,
-    /// Bytes arrive, none of them forms a frame.
+    /// Bytes arrive, but none form a frame.
     NoValidFrames,
-    /// Valid frames of another kind than configured arrive.
+    /// Valid frames arrive, but not of the configured kind.
     UnexpectedFormat,
-    /// Somebody else has the port.
+    /// Another process holds the port.
     PortBusy,
-    /// The port may not be opened by this user.
+    /// The user may not open the port.
     NoPermission,
-    /// The sensor has another serial number than the capture's.
+    /// The sensor's serial number differs from the capture's.
     WrongUnit,
-    /// Waiting before the next try.
+    /// The daemon waits before the next attempt.
     Backoff,
 }
 
@@ -52,22 +52,22 @@ impl SensorState {
         (Self::Backoff, "backoff"),
     ];
 
-    /// The name in JSON.
+    /// Returns the name in JSON.
     pub fn name(self) -> &'static str {
         Self::NAMES.iter().find(|(state, _)| *state == self).map_or("", |(_, name)| name)
     }
 }
 
-/// The sensor as the daemon sees it.
+/// The state of the sensor.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SensorStatus {
-    /// What the connection is doing.
+    /// The state of the connection.
     pub state: SensorState,
-    /// A sentence for a person: why, and what to do, where the state is not `streaming`.
+    /// The problem and its remedy in one sentence, if the state is not `streaming`.
     pub hint: Option<String>,
     /// The port in use or last used.
     pub port: Option<String>,
-    /// The device that `port` stands for: another name where `port` is a link, such as those of `/dev/serial/by-id`.
+    /// The device of `port`: another name if `port` is a link, such as those of `/dev/serial/by-id`.
     pub port_target: Option<String>,
     /// Baud rate in use.
     pub baud: Option<u32>,
@@ -79,24 +79,24 @@ pub struct SensorStatus {
     pub firmware: Option<String>,
     /// Output rate in Hz.
     pub rate_hz: Option<f64>,
-    /// What arrives: `binary 01,0609`, `VNYMR`…
+    /// The received output: `binary 01,0609`, `VNYMR`…
     pub output: Option<String>,
-    /// What the samples' times rest on, and so how exactly losses are counted.
+    /// The source of the samples' times, which determines how exactly losses are counted.
     pub timebase: Option<Timebase>,
-    /// The sensor's clock against the host's; null before a few seconds of it were seen, and without device time.
+    /// The sensor's clock against the host's; null before a few seconds were observed, and without device time.
     pub clock: Option<ClockEstimate>,
 }
 
-/// Where every valid measurement is that a running capture has received: one consistent instant of the reader's side.
+/// The state of every valid measurement that a running capture has received, at one instant of the reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Tally {
     /// The capture.
     pub capture_id: i64,
-    /// Measurements received, counted where they come in.
+    /// Measurements received, counted at their arrival.
     pub received: u64,
-    /// Samples that were written down for the store, those of earlier runs of the daemon included.
+    /// Samples passed to the store, including those of earlier runs of the daemon.
     pub samples: u64,
-    /// Samples that are held until it is clear whether some are missing before them.
+    /// Samples held until it is known whether samples are missing before them.
     pub held: u64,
     /// Samples that earlier runs of the daemon committed.
     pub base: u64,
@@ -113,40 +113,40 @@ pub struct CaptureStatus {
     pub name: String,
     /// `waiting` or `capturing`.
     pub state: String,
-    /// Sample time it holds, received and missing, s.
+    /// Sample time so far, received and missing, s.
     pub elapsed_s: f64,
-    /// Sample time still to come, s.
+    /// Remaining sample time, s.
     pub remaining_s: f64,
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: u64,
-    /// Valid measurements received: `committed` + `in_flight` + `discarded`, at every instant.
+    /// Number of valid measurements received: `committed` + `in_flight` + `discarded`, at every instant.
     pub received: u64,
-    /// Samples that a power cut now would not take (committed to disk).
+    /// Number of samples committed to disk: they survive a power loss.
     pub committed: u64,
-    /// Samples that are held or wait for their commit.
+    /// Number of samples that are held or wait for their commit.
     pub in_flight: i64,
-    /// Valid measurements that did not become a sample, by cause.
+    /// Number of valid measurements that did not become samples, by cause.
     pub discarded: BTreeMap<String, u64>,
-    /// How long ago the last sample arrived, s; null before the first.
+    /// The time since the last sample arrived, s; null before the first.
     pub last_sample_age_s: Option<f64>,
-    /// When a gap is open: since when, RFC 3339.
+    /// The time since which a gap has been open, RFC 3339.
     pub gap_open_since: Option<String>,
 }
 
-/// What the store is doing.
+/// The state of the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum StorageState {
     /// Commits succeed.
     #[default]
     Ok,
-    /// Commits take longer than the queue likes.
+    /// Commits take too long.
     Slow,
-    /// The writer has stood still for three seconds: in a commit that does not end, or altogether.
+    /// The writer has been stalled for three seconds, in a commit or otherwise.
     Degraded,
     /// The disk is full.
     StorageFull,
@@ -160,10 +160,10 @@ pub enum StorageState {
     StorageLost,
 }
 
-/// The store as the daemon sees it.
+/// The state of the store, with its figures.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StorageStatus {
-    /// How it is.
+    /// The state.
     pub state: StorageState,
     /// Path of the database.
     pub database: String,
@@ -173,91 +173,92 @@ pub struct StorageStatus {
     pub wal_bytes: u64,
     /// Free space of its file system in bytes.
     pub free_bytes: u64,
-    /// How long the free space lasts at the present rate, s; null where nothing is written.
+    /// The time until the free space is used up at the present rate, s; null if nothing is written.
     pub time_to_full_s: Option<f64>,
     /// Age of the last commit in real seconds; null before the first.
     pub last_commit_age_s: Option<f64>,
     /// Duration of the last commit in real seconds.
     pub last_commit_s: Option<f64>,
-    /// Samples waiting in the queue.
+    /// Number of samples waiting in the queue.
     pub queued: u64,
-    /// For how long the oldest of them has waited, in real seconds in which the machine was awake; null while none waits.
+    /// How long the oldest of them has waited, in real seconds in which the machine was awake; null if none waits.
     pub oldest_waiting_s: Option<f64>,
-    /// Little space is left: less than a gigabyte, or than twelve hours at the present rate.
+    /// Whether space is low: less than a gigabyte, or less than twelve hours at the present rate.
     pub low_space: bool,
-    /// What deserves attention although data is taken: little space, a log that does not shrink.
+    /// A condition that needs attention although data is accepted: low space, a log that does not shrink.
     pub warning: Option<String>,
-    /// The last error's text, where the state is not `ok`.
+    /// The text of the last error, if the state is not `ok`.
     pub error: Option<String>,
 }
 
-/// The background jobs in numbers.
+/// The numbers of background jobs.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobsStatus {
-    /// Waiting.
+    /// Waiting jobs.
     pub queued: u64,
-    /// Running.
+    /// Running jobs.
     pub running: u64,
-    /// Done since the daemon started.
+    /// Jobs done since the daemon started.
     pub done: u64,
-    /// Failed since the daemon started.
+    /// Jobs failed since the daemon started.
     pub failed: u64,
 }
 
-/// A capture that is going to be deleted to keep within the limits of `[storage]`.
+/// A capture that will be deleted to stay within the limits of `[storage]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct PlannedDeletion {
     /// Its id.
     pub capture: i64,
     /// Its name.
     pub name: String,
-    /// What its samples take in the database, bytes.
+    /// Size of its samples in the database, bytes.
     pub bytes: u64,
-    /// `age` or `size`: which limit it exceeds.
+    /// The exceeded limit: `age` or `size`.
     pub reason: String,
-    /// Not before this, RFC 3339.
+    /// The earliest time of the deletion, RFC 3339.
     pub delete_at: String,
 }
 
-/// What becomes of old captures.
+/// The planned and past deletions of captures.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RetentionStatus {
-    /// Captures that are going to be deleted, the next one first; at most 100 of them.
+    /// Captures that will be deleted, the next one first; at most 100 of them.
     pub planned: Vec<PlannedDeletion>,
-    /// How many there are.
+    /// The number of captures that will be deleted.
     pub planned_total: u64,
     /// Captures deleted by age or size since the daemon started.
     pub deleted: u64,
-    /// Why the clock cannot tell the age of captures; null where it can. Until then only `keep-mib` holds.
+    /// Why the ages of captures cannot be determined from the clock; null if they can. Until then only `keep-mib`
+    /// applies.
     #[serde(default)]
     pub distrust: Option<ClockDistrust>,
 }
 
-/// Why no capture is deleted for its age.
+/// The reason why no capture is deleted for its age.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ClockDistrust {
     /// `unset`, `behind` or `far-ahead`.
     pub reason: String,
-    /// What the clock shows, what is wrong with that, and what to do, for a person.
+    /// The time that the clock shows, the problem with it, and the remedy, for the user.
     pub message: String,
 }
 
-/// Which night is recorded next.
+/// The next night of the schedule.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ScheduleStatus {
     /// The local time of day at which a night begins, `22:00`.
     pub at: String,
-    /// When the next night begins, RFC 3339; when the present one did, while it waits.
+    /// The start of the next night, RFC 3339; the start of the present one, if it waits.
     pub next_start: String,
     /// The name of its capture.
     pub name: String,
-    /// Sample time that it will hold, s.
+    /// Its planned sample time, s.
     pub duration_s: f64,
-    /// Why a night whose time has come has not begun, for a person; null where none waits.
+    /// Why a due night has not begun, for the user; null if none waits.
     pub waits: Option<String>,
 }
 
-/// Everything that `GET /v1/status` says, but for version and uptime.
+/// The content of `GET /v1/status`, without version and uptime.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Status {
     /// The sensor.
@@ -268,13 +269,13 @@ pub struct Status {
     pub storage: StorageStatus,
     /// The jobs.
     pub jobs: JobsStatus,
-    /// Old captures.
+    /// Deletions of captures.
     #[serde(default)]
     pub retention: RetentionStatus,
     /// The next night; null without a schedule.
     #[serde(default)]
     pub schedule: Option<ScheduleStatus>,
-    /// Notifications.
+    /// The notifications.
     #[serde(default)]
     pub notify: NotifyStatus,
 }

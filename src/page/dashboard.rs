@@ -39,11 +39,11 @@ pub struct Stored {
     pub causes: BTreeMap<String, u64>,
 }
 
-/// A minute, s, and the distance of its stretches.
+/// A minute, and the distance of its stretches, s.
 const MINUTE_S: f64 = 60.0;
 const STEP_S: f64 = 0.25;
 
-/// The whole page.
+/// Returns the whole page.
 pub fn dashboard(view: &DashboardView<'_>) -> String {
     let live = live(view);
     // Assistive technology announces problems in time to act, and also that the daemon does not answer.
@@ -55,7 +55,7 @@ pub fn dashboard(view: &DashboardView<'_>) -> String {
     framed("vn100d", Kind::Live(5), &out)
 }
 
-/// The part of the page that changes: sections, each with an id.
+/// Returns the part of the page that changes: sections, each with an id.
 pub fn live(view: &DashboardView<'_>) -> String {
     let mut out = String::new();
     state(&mut out, view);
@@ -266,7 +266,7 @@ fn diagnoses(out: &mut String, diagnoses: &[DiagnosisRow]) {
     *out += "</ul></section>";
 }
 
-/// Forms, which scripts show and send; users without scripts have curl.
+/// Writes the forms, which scripts show and send; users without scripts have curl.
 fn wishes(out: &mut String, view: &DashboardView<'_>) {
     *out += "<section class=\"wishes\" aria-label=\"start and stop\" hidden><h2>Record</h2>";
     let _ = write!(
@@ -282,7 +282,7 @@ fn wishes(out: &mut String, view: &DashboardView<'_>) {
              <noscript><p class=\"soft\">To start: <code>curl --json '{\"duration\":\"5h\"}' http://ADDRESS/v1/captures</code></p></noscript>";
 }
 
-/// The field for the token, if one is needed.
+/// Returns the field for the token, if one is needed.
 pub(super) fn token(needed: bool) -> String {
     if needed {
         "<label>token <input class=\"token\" type=\"password\" autocomplete=\"off\"></label>".to_owned()

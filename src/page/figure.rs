@@ -3,13 +3,13 @@
 pub(super) use crate::plot::number::plain;
 use crate::plot::number::rounded;
 
-/// A number with as many digits as its interval distinguishes, and the interval.
+/// Returns a number with as many digits as its interval distinguishes, and the interval.
 pub(super) fn with_interval(value: f64, ends: [f64; 2]) -> String {
     let (value, interval) = parted(value, ends);
     format!("{value} ({interval})")
 }
 
-/// The number and its interval, as separate texts.
+/// Returns the number and its interval, as separate texts.
 pub(super) fn parted(value: f64, [low, high]: [f64; 2]) -> (String, String) {
     let (size, width) = (value.abs().max(low.abs()).max(high.abs()), (high - low).abs());
     let digits = if width > 0.0 && size > 0.0 { ((size / width).log10().ceil() as i64 + 2).clamp(3, 9) } else { 6 };
@@ -17,17 +17,17 @@ pub(super) fn parted(value: f64, [low, high]: [f64; 2]) -> (String, String) {
     (rounded(value, digits), format!("{} to {}", rounded(low, digits), rounded(high, digits)))
 }
 
-/// A share in percent; small differences from 0 and 100 are not shown.
+/// Returns a share in percent; small differences from 0 and 100 are not shown.
 pub(super) fn percent(share: f64) -> String {
     if share.is_finite() { format!("{:.0} %", 100.0 * share) } else { "–".to_owned() }
 }
 
-/// A time to the second.
+/// Returns a time to the second.
 pub(super) fn second(time_s: f64) -> String {
     if time_s.is_finite() { format!("{time_s:.0}") } else { "–".to_owned() }
 }
 
-/// A span of time for display: 5 h, 2 h 14 min, 90 s.
+/// Returns a span of time for display: 5 h, 2 h 14 min, 90 s.
 pub(super) fn span(time_s: f64) -> String {
     if !time_s.is_finite() || time_s < 0.0 {
         return "–".to_owned();
@@ -41,7 +41,7 @@ pub(super) fn span(time_s: f64) -> String {
     if told.is_empty() { "0 s".to_owned() } else { told.join(" ") }
 }
 
-/// A number of bytes for display.
+/// Returns a number of bytes for display.
 pub(super) fn size(bytes: f64) -> String {
     match bytes {
         few if few < 1e6 => format!("{:.0} kB", few / 1e3),
@@ -51,7 +51,7 @@ pub(super) fn size(bytes: f64) -> String {
     }
 }
 
-/// RFC 3339 for display: `2026-11-23 21:04:05`.
+/// Returns RFC 3339 for display: `2026-11-23 21:04:05`.
 pub(super) fn clock(rfc3339: &str) -> String {
     let to_the_second = rfc3339.split(['.', 'Z', '+']).next().unwrap_or(rfc3339);
     to_the_second.replacen('T', " ", 1)

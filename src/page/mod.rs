@@ -38,7 +38,8 @@ enum Kind {
     Renewed(u32),
     /// A page of the daemon that scripts keep up to date; without them it is reloaded after this many seconds.
     Live(u32),
-    /// The same for a page that waits for a result: scripts repeat the request until it exists.
+    /// A page that waits for a result: scripts repeat the request until it exists; without them the page is reloaded
+    /// after this many seconds.
     Waiting(u32),
 }
 
@@ -47,7 +48,7 @@ fn wide(label: &str) -> String {
     format!("<div class=\"wide\" role=\"group\" tabindex=\"0\" aria-label=\"{label}\">")
 }
 
-/// The whole file around the visible content.
+/// Returns the whole file around the visible content.
 fn framed(title: &str, kind: Kind, body: &str) -> String {
     let again = |s: u32| format!("<meta http-equiv=\"refresh\" content=\"{s}\">");
     let refresh = match kind {

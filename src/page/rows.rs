@@ -7,7 +7,7 @@ use serde_json::json;
 /// 2026-11-23, 20:00:00 UTC.
 pub(super) const BEGUN_NS: i64 = 1_795_464_000_000_000_000;
 
-/// A capture of five hours with what must not become markup.
+/// Returns a capture of five hours with text that must not become markup.
 pub(super) fn capture() -> CaptureRow {
     let begun = UtcNs(BEGUN_NS + 500_000_000);
     CaptureRow {
@@ -38,7 +38,7 @@ pub(super) fn capture() -> CaptureRow {
     }
 }
 
-/// A job over another capture.
+/// Returns a job over another capture.
 pub(super) fn job(id: i64, kind: JobKind, state: JobState) -> JobRow {
     JobRow {
         id,
@@ -58,7 +58,7 @@ pub(super) fn job(id: i64, kind: JobKind, state: JobState) -> JobRow {
     }
 }
 
-/// A diagnosis.
+/// Returns a diagnosis.
 pub(super) fn diagnosis(summary: &str) -> DiagnosisRow {
     let job = job(9, JobKind::Diagnosis, JobState::Done);
     DiagnosisRow { job, verdict: Some("effects".to_owned()), summary: Some(summary.to_owned()) }

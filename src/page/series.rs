@@ -24,7 +24,7 @@ pub struct SeriesView<'a> {
     pub to_s: f64,
 }
 
-/// The page.
+/// Returns the page.
 pub fn series(view: &SeriesView<'_>) -> String {
     let SeriesView { capture: (id, name), channel, others, length_s, from_s, to_s } = *view;
     let span_s = (to_s - from_s).max(SHORTEST_S);

@@ -2,8 +2,8 @@
 
 use super::{Kind, escaped, framed};
 
-/// A page that shows the state of a job and reloads itself, or shows why there is no result. `state` is the job's,
-/// `progress` 0–1.
+/// Returns a page that shows the state of a job and reloads itself, or shows why there is no result. `state` is the
+/// job's, `progress` 0–1.
 pub fn waiting(title: &str, state: &str, progress: f64, error: Option<&str>) -> String {
     let ended = matches!(state, "failed" | "cancelled");
     let sentence = match (state, error) {

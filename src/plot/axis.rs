@@ -11,7 +11,7 @@ const ROOM_DECADES: f64 = 0.06;
 const DECADES_MIN: f64 = 0.35;
 /// Decades from which on only powers of ten have a line.
 const DECADES_MANY: f64 = 2.5;
-/// Decades up to which values between powers of ten have lines as well.
+/// Decades up to which values between powers of ten have lines too.
 const DECADES_FEW: f64 = 0.8;
 /// The maximum number of labels on a logarithmic axis.
 const LABELS: usize = 8;
@@ -28,7 +28,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// A straight axis with room for all values; `None` if there is none.
+    /// Returns a straight axis with room for all values; `None` if there is none.
     pub(super) fn straight(values: impl Iterator<Item = f64>) -> Option<Self> {
         let (low, high) = ends(values)?;
         // A flat curve gets some room around it.
@@ -36,30 +36,30 @@ impl Axis {
         Some(Self { log: false, bare: false, from: low - room, to: high + room })
     }
 
-    /// A straight axis between exactly these values.
+    /// Returns a straight axis between exactly these values.
     pub(super) fn between(from: f64, to: f64) -> Self {
         Self { log: false, bare: false, from, to: if to > from { to } else { from + 1.0 } }
     }
 
-    /// A logarithmic axis for the values above 0; `None` if there is none.
+    /// Returns a logarithmic axis for the values above 0; `None` if there is none.
     pub(super) fn logarithmic(values: impl Iterator<Item = f64>) -> Option<Self> {
         let (low, high) = ends(values.filter(|value| *value > 0.0).map(f64::log10))?;
         let room = (DECADES_MIN - (high - low)).max(ROOM_DECADES);
         Some(Self { log: true, bare: false, from: low - room, to: high + room })
     }
 
-    /// An axis without values, lines and labels: everything extends from one end to the other.
+    /// Returns an axis without values, lines and labels: everything extends from one end to the other.
     pub(super) fn bare() -> Self {
         Self { log: false, bare: true, from: 0.0, to: 1.0 }
     }
 
-    /// The position of a value, 0 to 1; values beyond the ends are at them.
+    /// Returns the position of a value, 0 to 1; a value beyond an end is placed at that end.
     pub(super) fn share(&self, value: f64) -> f64 {
         let at = if self.log { value.max(f64::MIN_POSITIVE).log10() } else { value };
         ((at - self.from) / (self.to - self.from)).clamp(0.0, 1.0)
     }
 
-    /// Values with a line, and their labels.
+    /// Returns the values with a line, and their labels.
     pub(super) fn ticks(&self) -> Vec<(f64, String)> {
         if self.bare {
             return Vec::new();
@@ -86,7 +86,7 @@ impl Axis {
     }
 }
 
-/// The least and the greatest finite value.
+/// Returns the least and the greatest finite value.
 fn ends(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     let finite = values.filter(|value| value.is_finite());
     finite.fold(None, |ends, value| {

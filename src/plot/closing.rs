@@ -1,5 +1,4 @@
-//! Closing: one bar per channel, from the initial gap down to what a true model shows, and the part of it that was
-//! closed.
+//! Closing: one bar per channel, from the initial gap down to a true model's gap, with the part that was closed.
 
 use super::drawing::escaped_title;
 use super::escaped;
@@ -8,7 +7,7 @@ use imu_diagnosis::report::ChannelGap;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// The picture's width in its own units, room for names and numbers, the height of a row.
+/// The picture's width in its own units, the room for names and numbers, and the height of a row.
 const WIDTH: f64 = 560.0;
 const LEFT: f64 = 84.0;
 const RIGHT: f64 = 166.0;
@@ -17,7 +16,8 @@ const ROW: f64 = 26.0;
 /// The scale reaches at least to this multiple of the floor: if there is no gap, the bars are short.
 const LEAST: f64 = 100.0;
 
-/// The picture, on a logarithmic scale in multiples of each channel's own floor; empty if there is no bar to draw.
+/// Returns the picture, on a logarithmic scale in multiples of each channel's own floor; empty if there is no bar to
+/// draw.
 pub fn closing(bars: &BTreeMap<String, ChannelGap>, unit: &str) -> String {
     let drawn: Vec<(&String, &ChannelGap)> =
         bars.iter().filter(|(_, bar)| bar.floor > 0.0 && bar.before.is_finite()).collect();

@@ -7,18 +7,18 @@ use super::gaps::Gap;
 /// Values over time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Course<'a> {
-    /// `gyro_x`.
+    /// The channel's name: `gyro_x`.
     pub channel: &'a str,
     /// Its unit.
     pub unit: &'a str,
-    /// Time in s, least and greatest value of each stretch; both the same for single samples. A value that is not
+    /// Time in s, least and greatest value of each stretch; both are the same for single samples. A value that is not
     /// finite interrupts the curve.
     pub points: Vec<(f64, f64, f64)>,
     /// Its gaps.
     pub gaps: Vec<Gap>,
 }
 
-/// The factor from seconds to the unit shown, and its name, by the length of the interval.
+/// Returns the factor from seconds to the unit shown, and its name, by the length of the interval.
 pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
     match longest_s {
         long if long > 3.0 * 3600.0 => (3600.0, "h"),
@@ -28,7 +28,7 @@ pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
 }
 
 impl Course<'_> {
-    /// The picture; empty if there is no value.
+    /// Returns the picture; empty if there is no value.
     pub fn svg(&self) -> String {
         let times = || self.points.iter().map(|(time_s, ..)| *time_s);
         let (from_s, to_s) =
@@ -53,8 +53,8 @@ impl Course<'_> {
         drawing.done()
     }
 
-    /// The points in order, with a value that is not finite inside every gap longer than the distance of two points, so
-    /// that nothing is drawn across. Shorter gaps have their mark.
+    /// Returns the points in order, with a value that is not finite inside every gap longer than the distance of two
+    /// points, so that nothing is drawn across. Shorter gaps have their mark.
     fn parted(&self) -> Vec<(f64, f64, f64)> {
         let mut points = self.points.clone();
         let ends = points.first().zip(points.last()).map_or(0.0, |(first, last)| last.0 - first.0);

@@ -27,7 +27,7 @@ pub struct Density<'a> {
 }
 
 impl Density<'_> {
-    /// The picture; empty if nothing is above 0.
+    /// Returns the picture; empty if nothing is above 0.
     pub fn svg(&self) -> String {
         let across = Axis::logarithmic(self.frequency_hz.iter().copied());
         let up = Axis::logarithmic(self.channels.iter().flat_map(|(_, values)| values).copied());

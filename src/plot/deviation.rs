@@ -7,8 +7,8 @@ use imu_core::sample::Channel;
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanCurve, AllanReport};
 
-/// One picture of these channels, which have one unit: a triad, or a single channel, which then also has its lines of
-/// N, B and K. Empty if there is no curve.
+/// Returns one picture of these channels, which have one unit: a triad, or a single channel, which then also has its
+/// lines of N, B and K. Empty if there is no curve.
 pub fn deviation(title: &str, channels: &[Channel], allan: &AllanReport, noise: Option<&NoiseReport>) -> String {
     let curves: Vec<(Channel, &AllanCurve)> =
         channels.iter().filter_map(|channel| Some((*channel, allan.channels.get(channel)?))).collect();
@@ -46,7 +46,7 @@ pub fn deviation(title: &str, channels: &[Channel], allan: &AllanReport, noise: 
     drawing.done()
 }
 
-/// The class of a channel's curve among others: its axis.
+/// Returns the class of a channel's curve among others: its axis.
 pub(super) fn class(name: &str, among: usize) -> &'static str {
     match name.rsplit('_').next() {
         Some("x") if among > 1 => "x",

@@ -6,9 +6,9 @@ use std::fmt::Write as _;
 
 /// Width in the picture's own units. Text of 14 units is 10 pixels high if a phone shows the picture 400 wide.
 const WIDTH: f64 = 560.0;
-/// Room at the left, right, top and bottom.
+/// Margins at the left, right, top and bottom.
 const MARGIN: [f64; 4] = [84.0, 14.0, 30.0, 46.0];
-/// Between a tick's label and its line.
+/// The distance between a tick's label and its line.
 const APART: f64 = 7.0;
 /// The maximum length of a title in characters.
 const LONGEST: usize = 72;
@@ -35,7 +35,7 @@ pub(super) struct Drawing {
 }
 
 impl Drawing {
-    /// Title, grid, labels.
+    /// Creates a picture with title, grid and labels.
     pub(super) fn new(frame: Frame<'_>, x: Axis, y: Axis) -> Self {
         let height = frame.height;
         let (left, right, top, bottom) = (MARGIN[0], WIDTH - MARGIN[1], MARGIN[2], height - MARGIN[3]);
@@ -77,7 +77,7 @@ impl Drawing {
         (left + self.x.share(x) * (right - left), self.bottom + self.y.share(y) * (MARGIN[2] - self.bottom))
     }
 
-    /// A curve; it is interrupted at values that are not finite.
+    /// Draws a curve; it is interrupted at values that are not finite.
     pub(super) fn curve(&mut self, class: &str, points: impl IntoIterator<Item = (f64, f64)>) {
         let mut path = String::new();
         let mut open = false;
@@ -95,7 +95,7 @@ impl Drawing {
         }
     }
 
-    /// The surface between two curves over the same places; it is interrupted at values that are not finite.
+    /// Draws the surface between two curves over the same places; it is interrupted at values that are not finite.
     pub(super) fn surface(&mut self, class: &str, points: &[(f64, f64, f64)]) {
         for stretch in points.split(|(x, low, high)| !(x + low + high).is_finite()).filter(|stretch| stretch.len() > 1)
         {
@@ -110,7 +110,7 @@ impl Drawing {
         }
     }
 
-    /// A bar from the bottom up, with a minimum width.
+    /// Draws a bar from the bottom up, with a minimum width.
     pub(super) fn bar(&mut self, class: &str, from: f64, to: f64, value: f64) {
         let ((left, y), (right, _)) = (self.at(from, value), self.at(to, value));
         let (width, height) = ((right - left).max(0.5), self.bottom - y);
@@ -120,7 +120,7 @@ impl Drawing {
         );
     }
 
-    /// A stretch of the x axis from bottom to top, wide enough to be visible, with its description.
+    /// Draws a stretch of the x axis from bottom to top, wide enough to be visible, with its description.
     pub(super) fn stretch(&mut self, class: &str, [from, to]: [f64; 2], what: Option<&str>) {
         let ((left, _), (right, _)) = (self.at(from, 0.0), self.at(to, 0.0));
         let width = (right - left).max(4.0);
@@ -134,7 +134,7 @@ impl Drawing {
         );
     }
 
-    /// Vertical text beside a place of the x axis, from the bottom up.
+    /// Draws vertical text beside a place of the x axis, from the bottom up.
     pub(super) fn beside(&mut self, x: f64, text: &str) {
         let ((at, _), y) = (self.at(x, 0.0), self.bottom - 6.0);
         let at = at - 5.0;
@@ -145,20 +145,20 @@ impl Drawing {
         );
     }
 
-    /// The key under the title's right end: it shows which curve is which.
+    /// Draws the key under the title's right end: it shows which curve is which.
     pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
         let right = WIDTH - MARGIN[1];
         let at = [right - 26.0, right - 4.0, right - 32.0];
         self.entries(entries, MARGIN[2] + 16.0, at, " text-anchor=\"end\"");
     }
 
-    /// The same at the bottom on the left: falling curves leave room there.
+    /// Draws the key at the bottom left: falling curves leave room there.
     pub(super) fn key_below(&mut self, entries: &[(&str, &str)]) {
         let (left, below) = (MARGIN[0], 18.0 * entries.len().saturating_sub(1) as f64);
         self.entries(entries, self.bottom - 14.0 - below, [left + 6.0, left + 28.0, left + 34.0], "");
     }
 
-    /// Entries of a key below each other, each a line from one x to the other, and a text.
+    /// Draws the entries of a key below each other, each a line from one x to the other, and a text.
     fn entries(&mut self, entries: &[(&str, &str)], top: f64, [from, to, beside]: [f64; 3], anchor: &str) {
         for (place, (class, text)) in entries.iter().enumerate() {
             let (y, text) = (top + 18.0 * place as f64, escaped(text));
@@ -176,7 +176,7 @@ impl Drawing {
     }
 }
 
-/// The beginning of a picture: its size, and its title from `left` on.
+/// Returns the beginning of a picture: its size, and its title from `left` on.
 pub(super) fn escaped_title(title: &str, width: f64, height: f64, left: f64) -> String {
     let title = escaped(&shortened(title));
     format!(

@@ -18,7 +18,7 @@ pub struct Gap {
 }
 
 impl Gap {
-    /// Its description.
+    /// Returns the description.
     pub(super) fn told(&self) -> String {
         format!("{} missing, {}", self.missing, self.cause.name())
     }
@@ -40,7 +40,7 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// The picture, with the number of missing samples and the causes.
+    /// Returns the picture, with the number of missing samples and the causes.
     pub fn svg(&self) -> String {
         let missing: u64 = self.causes.values().sum();
         let drawn = match self.gaps.len() {

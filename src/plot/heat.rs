@@ -24,7 +24,7 @@ const PALEST: f64 = 0.15;
 /// If the number of coefficients per bin is unknown, smaller differences than this have no colour, dB.
 const NONE_DB: f64 = 0.5;
 
-/// The maps, before and after; none if no channel's model is known.
+/// Returns the maps, before and after; none if no channel's model is known.
 pub fn heat(spectra: &[ChannelSpectra]) -> Vec<String> {
     let known: Vec<&ChannelSpectra> = spectra.iter().filter(|of| of.before.is_some()).collect();
     let ends = known.iter().flat_map(|of| &of.frequency_hz).filter(|hz| **hz > 0.0 && hz.is_finite());
@@ -56,7 +56,7 @@ fn row<'a>(of: &'a ChannelSpectra, which: usize, scale: &Scale) -> Row<'a> {
     Row { channel: &of.channel, bands }
 }
 
-/// The record's power over the model's in each bin, before (0) or after (1).
+/// Returns the record's power over the model's in each bin, before (0) or after (1).
 fn over_model(of: &ChannelSpectra, which: usize) -> Option<Vec<f64>> {
     let model = [&of.before, &of.after][which].as_ref()?;
     let ratios = || of.real.iter().zip(model).map(|(real, model)| (real / model).powi(2)).collect();
@@ -78,7 +78,7 @@ impl Scale {
     }
 }
 
-/// One map; `most` is the greatest discrepancy of both, nats.
+/// Returns one map; `most` is the greatest discrepancy of both, nats.
 fn map(what: &str, rows: &[Row<'_>], scale: &Scale, most: f64) -> String {
     let (top, height) = (30.0, 30.0 + ROW * rows.len() as f64 + 46.0);
     let title = format!("Recording over {what}");
@@ -145,7 +145,7 @@ fn map(what: &str, rows: &[Row<'_>], scale: &Scale, most: f64) -> String {
 #[derive(Debug, Clone, Copy)]
 struct Difference {
     db: f64,
-    /// Whittle's discrepancy beyond what a true model is expected to show.
+    /// Whittle's discrepancy beyond that expected of a true model.
     nats: f64,
     /// Whether it is beyond chance.
     sure: bool,

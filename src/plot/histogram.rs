@@ -9,10 +9,10 @@ use std::f64::consts::TAU;
 
 /// Points of the normal curve.
 const POINTS: usize = 200;
-/// The maximum number of bars: of more bins several are one bar.
+/// The maximum number of bars: if there are more bins, several form one bar.
 const BARS: usize = 120;
 
-/// The picture of a channel's statistics; empty if it has no samples.
+/// Returns the picture of a channel's statistics; empty if it has no samples.
 pub fn histogram(channel: &str, of: &Statistics) -> String {
     let (edges, counts) = (&of.histogram.edges, &of.histogram.counts);
     let total: u64 = counts.iter().sum();

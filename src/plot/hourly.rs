@@ -1,4 +1,4 @@
-//! The Allan deviation hour by hour: whether the sensor was the same all night.
+//! The Allan deviation hour by hour: it shows whether the sensor stayed the same all night.
 
 use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
@@ -8,7 +8,7 @@ use imu_noise::robust::{DynamicAllan, DynamicBlock};
 /// Shades from the first hour to the last (`style.css`: `h0` …).
 const SHADES: usize = 6;
 
-/// The picture of a channel's deviation by the hour; empty if nothing is above 0. `unit` is the channel's.
+/// Returns the picture of a channel's deviation by the hour; empty if nothing is above 0. `unit` is the channel's.
 pub fn hourly(channel: &str, unit: &str, of: &DynamicAllan) -> String {
     let curve = |block: &DynamicBlock| -> Vec<(f64, f64)> {
         of.tau_s.iter().copied().zip(block.deviation.iter().map(|value| value.unwrap_or(f64::NAN))).collect()
@@ -57,7 +57,7 @@ mod tests {
             worst_tau_s: Some(4.0),
         };
         let svg = hourly("gyro_x", "rad/s", &of);
-        // Each once, and the first and the last again in the key.
+        // Each shade occurs once, and the first and the last also in the key.
         assert_eq!(
             ["h0", "h2", "h3", "h5"].map(|h| svg.matches(&format!("line {h}\"")).count()),
             [2, 0, 1, 2],

@@ -11,8 +11,8 @@ const SAME: f64 = 5e-3;
 /// A line of a channel.
 pub type NamedLine<'a> = (Channel, &'a Line);
 
-/// The lines of these channels by frequency, with those of several channels combined: frequency in Hz, the largest
-/// amplitude, and a description.
+/// Returns the lines of these channels by frequency, with those of several channels combined: frequency in Hz, the
+/// largest amplitude, and a description.
 pub(super) fn joined(lines: &[NamedLine<'_>], channels: &[Channel], unit: &str) -> Vec<(f64, f64, String)> {
     let mut own: Vec<&NamedLine<'_>> = lines.iter().filter(|(channel, _)| channels.contains(channel)).collect();
     own.sort_by(|(_, a), (_, b)| a.frequency_hz.total_cmp(&b.frequency_hz));

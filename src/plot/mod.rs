@@ -38,7 +38,7 @@ pub use timeline::{level, spread};
 
 const STYLE: &str = include_str!("style.css");
 
-/// A picture as a standalone file, with its style.
+/// Returns a picture as a standalone file, with its style.
 pub fn alone(svg: &str) -> String {
     match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
         Some((head, body)) => format!(
@@ -49,12 +49,12 @@ pub fn alone(svg: &str) -> String {
     }
 }
 
-/// The style of curves and surfaces, for a page that has pictures in it.
+/// Returns the style of curves and surfaces, for a page that has pictures in it.
 pub fn style() -> &'static str {
     STYLE
 }
 
-/// Text in which the special characters of HTML and SVG are escaped.
+/// Returns the text with the special characters of HTML and SVG escaped.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,11 +1,11 @@
 //! Numbers for display.
 
-/// A number with four digits: plain if it is neither small nor large, else times a power of ten.
+/// Returns a number with four digits: plain if it is neither small nor large, else times a power of ten.
 pub fn plain(value: f64) -> String {
     rounded(value, 4)
 }
 
-/// The same with this many digits; a dash for values that are not finite.
+/// Returns a number as [`plain`] does, with this many digits; a dash for values that are not finite.
 pub fn rounded(value: f64, digits: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();

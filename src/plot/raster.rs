@@ -1,6 +1,6 @@
-//! Raster: a picture as PNG, for slides and for programs that do not read SVG.
+//! Raster: converts a picture to PNG, for slides and for programs that do not read SVG.
 //!
-//! In: the `<svg>` of any picture of this room. Out: the bytes of a PNG, on white, drawn with a font included in the
+//! In: the `<svg>` of any picture of this module. Out: the bytes of a PNG, on white, drawn with a font included in the
 //! program (DejaVu Sans), so that it looks the same on a server without fonts.
 
 use super::STYLE;
@@ -32,7 +32,7 @@ pub enum RasterError {
     },
 }
 
-/// The picture as PNG with `scale` pixels for each of its units.
+/// Returns the picture as PNG with `scale` pixels for each of its units.
 ///
 /// # Errors
 /// [`RasterError`] if `svg` is no picture or too large.
@@ -52,7 +52,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterError> {
     pixels.encode_png().map_err(|error| RasterError::Png { reason: error.to_string() })
 }
 
-/// The picture with a style without variables and media queries: the light one.
+/// Returns the picture with a style without variables and media queries: the light one.
 fn plain(svg: &str) -> String {
     match svg.strip_prefix("<svg").and_then(|rest| rest.split_once('>')) {
         Some((head, body)) => {
@@ -62,7 +62,7 @@ fn plain(svg: &str) -> String {
     }
 }
 
-/// A style's rules for light screens, its variables written out.
+/// Returns a style's rules for light screens, its variables written out.
 fn light(style: &str) -> String {
     let rules = style.lines().filter(|line| !line.starts_with("@media"));
     let (variables, rules): (Vec<&str>, Vec<&str>) = rules.partition(|line| line.starts_with(":root{"));

@@ -4,7 +4,7 @@ use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
 use imu_diagnosis::Residuals;
 
-/// The picture; empty if there is nothing to draw.
+/// Returns the picture; empty if there is nothing to draw.
 pub fn residuals(of: &Residuals) -> String {
     let against = match (&*of.against, of.axis.as_deref()) {
         ("rate", Some(axis)) => format!("the rate about {axis}"),

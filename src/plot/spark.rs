@@ -8,8 +8,8 @@ const HEIGHT: f64 = 44.0;
 /// Points farther apart than this multiple of the usual distance are not joined: no data arrived in between.
 const APART: f64 = 2.5;
 
-/// Least and greatest value by age in s, oldest first, over the last `span_s`; pauses longer than `step_s` interrupt
-/// the line. `label` is for users of screen readers.
+/// Returns the spark. `points` are the least and the greatest value by age in s, oldest first, over the last `span_s`;
+/// pauses longer than `step_s` interrupt the line. `label` is for users of screen readers.
 pub fn spark(label: &str, points: &[(f64, f64, f64)], span_s: f64, step_s: f64) -> String {
     let ends = points
         .iter()

@@ -4,8 +4,8 @@ use super::axis::Axis;
 use super::drawing::{Drawing, Frame};
 use imu_diagnosis::ChannelSpectra;
 
-/// The pictures: densities and, if the model is known, their ratio to its own, which shows what is small beside drifts.
-/// Bands in Hz are marked behind the curves. Empty if nothing is above 0.
+/// Returns the pictures: densities and, if the model is known, their ratio to its own, which shows differences that are
+/// small beside drifts. Bands in Hz are marked behind the curves. Empty if nothing is above 0.
 pub fn spectra(of: &ChannelSpectra, bands: &[[f64; 2]]) -> String {
     let all = [("real", Some(&of.real)), ("before", of.before.as_ref()), ("after", of.after.as_ref())];
     let curves: Vec<(&str, Vec<f64>)> =

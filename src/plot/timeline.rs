@@ -5,13 +5,13 @@ use super::drawing::{Drawing, Frame};
 use super::number::plain;
 use imu_diagnosis::{ChannelTimeline, Stretches};
 
-/// The picture of a channel's level; empty if there is nothing to draw.
+/// Returns the picture of a channel's level; empty if there is nothing to draw.
 pub fn level(of: &ChannelTimeline) -> String {
     let y = format!("mean of {} s, {}", plain(of.stretch_s), of.unit);
     drawn(of, &format!("Level of {} over time", of.channel), &y, |of| &of.level)
 }
 
-/// The picture of its spread; empty if there is nothing to draw.
+/// Returns the picture of its spread; empty if there is nothing to draw.
 pub fn spread(of: &ChannelTimeline) -> String {
     let y = format!("deviation in {} s, {}", plain(of.stretch_s), of.unit);
     drawn(of, &format!("Spread of {} over time", of.channel), &y, |of| &of.spread)

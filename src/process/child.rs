@@ -88,12 +88,12 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
         Ok(child)
     }
 
-    /// Its standard input, once.
+    /// Returns the standard input, once.
     pub fn stdin(&mut self) -> Option<ChildStdin> {
         self.process.stdin.take()
     }
 
-    /// The next frame, waited for at most this long.
+    /// Returns the next frame, waited for at most this long.
     ///
     /// # Errors
     /// The error that the system reports, if the child cannot be waited for.

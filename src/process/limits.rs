@@ -7,7 +7,7 @@ use thread_priority::{RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedu
 const NICE_BEHIND: i32 = 10;
 /// Nice value of the reader's thread, if the system allows it (`LimitNICE=` of the unit) but no real-time priority.
 const NICE_AHEAD: i32 = -10;
-/// Of all processes of the machine a child is the first to be killed when memory runs out; the scale ends at 1000.
+/// The value that makes a child the first process to be killed when memory runs out; the scale ends at 1000.
 const OOM_SCORE: &str = "900";
 
 /// Lets this thread run when no other needs the processor: the reader never waits for work that can wait.

@@ -24,7 +24,7 @@ pub enum Distrust {
 }
 
 impl Distrust {
-    /// The name in the status.
+    /// Returns the name in the status.
     pub fn name(self) -> &'static str {
         match self {
             Self::Unset => "unset",
@@ -63,9 +63,9 @@ pub struct Moment {
 pub struct Verdict {
     /// The reason why it does not determine ages, if there is one.
     pub distrust: Option<Distrust>,
-    /// It has jumped since the last look, or is trusted again: the notice of announcements begins now.
+    /// Whether it has jumped since the last look, or is trusted again: the notice of announcements begins now.
     pub stepped: bool,
-    /// Only a second look shows whether the clock is being set: nothing is due at the first.
+    /// Whether this is the first look: only a second one shows whether the clock is being set, so nothing is due.
     pub is_first: bool,
 }
 
@@ -86,7 +86,7 @@ pub struct Judge {
 struct Look {
     /// Civil minus monotonic time, ns.
     offset_ns: i64,
-    /// The monotonic time since which that has not jumped.
+    /// The monotonic time since which the clock has not jumped.
     stands_since_mono_ns: u64,
     distrust: Option<Distrust>,
     /// The clock's time when it was last trusted.
@@ -96,7 +96,7 @@ struct Look {
 }
 
 impl Judge {
-    /// The verdict at `now`, from which the next one starts.
+    /// Returns the verdict at `now`, from which the next one starts.
     pub fn look(&mut self, now: Moment, captures: &[Candidate]) -> Verdict {
         // Saturating: a clock that is years wrong must not stop this.
         let offset_ns = now.utc_ns.saturating_sub(i64::try_from(now.mono_ns).unwrap_or(i64::MAX));
@@ -132,7 +132,7 @@ impl Judge {
     }
 }
 
-/// The reason why the clock's time is implausible; `stands`: it has run for [`STANDING`] without a step.
+/// Returns the reason why the clock's time is implausible; `stands`: it has run for [`STANDING`] without a step.
 fn implausible(now_utc_ns: i64, captures: &[Candidate], before: &Look, stands: bool) -> Option<Distrust> {
     let latest_utc_ns = now_utc_ns.saturating_add(SLACK_NS);
     let absence_ns = i64::try_from(ABSENCE.as_nanos()).unwrap_or(i64::MAX);
@@ -164,7 +164,7 @@ mod tests {
         Candidate { id, since_utc_ns, bytes: 10, open: false, pinned: false, announced: None }
     }
 
-    /// A clock by which time passes and which can be set, and the judge who looks at it.
+    /// A clock that can be set, and the judge of it.
     #[derive(Default)]
     struct World {
         judge: Judge,
@@ -220,7 +220,7 @@ mod tests {
         assert_eq!(at(NOW + 4000 * DAY, Some(NOW), true), None);
     }
 
-    /// A quiet month, or a capture that lasts one, is no reason to distrust a clock that ran on all the while.
+    /// A month without a capture, or a capture that lasts a month, is no reason to distrust a clock that did not step.
     #[test]
     fn a_clock_that_does_not_step_stays_believed_however_long_nothing_ends() {
         let running = Candidate { open: true, ..capture(2, NOW + HOUR) };
@@ -252,7 +252,7 @@ mod tests {
             assert_eq!(world.pass(HOUR).look(&[old.clone(), new]).distrust, None, "{open}");
             assert_eq!(world.pass(HOUR).look(std::slice::from_ref(&old)), Verdict::default());
         }
-        // Nothing confirms it; and a step begins the day again.
+        // Nothing confirms the clock, and a step begins the day again.
         let mut world = World::at(begin);
         assert_eq!(world.distrust(std::slice::from_ref(&old)), far);
         assert_eq!(world.pass(10 * DAY).distrust(std::slice::from_ref(&old)), far);
@@ -290,7 +290,7 @@ mod tests {
         assert_eq!(world.pass(HOUR).distrust(&both), None);
     }
 
-    /// The step that ends the distrust is a step: what was announced before the wrong date is announced again after it.
+    /// The end of the distrust counts as a step: deletions announced before the wrong date are announced again.
     #[test]
     fn what_was_announced_before_an_implausible_date_is_announced_anew_after_it() {
         let limits = Limits {
@@ -298,7 +298,7 @@ mod tests {
             keep_bytes: None,
             notice: Duration::from_secs(7 * 86_400),
         };
-        // Ten days slow.
+        // The clock is ten days slow.
         let mut world = World::at(NOW);
         let mut captures = [capture(1, NOW - 29 * DAY), capture(2, NOW - DAY)];
         assert!(world.look(&captures).is_first);
@@ -306,7 +306,7 @@ mod tests {
         let [first] = plan(&captures, world.utc_ns, &verdict, &limits)[..] else { panic!() };
         assert_eq!((first.id, first.announcement.delete_at_utc_ns), (1, NOW + HOUR + 7 * DAY));
         captures[0].announced = Some(first.announcement);
-        // A typo, for a minute.
+        // A wrong date, for a minute.
         let verdict = world.set(NOW + FAR).look(&captures);
         assert_eq!(plan(&captures, world.utc_ns, &verdict, &limits), []);
         // The right time is past the date that was announced.
@@ -320,13 +320,13 @@ mod tests {
         assert!(!plan(&captures, world.utc_ns, &verdict, &limits)[0].is_due);
     }
 
-    /// Which captures are too many does not depend on the clock: `keep-mib` applies with a wrong one too, and so does
-    /// its notice.
+    /// The captures beyond the size limit do not depend on the clock: `keep-mib` and its notice apply with a wrong
+    /// clock too.
     #[test]
     fn size_is_kept_by_a_clock_that_is_not_believed_and_the_first_made_go_first() {
         let limits =
             Limits { keep: Some(Duration::from_secs(86_400)), keep_bytes: Some(25), notice: Duration::from_secs(3600) };
-        // Woke in 1970 and has recorded since.
+        // The machine woke in 1970 and has recorded since.
         let mut world = World::at(2 * HOUR);
         let mut captures = [capture(1, NOW - 90 * DAY), capture(2, NOW - 80 * DAY), capture(3, HOUR)];
         let planned = |world: &mut World, captures: &[Candidate]| -> Vec<Planned> {

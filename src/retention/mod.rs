@@ -2,10 +2,10 @@
 //! plan out.
 //!
 //! Guarantees, for any captures, limits and clock (tests/properties below): a capture that runs, waits or is pinned is
-//! never in the plan. The oldest are deleted first. No more are deleted than the limits require. Nothing is due that
-//! has not been announced for the whole notice. A clock that is not trusted (it steps, it went back, the daemon was
-//! absent past the date) begins the notice again. A clock with an implausible date ([`Judge`]) determines no ages at
-//! all: a late deletion costs space, an early one costs a night.
+//! never in the plan. The oldest are deleted first. No more are deleted than the limits require. No deletion is due
+//! before its whole notice has passed. A clock that is not trusted (it steps, it went back, the daemon was absent past
+//! the date) begins the notice again. A clock with an implausible date ([`Judge`]) determines no ages at all: a late
+//! deletion costs space, an early one costs a night.
 
 mod judge;
 
@@ -26,7 +26,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Whether anything is ever deleted.
+    /// Returns whether no capture is ever deleted.
     pub fn is_unlimited(&self) -> bool {
         self.keep.is_none() && self.keep_bytes.is_none()
     }
@@ -68,7 +68,7 @@ pub enum Reason {
 }
 
 impl Reason {
-    /// The name in status and messages.
+    /// Returns the name in status and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Age => "age",
@@ -94,8 +94,8 @@ pub struct Planned {
     pub is_due: bool,
 }
 
-/// The captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) the notice of
-/// announcements begins now. With an untrusted clock none is deleted for its age, and those that were made first are
+/// Returns the captures to delete at `now_utc_ns`, oldest first. After a step of the clock (`verdict`) the notice of
+/// announcements begins now. With an untrusted clock none is deleted for its age, and the captures made first count as
 /// the oldest.
 pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: &Limits) -> Vec<Planned> {
     let tells_ages = verdict.distrust.is_none();
@@ -123,8 +123,8 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: 
         total -= capture.bytes.min(total);
         let standing = capture.announced.filter(|announcement| {
             !verdict.stepped
-                // Announced by this clock, and not longer past its time than its notice was: otherwise it may not have
-                // been seen.
+                // The deletion was announced by this clock, and is not longer overdue than its notice was: otherwise
+                // nobody may have seen it.
                 && announcement.said_utc_ns <= now_utc_ns
                 && announcement.delete_at_utc_ns >= announcement.said_utc_ns.saturating_add(notice_ns)
                 && now_utc_ns <= announcement.delete_at_utc_ns.saturating_add(notice_ns.max(LATE_NS))

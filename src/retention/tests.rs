@@ -15,7 +15,7 @@ fn limits(keep_days: Option<u64>, keep_bytes: Option<u64>) -> Limits {
     Limits { keep: keep_days.map(|days| Duration::from_secs(days * 86_400)), keep_bytes, notice: NOTICE }
 }
 
-/// The plan with a trusted clock.
+/// Returns the plan with a trusted clock.
 fn plan(captures: &[Candidate], now_utc_ns: i64, stepped: bool, limits: &Limits) -> Vec<Planned> {
     super::plan(captures, now_utc_ns, &Verdict { stepped, ..Verdict::default() }, limits)
 }
@@ -30,7 +30,7 @@ fn age_is_announced_a_notice_ahead_and_deleted_on_its_day() {
     captures[1].since_utc_ns = NOW - 30 * DAY + DAY / 2;
     let planned = plan(&captures, NOW, false, &limits(Some(30), None));
     assert_eq!(ids(&planned), [1, 2]);
-    // The first is over its age already and has a whole notice all the same; the second goes when it is 30 days old,
+    // The first exceeds its age already and has a whole notice anyway; the second is deleted when it is 30 days old,
     // but not before its notice is over.
     assert_eq!(planned[0].announcement.delete_at_utc_ns, NOW + DAY);
     assert_eq!(planned[1].announcement.delete_at_utc_ns, NOW + DAY);
@@ -47,7 +47,7 @@ fn size_takes_the_oldest_and_no_more_than_needed() {
     assert_eq!(ids(&plan(&captures, NOW, false, &limits(None, Some(40)))), [0_i64; 0]);
     assert_eq!(ids(&plan(&captures, NOW, false, &limits(None, Some(39)))), [1]);
     assert_eq!(ids(&plan(&captures, NOW, false, &limits(None, Some(15)))), [1, 3, 2]);
-    // What goes for its age counts for the size.
+    // Captures deleted for their age count for the size.
     assert_eq!(ids(&plan(&captures, NOW, false, &limits(Some(7), Some(30)))), [1]);
 }
 
@@ -62,7 +62,7 @@ fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
         assert!(planned.is_new && !planned.is_due, "{now} {stepped}");
         assert!(planned.announcement.delete_at_utc_ns >= now + DAY);
     }
-    // A machine that did not know the year when it recorded: nothing follows from its captures' age.
+    // The machine did not know the year when it recorded: its captures' ages have no meaning.
     let of_1970 = [Candidate { since_utc_ns: 5 * DAY, ..capture(1, 0, 10) }];
     assert_eq!(plan(&of_1970, NOW, false, &limits(Some(30), None)), []);
     assert_eq!(ids(&plan(&of_1970, NOW, false, &limits(Some(30), Some(5)))), [1]);
@@ -114,7 +114,7 @@ proptest! {
         for one in &planned {
             let capture = find(one.id);
             prop_assert!(!capture.open && !capture.pinned, "never a running or pinned one");
-            // Due is only what was announced a whole notice ago and whose own time has come.
+            // A capture is due only if it was announced a whole notice ago and its own time has come.
             if one.is_due {
                 let said = capture.announced.unwrap();
                 prop_assert!(!stepped && !one.is_new && said == one.announcement);
@@ -124,7 +124,8 @@ proptest! {
                 prop_assert!(one.announcement.delete_at_utc_ns >= NOW + notice_ns && one.announcement.said_utc_ns == NOW);
             }
         }
-        // The oldest first: whatever may be deleted and is older than a planned one is planned too.
+        // The oldest are deleted first: every capture that may be deleted and is older than a planned one is planned
+        // too.
         let eligible: Vec<i64> = {
             let mut all: Vec<&Candidate> = captures.iter().filter(|one| !one.open && !one.pinned).collect();
             all.sort_by_key(|one| (one.since_utc_ns, one.id));
@@ -136,7 +137,8 @@ proptest! {
             planned[first_waiting..].iter().all(|one| !one.is_due || one.reason == Reason::Age),
             "none goes for the size before an older one"
         );
-        // Enough goes for the size, or all that may; and without the last of those that go for it, it was too much.
+        // Enough captures are deleted for the size, or all that may be; without the last of them it would not be
+        // enough.
         let total: u64 = captures.iter().map(|one| one.bytes).sum();
         let goes: u64 = planned.iter().map(|one| one.bytes).sum();
         if let Some(keep_bytes) = keep_bytes {
@@ -145,7 +147,7 @@ proptest! {
         if let Some(last) = planned.last().filter(|last| last.reason == Reason::Size) {
             prop_assert!(total - (goes - last.bytes) > keep_bytes.unwrap());
         }
-        // For its age goes what reaches it within the notice, and nothing younger.
+        // Captures are deleted for their age if they reach it within the notice; no younger ones are.
         for id in &eligible {
             let capture = find(*id);
             let by_age = keep_days.is_some_and(|days| {
@@ -157,7 +159,7 @@ proptest! {
         if limits.is_unlimited() {
             prop_assert!(planned.is_empty());
         }
-        // The same once more, with the announcements recorded, yields nothing new.
+        // The same plan with the announcements recorded announces nothing new.
         for one in &planned {
             captures[one.id as usize - 1].announced = Some(one.announcement);
         }

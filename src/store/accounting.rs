@@ -1,5 +1,5 @@
-//! Accounting: a capture's numbers, read in one snapshot and passed to [`imu_core::sample::audit`], which defines what
-//! must hold.
+//! Accounting: reads a capture's numbers in one snapshot and passes them to [`imu_core::sample::audit`], which defines
+//! what must hold.
 
 use super::captures::known;
 use super::{Reader, StoreError};
@@ -30,7 +30,8 @@ impl Reader {
         self.accounting_by(capture_id, false)
     }
 
-    /// As [`Self::accounting`], but counts every row, per segment too. This takes some tenths of a second for a night.
+    /// Checks as [`Self::accounting`] does, but counts every row, also per segment. This takes some tenths of a second
+    /// for a night.
     ///
     /// # Errors
     /// As [`Self::accounting`].
@@ -38,7 +39,7 @@ impl Reader {
         self.accounting_by(capture_id, true)
     }
 
-    /// The sensor's clock against the host's, as last estimated in each epoch.
+    /// Returns the sensor's clock against the host's, as last estimated in each epoch.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -137,7 +138,7 @@ fn gap_of(row: &Row<'_>) -> Result<GapFacts, StoreError> {
     Ok(GapFacts { before_seq: row.get::<_, i64>(0)? as u64, missing: row.get::<_, i64>(1)? as u64 })
 }
 
-/// The ticks that the samples of a segment contain, as opposed to what the segment's row states.
+/// The ticks of the samples in a segment, as opposed to the statements in the segment's row.
 struct Ticks<'a> {
     capture_id: i64,
     at: CachedStatement<'a>,
@@ -184,12 +185,12 @@ mod tests {
     use crate::store::{CaptureState, NewCapture, Store, StoreOptions};
     use std::time::Instant;
 
-    /// The peak memory use of this process since the last call, in bytes.
+    /// Returns the peak memory use of this process since the last call, in bytes.
     fn peak_memory() -> u64 {
         let status = std::fs::read_to_string("/proc/self/status").unwrap();
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
         let kib: u64 = line.trim().trim_end_matches(" kB").parse().unwrap();
-        // proc(5): 5 sets the peak back to what is in use now.
+        // proc(5): 5 resets the peak to the present use.
         std::fs::write("/proc/self/clear_refs", "5").unwrap();
         kib << 10
     }
@@ -202,7 +203,7 @@ mod tests {
         let store = Store::open(&path, StoreOptions::default()).unwrap();
         let id = store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
         store.close().unwrap();
-        // Two samples a segment, three missing between two of them.
+        // Two samples per segment, three missing between two segments.
         rusqlite::Connection::open(&path)
             .unwrap()
             .execute_batch(

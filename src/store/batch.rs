@@ -1,9 +1,9 @@
 //! Batches: which samples were committed together, and a checksum of their values.
 //!
-//! CRC-32 (IEEE 802.3, as zlib's) over the rows in the order of `seq`, each as 164 bytes, little-endian: a 32-bit mask (bit
-//! i: channel i has a value; 14: device time; 15: sync count), then `seq`, `segment_id`, `device_time_ns`,
-//! `host_mono_ns`, `host_utc_ns`, `sync_count` as 64-bit integers, then the 14 channels as 64-bit floats; what is NULL
-//! counts as 0, and −0 as 0 (SQLite does not keep its sign).
+//! CRC-32 (IEEE 802.3, as zlib's) over the rows in the order of `seq`, each as 164 bytes, little-endian: a 32-bit mask
+//! (bit i: channel i has a value; 14: device time; 15: sync count), then `seq`, `segment_id`, `device_time_ns`,
+//! `host_mono_ns`, `host_utc_ns`, `sync_count` as 64-bit integers, then the 14 channels as 64-bit floats; NULL and −0
+//! count as 0 (SQLite does not keep its sign).
 
 use super::StoreError;
 use imu_core::sample::{Channel, Sample};
@@ -38,7 +38,7 @@ impl StoredRow {
         }
     }
 
-    /// The sample, if the row holds a valid one.
+    /// Returns the sample, if the row holds a valid one.
     pub(super) fn to_sample(self) -> Sample {
         let mut sample = Sample::at(self.host_mono_ns as u64, self.host_utc_ns);
         sample.device_time_ns = self.device_time_ns.map(|ns| ns as u64);
@@ -91,7 +91,7 @@ impl Run {
     pub(super) fn new(first_seq: i64) -> Self {
         Self { first_seq, count: 0, hasher: crc32fast::Hasher::new() }
     }
-    /// The `seq` that continues the run.
+    /// Returns the `seq` that continues the run.
     pub(super) fn next_seq(&self) -> i64 {
         self.first_seq + self.count
     }
@@ -126,7 +126,7 @@ pub(super) struct BatchRow {
 pub(super) const ROW_COLUMNS: &str = "seq, segment_id, device_time_ns, host_mono_ns, host_utc_ns, yaw, pitch, roll, \
     mag_x, mag_y, mag_z, accel_x, accel_y, accel_z, gyro_x, gyro_y, gyro_z, temperature, pressure, sync_count";
 
-/// The row that was read with [`ROW_COLUMNS`].
+/// Returns the row that was read with [`ROW_COLUMNS`].
 pub(super) fn stored_row(row: &rusqlite::Row<'_>) -> Result<StoredRow, rusqlite::Error> {
     let mut values = [None; Channel::COUNT];
     for (index, value) in values.iter_mut().enumerate() {
@@ -143,7 +143,7 @@ pub(super) fn stored_row(row: &rusqlite::Row<'_>) -> Result<StoredRow, rusqlite:
     })
 }
 
-/// The rows of a batch that are present, and their checksum.
+/// Returns the rows of a batch that are present, and their checksum.
 fn run_of(connection: &Connection, batch: &BatchRow) -> Result<Run, rusqlite::Error> {
     let sql = format!("SELECT {ROW_COLUMNS} FROM sample WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3 ORDER BY seq");
     let mut statement = connection.prepare_cached(&sql)?;
@@ -155,7 +155,7 @@ fn run_of(connection: &Connection, batch: &BatchRow) -> Result<Run, rusqlite::Er
     Ok(run)
 }
 
-/// Whether all rows of the batch are present with the values that were committed.
+/// Returns whether all rows of the batch are present with the values that were committed.
 pub(super) fn is_intact(connection: &Connection, batch: &BatchRow) -> Result<bool, rusqlite::Error> {
     let run = run_of(connection, batch)?;
     Ok(run.count == batch.count && run.crc() == batch.crc)
@@ -172,7 +172,7 @@ pub(super) fn renew(connection: &Connection, batches: &[BatchRow]) -> Result<(),
     Ok(())
 }
 
-/// A row of `SELECT capture_id, first_seq, count, crc`.
+/// Returns a row of `SELECT capture_id, first_seq, count, crc`.
 pub(super) fn batch_row(row: &rusqlite::Row<'_>) -> Result<BatchRow, rusqlite::Error> {
     Ok(BatchRow {
         capture_id: row.get(0)?,
@@ -186,7 +186,7 @@ pub(super) fn batch_row(row: &rusqlite::Row<'_>) -> Result<BatchRow, rusqlite::E
 mod tests {
     use super::*;
 
-    /// The layout is a promise to programs that check a database by other means (docs/data-model.md).
+    /// Programs that check a database by other means rely on this layout (docs/data-model.md).
     #[test]
     fn a_row_has_the_bytes_that_the_documentation_says() {
         let mut row = StoredRow { seq: 1, segment_id: 2, host_mono_ns: 3, host_utc_ns: 4, ..StoredRow::default() };
@@ -202,7 +202,7 @@ mod tests {
         let mut run = Run::new(1);
         run.push(&row);
         assert_eq!((run.next_seq(), run.crc()), (2, crc32fast::hash(&bytes)));
-        // The standard's check value, so that the polynomial is the one that is named.
+        // The check value of the standard: the polynomial is the documented one.
         assert_eq!(crc32fast::hash(b"123456789"), 0xCBF4_3926);
     }
 }

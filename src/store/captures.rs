@@ -15,60 +15,60 @@ pub const NAME_MAX: usize = 100;
 /// Rows deleted in one transaction: a few tens of ms, so that the writer is free in between.
 const DELETE_ROWS: i64 = 4000;
 
-/// What a capture is doing or how it ended (docs/formats.md).
+/// The state of a capture (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum CaptureState {
-    /// It begins at a set time.
+    /// The capture begins at a set time.
     #[default]
     Waiting,
-    /// It is running (or will go on when the daemon starts).
+    /// The capture is running, or continues when the daemon starts.
     Capturing,
-    /// It has all that its duration asked for.
+    /// The capture has its planned duration.
     Complete,
-    /// Somebody stopped it.
+    /// A user stopped the capture.
     Stopped,
-    /// It came from a file.
+    /// The samples were imported from a file.
     Imported,
-    /// It came from a simulator.
+    /// The samples are from a simulator.
     Simulated,
 }
 
 impl CaptureState {
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
-    /// Whether samples may still arrive.
+    /// Returns whether samples may still arrive.
     pub fn is_open(self) -> bool {
         matches!(self, Self::Waiting | Self::Capturing)
     }
 }
 
-/// One of a capture's channels.
+/// A channel of a capture.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct ChannelRow {
-    /// Which.
+    /// The channel.
     #[serde(skip)]
     pub channel: Option<Channel>,
     /// Unit of the stored values.
     pub unit: String,
-    /// Smallest step that was sent, in `unit`, where it is known (the decimals of ASCII messages).
+    /// Smallest step that was sent, in `unit`, if known (the decimals of ASCII messages).
     pub resolution: Option<f64>,
-    /// Unit of an imported recording, where it was another.
+    /// Unit of an imported recording, if it was another.
     pub original_unit: Option<String>,
     /// stored = original × factor.
     pub factor: Option<f64>,
 }
 
 impl ChannelRow {
-    /// A channel that was converted at import: stored = original × `factor`.
+    /// Returns a channel that was converted at import: stored = original × `factor`.
     pub fn converted(channel: Channel, original_unit: &str, factor: f64) -> Self {
         Self { original_unit: Some(original_unit.to_owned()), factor: Some(factor), ..Self::plain(channel) }
     }
-    /// A channel stored as it was sent, of unknown resolution.
+    /// Returns a channel stored as it was sent, of unknown resolution.
     pub fn plain(channel: Channel) -> Self {
         Self {
             channel: Some(channel),
@@ -80,14 +80,14 @@ impl ChannelRow {
     }
 }
 
-/// A capture that is to be made.
+/// A capture to be created.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NewCapture {
     /// Its name.
     pub name: Option<String>,
-    /// Used if there is no name: this one if it is valid and no capture has it, else a name made from the time.
+    /// Used if there is no name: this name if it is valid and free, else a name made from the time.
     pub liked_name: Option<String>,
-    /// The source of its samples: a port, a file, `simulator`.
+    /// The source of its samples: a port, a file or `simulator`.
     pub source: String,
     /// Its initial state.
     pub state: CaptureState,
@@ -101,16 +101,16 @@ pub struct NewCapture {
     pub rate_assumed: bool,
     /// A description of the sensor, if one is known already.
     pub sensor: Option<SensorDescription>,
-    /// How it was configured.
+    /// The sensor's configuration.
     pub configuration: Option<CaptureConfiguration>,
-    /// Channels of which more is known than their unit.
+    /// Channels of which more than the unit is known.
     pub channels: Vec<ChannelRow>,
     /// Identifies the request: a repeated request returns the capture that the first one made ([`Store::withdraw`]).
     pub token: Option<String>,
 }
 
 impl NewCapture {
-    /// A capture from `source` in `state`, with nothing else set.
+    /// Creates a capture from `source` in `state`, with nothing else set.
     pub fn new(source: &str, state: CaptureState) -> Self {
         Self { source: source.to_owned(), state, ..Self::default() }
     }
@@ -119,75 +119,75 @@ impl NewCapture {
 /// A capture as the interfaces show it (docs/formats.md).
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct CaptureRow {
-    /// Its id; never used twice.
+    /// Its id, which is never used again.
     pub id: i64,
     /// Its name; unique.
     pub name: String,
-    /// Where its samples come from: a port, a file, `simulator`.
+    /// The source of its samples: a port, a file or `simulator`.
     pub source: String,
-    /// What it is doing or how it ended.
+    /// Its state.
     pub state: CaptureState,
-    /// When it was made.
+    /// The time of its creation.
     pub created_at: UtcNs,
-    /// When a waiting capture begins.
+    /// The planned start of a waiting capture.
     pub start_at: Option<UtcNs>,
-    /// When it began; null before.
+    /// The time of its start; null before.
     pub started_at: Option<UtcNs>,
-    /// When it ended; null before.
+    /// The time of its end; null before.
     pub ended_at: Option<UtcNs>,
-    /// How much sample time it shall hold, s.
+    /// The planned sample time, s.
     pub planned_duration_s: Option<f64>,
-    /// How much sample time it holds, received and missing, s.
+    /// Sample time so far, received and missing, s.
     pub duration_s: f64,
-    /// Output rate of its first segment in Hz; null before that.
+    /// Output rate of its first segment in Hz; null before the first segment.
     pub rate_hz: Option<f64>,
-    /// Whether the rate was assumed, not told by the source.
+    /// Whether the rate was assumed because the source does not state it.
     pub rate_assumed: bool,
-    /// Samples received.
+    /// Number of samples received.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of samples missing.
     pub missing: u64,
-    /// How many gaps.
+    /// Number of gaps.
     pub gaps: u64,
-    /// How many segments.
+    /// Number of segments.
     pub segments: u64,
-    /// What arrived and did not become a sample, by cause.
+    /// Received data that did not become samples, by cause.
     pub rejected: BTreeMap<String, u64>,
     /// Whether it is kept from deletion.
     pub pinned: bool,
-    /// Not before this it is deleted to keep within `[storage]`'s limits; null where it stays.
+    /// The earliest time at which it is deleted to stay within the limits of `[storage]`; null if it is kept.
     pub delete_at: Option<UtcNs>,
     /// Its channels, in column order.
     pub channels: Vec<Channel>,
     /// Unit, resolution and conversion of each channel.
     pub units: BTreeMap<String, ChannelRow>,
-    /// The sensor; an empty object where nothing is known.
+    /// The sensor; an empty object if nothing is known.
     #[schema(value_type = Object)]
     pub sensor: SensorDescription,
-    /// How it was configured; an empty object where nothing is known.
+    /// The sensor's configuration; an empty object if nothing is known.
     #[schema(value_type = Object)]
     pub configuration: CaptureConfiguration,
-    /// What made it.
+    /// The software that made it.
     pub software: String,
 }
 
 impl CaptureRow {
-    /// Whether anything was rejected during the capture. What arrived before its start or after its end is no loss of
-    /// its samples.
+    /// Returns whether anything was rejected during the capture. Data from before its start or after its end is no loss
+    /// of its samples.
     pub fn has_rejected(&self) -> bool {
         let apart = [DiscardCause::Probing, DiscardCause::AfterEnd].map(DiscardCause::name);
         self.rejected.iter().any(|(cause, count)| *count > 0 && !apart.contains(&cause.as_str()))
     }
 }
 
-/// Which captures a list holds.
+/// Selects the captures of a list.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CaptureFilter {
     /// Only those in this state.
     pub state: Option<CaptureState>,
 }
 
-/// A capture to be continued: what the accounting needs to resume where it stopped.
+/// A capture to be continued, with the data that the accounting needs to resume.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unfinished {
     /// Its id.
@@ -202,11 +202,11 @@ pub struct Unfinished {
     pub start_at_utc_ns: Option<i64>,
     /// The actual start, UTC ns.
     pub started_utc_ns: Option<i64>,
-    /// The sensor it belongs to, if it was read.
+    /// The sensor, as far as its description was read.
     pub sensor: SensorDescription,
-    /// How it was configured at first.
+    /// The sensor's configuration at the start.
     pub configuration: CaptureConfiguration,
-    /// The baud rate at which it was configured last.
+    /// The last configured baud rate.
     pub baud: Option<u32>,
     /// Samples on disk; the next one's `seq`.
     pub samples: u64,
@@ -216,9 +216,9 @@ pub struct Unfinished {
     pub gaps: u64,
     /// Valid measurements received, as of the last commit; `None` if they were not counted.
     pub received: Option<u64>,
-    /// What arrived and did not become a sample, by cause.
+    /// Received data that did not become samples, by cause.
     pub rejected: BTreeMap<String, u64>,
-    /// Sample time held so far, received and missing, ns.
+    /// Sample time so far, received and missing, ns.
     pub sample_time_ns: u64,
     /// Rate and timebase of the last segment.
     pub stream: Option<(f64, Timebase)>,
@@ -226,7 +226,7 @@ pub struct Unfinished {
     pub segment: u32,
     /// Epoch of the last segment; 0 if there is none.
     pub epoch: u32,
-    /// The boot of the host that the last sample's monotonic time belongs to, if that is known.
+    /// The boot of the host to which the last sample's monotonic time belongs, if known.
     pub boot_id: Option<String>,
     /// Device time of that epoch's first sample.
     pub epoch_first_device_ns: Option<u64>,
@@ -370,7 +370,7 @@ impl Store {
         })
     }
 
-    /// Captures that ran or waited when the program last ended, oldest first.
+    /// Returns the captures that ran or waited when the program last ended, oldest first.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -382,8 +382,7 @@ impl Store {
     }
 }
 
-/// Settles what the last run of the program left: unfinished imports are removed step by step, and jobs that ran
-/// continue.
+/// Settles unfinished work of the last run: unfinished imports are removed step by step, and interrupted jobs continue.
 pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreError> {
     connection.execute("UPDATE capture SET lifecycle = 'deleted' WHERE lifecycle = 'importing'", [])?;
     connection.execute("UPDATE job SET state = 'queued' WHERE state = 'running'", [])?;
@@ -400,7 +399,7 @@ fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
     if rows == 0 { Err(no_such(id)) } else { Ok(()) }
 }
 
-/// Whether a capture can have this name.
+/// Checks whether a capture may have this name.
 ///
 /// # Errors
 /// [`StoreError::NameRefused`] with the reason.
@@ -503,7 +502,7 @@ pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, 
     Ok(name)
 }
 
-/// A gap whose next sample was not committed is measured again from the last sample that was.
+/// Removes gaps whose next sample was not committed: they are measured again from the last committed sample.
 fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
     let open = "capture_id = capture.id AND before_seq >= capture.samples";
     connection.execute(
@@ -659,7 +658,7 @@ pub(super) fn known<T: FromStr>(column: &'static str, found: String) -> Result<T
 }
 
 impl Reader {
-    /// The id of `latest` (the capture made last), of an id, or of a name.
+    /// Returns the id of `latest` (the capture made last), of an id, or of a name.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
@@ -676,7 +675,7 @@ impl Reader {
         found.flatten().ok_or_else(|| StoreError::NoSuchCapture { asked: asked.chars().take(NAME_MAX).collect() })
     }
 
-    /// Whether rows of deleted captures or of their references remain to be removed ([`Store::purge_step`]).
+    /// Returns whether rows of deleted captures or of their references remain to be removed ([`Store::purge_step`]).
     ///
     /// # Errors
     /// The error that the database reports.
@@ -686,7 +685,7 @@ impl Reader {
         Ok(captures || self.has_orphans()?)
     }
 
-    /// One capture.
+    /// Returns a capture.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
@@ -700,7 +699,7 @@ impl Reader {
         }
     }
 
-    /// Captures, the latest first.
+    /// Returns captures, the latest first.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.

@@ -1,8 +1,5 @@
-//! Check: whether the structure and the content of a database are intact; partially at every start, in full for `vn100d
+//! Checks whether the structure and the content of a database are intact: partially at every start, in full for `vn100d
 //! check`.
-//!
-//! SQLite's own check covers the structure. The checksums of table `batch` cover the values, and counters that must
-//! agree with the rows they count cover the rest.
 
 use super::batch::{BatchRow, batch_row, is_intact};
 use super::lock::Mark;
@@ -14,19 +11,19 @@ use std::time::{Duration, Instant};
 
 /// The time limit of the check at a start. Of a larger database the newest batches are checked first, as many as fit.
 const AT_START: Duration = Duration::from_secs(2);
-/// Findings of one kind that are listed.
+/// The maximum number of listed findings of one kind.
 const LISTED: usize = 100;
 /// Batches read per query.
 const PAGE: i64 = 1000;
 
-/// A violation of what must hold.
+/// A violation of a rule that must hold.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// Which check: `integrity` `foreign_keys` `checksum` `samples` `segments` `gaps` `accounting` `unreadable` `log`.
+    /// The check: `integrity` `foreign_keys` `checksum` `samples` `segments` `gaps` `accounting` `unreadable` `log`.
     pub check: &'static str,
     /// The capture concerned.
     pub capture: Option<i64>,
-    /// One sentence.
+    /// The finding in one sentence.
     pub message: String,
 }
 
@@ -47,7 +44,7 @@ pub struct CheckedCapture {
     pub without_checksum: u64,
 }
 
-/// What a check found.
+/// The result of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CheckReport {
     /// The database.
@@ -93,7 +90,7 @@ pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
 }
 
 impl CheckReport {
-    /// Whether there are no findings.
+    /// Returns whether there are no findings.
     pub fn is_clean(&self) -> bool {
         self.findings.is_empty()
     }
@@ -168,7 +165,7 @@ struct SegmentCount {
 }
 
 fn check_capture(connection: &Connection, id: i64, found: Found<'_>) -> Result<Option<CheckedCapture>, StoreError> {
-    // One short transaction: the counters and what they count belong to the same instant, also while a daemon writes.
+    // One short transaction: the counters and the counted rows belong to the same instant, also while a daemon writes.
     let snapshot = connection.unchecked_transaction()?;
     let row = snapshot
         .query_row(
@@ -257,7 +254,7 @@ fn check_segments(connection: &Connection, id: i64, samples: i64, segments: &[Se
     }
 }
 
-/// Every batch's checksum; samples between batches are counted.
+/// Checks every batch's checksum, and counts the samples between batches.
 fn check_batches(connection: &Connection, capture: &mut CheckedCapture, found: Found<'_>) -> Result<(), StoreError> {
     let samples = capture.samples as i64;
     let mut next = 0;
@@ -304,7 +301,7 @@ fn batches_of(
     connection.prepare_cached(sql)?.query_map(values, batch_row)?.collect()
 }
 
-/// The check before a database is opened for writing, through a connection that cannot write.
+/// Checks a database before it is opened for writing, through a connection that cannot write.
 pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>) -> Result<(), StoreError> {
     let refused = |report: String| StoreError::RefusedDamaged { path: path.to_owned(), report };
     let damaged = |error: StoreError| match error {
@@ -324,7 +321,8 @@ pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>
     newest_batches(connection, until).map_err(damaged)
 }
 
-/// A file that is shorter than its header states. A log that is not empty may hold the missing part.
+/// Describes the problem if the file is shorter than its header states. A log that is not empty may hold the missing
+/// part.
 fn truncated(connection: &Connection, path: &Path) -> Option<String> {
     let log = std::fs::metadata(schema::wal_path(path)).map_or(0, |log| log.len());
     let number = |name: &str| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0)).ok();
@@ -333,7 +331,8 @@ fn truncated(connection: &Connection, path: &Path) -> Option<String> {
     (log == 0 && there < wanted).then(|| format!("the file has {there} bytes of {wanted}"))
 }
 
-/// Damage that was found while this database was in use may lie outside the part that the check of a start covers.
+/// Fails if damage was found while this database was in use: it may lie outside the part that the check of a start
+/// covers.
 fn met_before(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
     let Some(report) = &mark.damage else { return Ok(()) };
     // If the identity cannot be read, the checks that follow report it.
@@ -343,7 +342,7 @@ fn met_before(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), S
     Err(StoreError::MetDamage { path: path.to_owned(), report: report.clone(), lock: super::lock::lock_path(path) })
 }
 
-/// A database that has fewer batches than were acknowledged has lost its log.
+/// Fails if the database has fewer batches than were acknowledged: it has lost its log.
 pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), StoreError> {
     let sql = "SELECT identity, batch FROM writer";
     let found = connection.query_row(sql, [], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)));

@@ -11,7 +11,7 @@ use std::path::Path;
 /// The reason why nothing is written any more.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Damage {
-    /// SQLite, or the check after an error, reported damage in the file in use.
+    /// SQLite, or the check after an error, reported damage in the open file.
     Met(String),
     /// A file that replaced a lost one is damaged.
     Refused(String),
@@ -20,7 +20,7 @@ pub(super) enum Damage {
 }
 
 impl Damage {
-    /// `None` if the error does not indicate damage.
+    /// Returns the damage that the error indicates; `None` if it indicates none.
     pub(super) fn of(error: &StoreError) -> Option<Self> {
         match error {
             StoreError::RefusedDamaged { report, .. } => Some(Self::Refused(report.clone())),
@@ -31,7 +31,7 @@ impl Damage {
         }
     }
 
-    /// The error that every call returns from now on.
+    /// Returns the error that every call returns from now on.
     pub(super) fn error(&self, path: &Path) -> StoreError {
         let path = path.to_owned();
         match self {

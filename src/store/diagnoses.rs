@@ -16,7 +16,7 @@ pub struct DiagnosisRow {
 }
 
 impl DiagnosisRow {
-    /// One sentence: the summary, or the state of the job.
+    /// Returns one sentence: the summary, or the state of the job.
     pub fn told(&self) -> String {
         let state = || format!("diagnosis {}: {}", self.job.id, self.job.state.name());
         self.summary.clone().unwrap_or_else(state)
@@ -24,7 +24,7 @@ impl DiagnosisRow {
 }
 
 impl Reader {
-    /// The id of the diagnosis that was requested last.
+    /// Returns the id of the diagnosis that was requested last.
     ///
     /// # Errors
     /// [`StoreError::NoSuchDiagnosis`] if there is none, or the error that the database reports.
@@ -35,7 +35,7 @@ impl Reader {
         found.ok_or_else(|| StoreError::NoSuchDiagnosis { asked: "latest".to_owned() })
     }
 
-    /// Diagnoses, the latest first; only those of one capture if requested.
+    /// Returns diagnoses, the latest first; only those of one capture if requested.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.

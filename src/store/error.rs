@@ -56,7 +56,7 @@ pub enum StoreError {
     NetworkFileSystem {
         /// The database.
         path: PathBuf,
-        /// What kind of file system.
+        /// The kind of file system.
         kind: &'static str,
     },
     /// The file is something else.
@@ -108,7 +108,7 @@ pub enum StoreError {
     /// The database is damaged.
     #[error("the database is damaged ({report}): salvage what is intact with `vn100d recover`")]
     Damaged {
-        /// What was found.
+        /// The damage.
         report: String,
     },
     /// The database is damaged and is not opened for writing.
@@ -119,10 +119,10 @@ pub enum StoreError {
     RefusedDamaged {
         /// The database.
         path: PathBuf,
-        /// What was found.
+        /// The damage.
         report: String,
     },
-    /// Damage was met while the database was in use, now or in an earlier run.
+    /// Damage was found while the database was in use, now or in an earlier run.
     #[error(
         "{path} is damaged ({report}, met while it was in use): nothing more is written to it; `vn100d check {path}` \
          says what is wrong, `vn100d recover {path} --out FILE` salvages what is intact: put that file in its place (if \
@@ -131,7 +131,7 @@ pub enum StoreError {
     MetDamage {
         /// The database.
         path: PathBuf,
-        /// What was met.
+        /// The damage.
         report: String,
         /// The file that records the damage.
         lock: PathBuf,
@@ -293,14 +293,14 @@ pub enum StoreErrorKind {
     Internal,
 }
 
-/// EIO or ENOSPC, the errors that may pass by themselves.
+/// Returns whether this is EIO or ENOSPC, the errors that may pass by themselves.
 fn failed_disk(error: &std::io::Error) -> bool {
     use rustix::io::Errno;
     Errno::from_io_error(error).is_some_and(|errno| errno == Errno::IO || errno == Errno::NOSPC)
 }
 
 impl StoreError {
-    /// The kind of this error.
+    /// Returns the kind of this error.
     pub fn kind(&self) -> StoreErrorKind {
         match self {
             // A failing disk is not a problem of names and permissions.
@@ -341,7 +341,7 @@ impl StoreError {
         }
     }
 
-    /// The state that the store is in after this error.
+    /// Returns the state that the store is in after this error.
     pub fn storage_state(&self) -> StorageState {
         match self {
             Self::Sqlite(error) => match error.sqlite_error_code() {
@@ -355,7 +355,7 @@ impl StoreError {
         }
     }
 
-    /// Whether the file differs from what was committed to it. A disk that recovers does not repair that.
+    /// Returns whether the file differs from its committed content. A disk that recovers does not repair that.
     pub fn is_damage(&self) -> bool {
         match self {
             Self::Sqlite(error) => {
@@ -368,7 +368,7 @@ impl StoreError {
         }
     }
 
-    /// SQLite's extended code, if the error came from SQLite. The code and the message can be passed to another
+    /// Returns SQLite's extended code, if the error came from SQLite. The code and the message can be passed to another
     /// process.
     pub(crate) fn sqlite_code(&self) -> Option<i32> {
         match self {
@@ -382,12 +382,12 @@ impl StoreError {
         Self::Sqlite(rusqlite::Error::SqliteFailure(rusqlite::ffi::Error::new(code), Some(message)))
     }
 
-    /// Whether the connection can still be used: the transaction was rolled back and its outcome is certain.
+    /// Returns whether the connection can still be used: the transaction was rolled back and its outcome is certain.
     pub(super) fn connection_is_sound(&self) -> bool {
         matches!(self.storage_state(), StorageState::StorageFull | StorageState::StorageLocked)
     }
 
-    /// Whether a long query was interrupted by its own caller.
+    /// Returns whether a long query was interrupted by its own caller.
     pub fn is_interrupted(&self) -> bool {
         matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted))
     }

@@ -26,7 +26,8 @@ pub(super) fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
     WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Must be called between opening a connection, which opens the file, and its first read, which opens the log.
+/// Fails if the path names another file than the written one. Must be called between opening a connection, which opens
+/// the file, and its first read, which opens the log.
 pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
     match written().get(path) {
         Some(id) if id_of(path) != Some(*id) => Err(StoreError::Lost {
@@ -37,7 +38,7 @@ pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// The file that this process writes under a path, as text to be passed to another process of this program.
+/// Returns the file that this process writes under a path, as text to be passed to another process of this program.
 pub(super) fn written_file(path: &Path) -> String {
     written().get(path).map(|(device, number)| format!("{device}:{number}")).unwrap_or_default()
 }
@@ -70,16 +71,16 @@ pub(super) struct FileId {
     pub(super) database: Option<Id>,
     /// Log and shared memory of the open file: they stay the same while a connection has them open.
     beside: Vec<(PathBuf, Id)>,
-    /// What the file left when it was closed, to be removed before another one is opened.
+    /// Files that remained when the database was closed, to be removed before another one is opened.
     remains: Vec<(PathBuf, Id)>,
     /// The log that remained when the connection was closed after an error.
     log: Option<[u8; LOG_HEADER]>,
     /// The last batch in the file itself at that moment. A file with fewer batches is an older copy, which that log
     /// would destroy.
     pub(super) copied: i64,
-    /// The path named another file, or none, while this one was still open.
+    /// Whether the path named another file, or none, while this one was still open.
     pub(super) let_go: bool,
-    /// The replacement when it was last examined, and how often it was refused since it last changed.
+    /// The replacement at its last examination, and how often it was refused since it last changed.
     newcomer: Option<Stamp>,
     refusals: u32,
 }
@@ -91,20 +92,20 @@ fn stamp(path: &Path) -> Option<Stamp> {
     std::fs::metadata(path).ok().map(|file| (file.len(), file.mtime(), file.mtime_nsec()))
 }
 
-/// A replacement that seems damaged is refused for good at this attempt. Attempts are about a second apart, and the
-/// queue holds half a minute.
+/// The attempt at which a replacement that seems damaged is refused for good. Attempts are about a second apart, and
+/// the queue holds half a minute.
 pub(super) const REFUSALS: u32 = 30;
 
-/// What a file contains, without its log.
+/// The content of a file, without its log.
 #[derive(Debug, PartialEq, Eq)]
 enum Says {
-    /// It is the database of this identity, with this many batches.
+    /// The database of this identity, with this many batches.
     Identity(String, i64),
-    /// It is one of ours; its identity is in its log.
+    /// A database of this program; its identity is in its log.
     Ours,
-    /// It is damaged or cannot be read now.
+    /// The file is damaged or cannot be read now.
     Nothing,
-    /// It is something else.
+    /// Another kind of file.
     Foreign,
 }
 
@@ -140,7 +141,8 @@ impl FileId {
         }
     }
 
-    /// The file that this process writes from now on. A connection has read it, so that log and shared memory exist.
+    /// Returns the file that this process writes from now on. A connection has read it, so that log and shared memory
+    /// exist.
     pub(super) fn written(path: &Path) -> Self {
         let beside = [schema::wal_path(path), schema::shm_path(path)];
         let beside = beside.into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
@@ -152,12 +154,12 @@ impl FileId {
         file
     }
 
-    /// Nothing is written any more.
+    /// Records that nothing is written any more.
     pub(super) fn forget(path: &Path) {
         written().remove(path);
     }
 
-    /// Whether the path names another file, or none.
+    /// Returns whether the path names another file, or none.
     pub(super) fn is_lost(&self, path: &Path) -> bool {
         match std::fs::metadata(path) {
             Ok(file) => Some((file.dev(), file.ino())) != self.database,
@@ -165,7 +167,7 @@ impl FileId {
         }
     }
 
-    /// As [`Self::is_lost`], for the time when no connection holds the file.
+    /// Returns whether the path names another file, or none, while no connection holds the file.
     pub(super) fn is_replaced(&self, path: &Path, identity: &str) -> bool {
         let file = match std::fs::metadata(path) {
             Ok(file) => file,
@@ -221,7 +223,7 @@ impl FileId {
         (self.database, self.let_go) = (None, true);
     }
 
-    /// Closes the connection after an error, and records what it leaves beside the file.
+    /// Closes the connection after an error, and records the remaining files.
     pub(super) fn close(&mut self, path: &Path, connection: Connection) {
         // Before the connection is closed: a copy of the log that fails midway may have reached no more than the
         // system's memory.
@@ -236,7 +238,7 @@ impl FileId {
     }
 
     /// Closes the connection to the lost file, which is then complete for a user who has it under another name. Removes
-    /// the log and the shared memory that belonged to it, but not those that the replacement may have brought along.
+    /// the log and the shared memory that belonged to it, but not those that may have come with the replacement.
     pub(super) fn let_go(&mut self, path: &Path, connection: Connection) {
         self.remains = std::mem::take(&mut self.beside);
         let copied = connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()));
@@ -253,7 +255,7 @@ impl FileId {
     }
 
     /// Removes log and shared memory of the lost file: with another file they would destroy it. A log that may hold
-    /// what the lost file lacks is kept under another name.
+    /// data missing in the lost file is kept under another name.
     pub(super) fn clear_remains(&mut self, path: &Path) -> Result<(), StoreError> {
         if let Some(header) = self.log
             && log_header(path) == Some(header)
@@ -282,7 +284,7 @@ impl FileId {
     }
 }
 
-/// An unused name beside the database.
+/// Returns an unused name beside the database.
 pub(super) fn kept_log(path: &Path) -> PathBuf {
     let numbered = |number: u32| {
         let mut name = path.as_os_str().to_owned();

@@ -40,7 +40,7 @@ pub enum ImportEnd {
 }
 
 impl ImportEnd {
-    /// The capture that holds the recording.
+    /// Returns the capture that holds the recording.
     pub fn id(self) -> i64 {
         match self {
             Self::Created(id) | Self::Known(id) => id,
@@ -49,7 +49,7 @@ impl ImportEnd {
 }
 
 impl Store {
-    /// The capture that was imported from the recording with this fingerprint, if there is one.
+    /// Returns the capture that was imported from the recording with this fingerprint, if there is one.
     ///
     /// # Errors
     /// The error that the database reports.

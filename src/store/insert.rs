@@ -22,9 +22,9 @@ use std::sync::LazyLock;
 /// The outcome of a batch.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Inserted {
-    /// Samples that each capture has now.
+    /// Number of samples of each capture now.
     pub(super) committed: BTreeMap<i64, u64>,
-    /// Samples that were added.
+    /// Number of samples added.
     pub(super) samples: u64,
     /// Records that the schema refused.
     pub(super) refused: u64,
@@ -65,7 +65,7 @@ struct SegmentEnd {
 const INTO_SAMPLE: &str = "INSERT INTO sample (capture_id, segment_id, seq, device_time_ns, host_mono_ns, host_utc_ns, \
     yaw, pitch, roll, mag_x, mag_y, mag_z, accel_x, accel_y, accel_z, gyro_x, gyro_y, gyro_z, temperature, pressure, \
     sync_count) VALUES";
-/// Its columns.
+/// The columns of table `sample`.
 const SAMPLE_COLUMNS: usize = 7 + Channel::COUNT;
 /// Samples per statement. This saves a quarter of the time, and larger blocks save no more (docs/performance.md).
 const BLOCK: usize = 32;
@@ -93,8 +93,8 @@ pub(super) fn insert(
     let mut inserted = Inserted::default();
     let mut sample_statement = connection.prepare_cached(&INSERT_SAMPLE)?;
     let mut block_statement = connection.prepare_cached(&INSERT_BLOCK)?;
-    // `ahead`: how many of the next samples are written already, with the one that began their block. `singly`: how
-    // many to try one by one, after a block of which one existed.
+    // `ahead`: how many of the next samples are written already, including the one that began their block. `singly`:
+    // how many to try one by one, after a block of which one existed.
     let (mut ahead, mut singly) = (0, 0);
     for (place, (capture_id, record)) in records.iter().enumerate() {
         let added = match captures.entry(*capture_id) {
@@ -184,7 +184,7 @@ pub(super) fn insert(
     Ok(inserted)
 }
 
-/// The capture's state so far; `None` if there is no such capture.
+/// Returns the capture's state so far; `None` if there is no such capture.
 fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, StoreError> {
     let mut statement = connection.prepare_cached(
         "SELECT samples, received, (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1) \
@@ -199,7 +199,7 @@ fn begin(connection: &Connection, capture_id: i64) -> Result<Option<Added>, Stor
     Ok(Some(Added { next_seq, received, rate_hz, unset_before_utc_ns, ..Added::default() }))
 }
 
-/// The next [`BLOCK`] records, if they are samples of one capture.
+/// Returns the next [`BLOCK`] records, if they are samples of one capture.
 fn block_of(records: &[(i64, Record)]) -> Option<&[(i64, Record); BLOCK]> {
     let block: &[_; BLOCK] = records.first_chunk()?;
     let is_one =
@@ -263,7 +263,7 @@ fn count_sample(segment: u32, seq: u64, sample: &Sample, added: &mut Added) {
     if sample.frame == 0 {
         added.received = None;
     }
-    // The reader's own count: a measurement that was lost on the way here shows as a difference.
+    // The reader's own count: a measurement lost on the way here appears as a difference.
     added.received = added.received.map(|_| sample.frame);
     if let Some(rate_hz) = added.rate_hz {
         added.sample_time_ns += NANOS_PER_SECOND as f64 / rate_hz;
@@ -329,7 +329,7 @@ fn insert_segment(
         "INSERT INTO channel (capture_id, channel, unit, resolution) VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
     )?;
     for channel in segment.channels.iter() {
-        // Only ASCII messages come without device time, and their decimals are known.
+        // Only ASCII messages lack device time, and their decimals are known.
         let resolution = ascii.then(|| 10f64.powi(-(channel.ascii_decimals() as i32)));
         channel_statement.execute(params![capture_id, channel.name(), channel.unit(), resolution])?;
     }

@@ -1,4 +1,4 @@
-//! Jobs: durable states of background work. The room `jobs` computes; this file holds what survives a kill.
+//! Jobs: durable states of background work. Module `jobs` computes; this file holds the data that survives a kill.
 
 use super::captures::known;
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::value::RawValue;
 use sha2::{Digest as _, Sha256};
 
-/// Processes of a job that may die without a checkpoint in between. After that many the job itself is taken to be the
-/// cause.
+/// The number of processes of a job that may die without a checkpoint in between. The job itself is then taken to be
+/// the cause.
 pub const ATTEMPTS_MAX: u32 = 3;
-/// Jobs that may wait at once. Further requests are refused.
+/// The maximum number of waiting jobs. Further requests are refused.
 pub const QUEUE_JOBS_MAX: u64 = 100;
 
 /// Results of one kind, capture, parameters and version of the program that are kept: those over the most samples.
@@ -20,10 +20,10 @@ pub const RESULTS_KEPT: u32 = 10;
 /// Superseded jobs removed in one transaction: an older version of the program left all of them.
 const DROP_MAX: i64 = 100;
 
-/// The jobs of a kind that this program knows: those of a newer program wait for it.
+/// The kinds of jobs that this program knows: those of a newer program wait for it.
 const KNOWN: &str = "kind IN ('allan', 'noise', 'statistics', 'diagnosis')";
 
-/// What a job computes.
+/// The kind of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr)]
@@ -35,7 +35,7 @@ pub enum JobKind {
     Noise,
     /// Moments, histogram and a test for normality (`vn100d-statistics-1`).
     Statistics,
-    /// Where a simulator differs and what it lacks (`vn100d-diagnosis-1`).
+    /// Differences and missing effects of a simulator (`vn100d-diagnosis-1`).
     Diagnosis,
 }
 
@@ -45,11 +45,11 @@ impl JobKind {
     /// The kinds that are queued for every capture without a request.
     pub const USUAL: [Self; 3] = [Self::Allan, Self::Noise, Self::Statistics];
 
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
-    /// A description of its result.
+    /// Returns a description of its result.
     pub fn gives(self) -> &'static str {
         match self {
             Self::Allan => "Allan deviation",
@@ -60,26 +60,26 @@ impl JobKind {
     }
 }
 
-/// What a job is doing or how it ended.
+/// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum JobState {
-    /// It waits for its turn.
+    /// The job waits for its turn.
     Queued,
-    /// It is being worked on.
+    /// The job is being worked on.
     Running,
-    /// Its result is there.
+    /// The result is available.
     Done,
-    /// It cannot be done; `error` says why.
+    /// The job cannot be done; `error` states the reason.
     Failed,
-    /// Somebody called it off.
+    /// A user cancelled the job.
     Cancelled,
 }
 
 impl JobState {
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -88,19 +88,19 @@ impl JobState {
 /// Requested work.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewJob {
-    /// Which computation.
+    /// The kind of the job.
     pub kind: JobKind,
-    /// The capture it reads.
+    /// The capture that the job reads.
     pub capture_id: i64,
     /// Its parameters: the JSON text of an object with sorted keys, so that equal parameters are the same text.
     pub params: String,
-    /// SHA-256 of the reference that it has ([`Store::begin_reference`]).
+    /// SHA-256 of the job's reference ([`Store::begin_reference`]).
     pub reference: Option<String>,
 }
 
 #[cfg(test)]
 impl NewJob {
-    /// Work without a reference.
+    /// Creates a job without a reference.
     pub(crate) fn new(kind: JobKind, capture_id: i64, params: serde_json::Value) -> Self {
         Self { kind, capture_id, params: params.to_string(), reference: None }
     }
@@ -111,34 +111,34 @@ impl NewJob {
 pub struct JobRow {
     /// Its id.
     pub id: i64,
-    /// Which computation.
+    /// Its kind.
     #[schema(value_type = String)]
     pub kind: JobKind,
-    /// The capture it reads.
+    /// The capture that it reads.
     pub capture: i64,
     /// Its parameters.
     #[schema(value_type = Object)]
     #[serde(serialize_with = "as_json")]
     pub params: String,
-    /// It reads the samples with `seq` below this, fixed when it was submitted.
+    /// The job reads the samples with `seq` below this number, which was fixed when it was submitted.
     pub end_seq: u64,
-    /// What it is doing or how it ended.
+    /// Its state.
     pub state: JobState,
-    /// How far it has come, 0–1; never goes back.
+    /// Its progress, 0–1; never decreases.
     pub progress: f64,
-    /// When it was submitted.
+    /// The time at which it was submitted.
     pub created_at: UtcNs,
-    /// When it was first begun.
+    /// The time at which it was first started.
     pub started_at: Option<UtcNs>,
-    /// When it ended.
+    /// The time at which it ended.
     pub finished_at: Option<UtcNs>,
-    /// Why it failed.
+    /// The reason why it failed.
     pub error: Option<String>,
     /// The id of its result.
     pub result_id: Option<i64>,
-    /// The program that it was submitted to, or that took it over.
+    /// The version of the program to which it was submitted, or that took it over.
     pub software: String,
-    /// Whether that is another version than this one: submit it again for a new result, the old one stays.
+    /// Whether that version differs from this one: submit the job again for a new result; the old one stays.
     pub stale: bool,
 }
 
@@ -147,10 +147,10 @@ fn as_json<S: Serializer>(text: &str, serializer: S) -> Result<S::Ok, S::Error> 
     serde_json::from_str::<&RawValue>(text).map_err(S::Error::custom)?.serialize(serializer)
 }
 
-/// The point from which a job resumes.
+/// The state from which a job resumes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JobCheckpoint {
-    /// The first sample not yet taken in.
+    /// The first sample that is not yet taken in.
     pub next_seq: u64,
     /// The state of the computation, in its own encoding.
     pub state: Vec<u8>,
@@ -359,7 +359,7 @@ impl Store {
     }
 }
 
-/// A job without a result leaves neither a checkpoint nor a claim on a reference.
+/// Removes the checkpoint of a job without a result, and its claim on a reference.
 fn leave_nothing(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
     transaction.execute("UPDATE job SET reference_id = NULL WHERE id = ?1", [id])?;
@@ -408,7 +408,7 @@ fn submit(
     Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?, is_new))
 }
 
-/// SHA-256 of what makes a submission the same, in hexadecimal digits.
+/// Returns the SHA-256 of the properties that make two submissions the same, in hexadecimal digits.
 fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &str) -> String {
     let text = format!(
         r#"{{"capture":{capture_id},"end_seq":{end_seq},"kind":"{kind}","params":{params},"software":"{SOFTWARE}"}}"#
@@ -433,7 +433,7 @@ fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreEr
     Ok(())
 }
 
-/// A job that an older program left in the queue becomes one of this program, because its result will be.
+/// Makes a job that an older program left in the queue one of this program, because its result will be.
 fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     let Some(old) = job(transaction, id)?.filter(|job| job.stale) else { return Ok(()) };
     let fingerprint = fingerprint(old.kind.name(), old.capture, old.end_seq as i64, &old.params);
@@ -446,7 +446,7 @@ fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
 }
 
 impl Reader {
-    /// One job.
+    /// Returns a job.
     ///
     /// # Errors
     /// [`StoreError::NoSuchJob`], or the error that the database reports.
@@ -454,7 +454,7 @@ impl Reader {
         job(&self.connection, id)?.ok_or(StoreError::NoSuchJob { id })
     }
 
-    /// Jobs, the latest first; only those of a capture or in a state, if requested.
+    /// Returns jobs, the latest first; only those of a capture or in a state, if requested.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.
@@ -479,7 +479,7 @@ impl Reader {
         Page::read(&self.connection, &sql, params_from_iter(values), page, "jobs", job_of)
     }
 
-    /// The jobs that cover all samples of this capture below `end_seq`, the latest first, at most 1000.
+    /// Returns the jobs that cover all samples of this capture below `end_seq`, the latest first, at most 1000.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -491,8 +491,8 @@ impl Reader {
         statement.query_and_then(params![capture_id, kind.name(), end_seq as i64], job_of)?.collect()
     }
 
-    /// The point from which a job resumes. `None` before its first checkpoint, and if another version of the program
-    /// made the checkpoint: sums of two programs are never mixed.
+    /// Returns the point from which a job resumes. `None` before its first checkpoint, and if another version of the
+    /// program made the checkpoint: sums of two programs are never mixed.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -502,7 +502,7 @@ impl Reader {
         Ok(self.connection.prepare_cached(sql)?.query_row(params![job_id, SOFTWARE], read).optional()?)
     }
 
-    /// The number of jobs in a state.
+    /// Returns the number of jobs in a state.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -583,7 +583,7 @@ mod tests {
         let count = |sql: &str| reader.connection.query_row(sql, [], |row| row.get::<_, i64>(0)).unwrap();
         assert_eq!(count("SELECT count(*) FROM result"), 13);
         assert_eq!(count("SELECT count(*) FROM job WHERE result_id IS NULL"), 0);
-        // The job over all samples stays, whatever else is computed from the capture: it is the one that is shown.
+        // The job over all samples stays, whatever else is computed from the capture: the page shows it.
         assert_eq!(reader.jobs_over(id, JobKind::Allan, 14).unwrap()[0].id, all[13]);
     }
 }

@@ -1,4 +1,4 @@
-//! The lock that lets only one process write a database, and the file systems on which no process should.
+//! The lock that lets only one process write a database, and the refusal of unsafe file systems.
 
 use super::StoreError;
 use rustix::fs::FlockOperation;
@@ -117,7 +117,7 @@ pub(super) fn refuse_network_file_system(path: &Path) -> Result<(), StoreError> 
     }
 }
 
-/// Magic numbers of statfs(2) and linux/magic.h.
+/// Returns the kind of a network file system, by the magic numbers of statfs(2) and linux/magic.h.
 fn network_kind(magic: u64) -> Option<&'static str> {
     match magic {
         0x6969 => Some("NFS"),
@@ -128,7 +128,7 @@ fn network_kind(magic: u64) -> Option<&'static str> {
     }
 }
 
-/// Free bytes of the file system that holds `path`, for an unprivileged user.
+/// Returns the free bytes of the file system that holds `path`, for an unprivileged user.
 pub(super) fn free_bytes(path: &Path) -> std::io::Result<u64> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let statistics = rustix::fs::statvfs(directory)?;

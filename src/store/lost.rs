@@ -39,7 +39,7 @@ struct Moved {
     segment: Option<Segment>,
 }
 
-/// What was lost, and which captures continue.
+/// The record of the lost files, and of the captures that continue.
 #[derive(Debug, Default)]
 pub(super) struct Lost {
     seeds: Vec<Seed>,
@@ -56,7 +56,7 @@ impl Lost {
         }
     }
 
-    /// Creates the captures in the new file; returns the ids of those that could not keep theirs.
+    /// Creates the captures in the new file; returns the ids of those that could not keep their ids.
     pub(super) fn settle(
         &mut self,
         connection: &mut Connection,
@@ -73,12 +73,12 @@ impl Lost {
         }
         transaction.commit()?;
         self.moved = moved;
-        // The captures are created: the next file that is lost has its own.
+        // The captures are created: the next lost file has its own.
         self.note(connection);
         Ok(self.moved.iter().filter(|(id, moved)| **id != moved.to).map(|(id, moved)| (*id, moved.to)).collect())
     }
 
-    /// The records as the new file numbers them; borrowed if no file was lost.
+    /// Returns the records as the new file numbers them; borrowed if no file was lost.
     pub(super) fn translated<'a>(&mut self, batch: &'a [(i64, Record)]) -> std::borrow::Cow<'a, [(i64, Record)]> {
         if self.moved.is_empty() {
             return std::borrow::Cow::Borrowed(batch);
@@ -93,7 +93,7 @@ impl Lost {
         std::borrow::Cow::Owned(records)
     }
 
-    /// The inserted records by the ids that the task knows. What lost files acknowledged is included.
+    /// Returns the inserted records by the ids that the task knows. Samples acknowledged in lost files are included.
     pub(super) fn named(&self, mut inserted: Inserted) -> Inserted {
         for (id, moved) in &self.moved {
             if let Some(samples) = inserted.committed.remove(&moved.to) {
@@ -103,7 +103,7 @@ impl Lost {
         inserted
     }
 
-    /// The samples acknowledged so far in lost files.
+    /// Returns the number of samples acknowledged so far in lost files.
     pub(super) fn acknowledged(&self) -> BTreeMap<i64, u64> {
         self.moved.iter().map(|(id, moved)| (*id, moved.base)).collect()
     }

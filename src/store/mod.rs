@@ -1,14 +1,14 @@
-//! The store: SQLite, and the only room that uses `rusqlite`.
+//! The store: SQLite, and the only module that uses `rusqlite`.
 //!
 //! In: [`Record`](imu_core::sample::Record)s of captures through [`RecordSender`], commands as methods of [`Store`].
 //! Out: typed rows through [`Reader`]. One process writes a database ([`StoreError::Locked`] names the other), through
 //! one thread and one connection (`writer`). Any number of processes read beside it, never for longer than one short
 //! query.
 //!
-//! Guarantees: what [`WriterProgress::committed`] counts survives kill -9 and power loss (WAL, `synchronous=FULL`). A
-//! record waits at most a second for its commit. A commit that fails loses nothing: it is tried again while the queue
-//! absorbs new records. Refused: network file systems, files of other programs (left untouched), databases of a newer
-//! schema.
+//! Guarantees: samples that [`WriterProgress::committed`] counts survive kill -9 and power loss (WAL,
+//! `synchronous=FULL`). A record waits at most a second for its commit. A commit that fails loses nothing: it is tried
+//! again while the queue absorbs new records. Refused: network file systems, files of other programs (left untouched),
+//! databases of a newer schema.
 //!
 //! Methods of [`Store`] block until their transaction is committed: from asynchronous code call them through
 //! [`Store::offload`].
@@ -119,7 +119,7 @@ impl Default for StoreOptions {
     }
 }
 
-/// A database opened for writing; cheap to clone. Dropping the last clone writes what is left and closes the database.
+/// A database opened for writing; cheap to clone. Dropping the last clone writes the rest and closes the database.
 #[derive(Debug, Clone)]
 pub struct Store {
     inner: Arc<Inner>,
@@ -193,28 +193,28 @@ impl Store {
         })
     }
 
-    /// The path of the database.
+    /// Returns the path of the database.
     pub fn path(&self) -> &Path {
         &self.inner.path
     }
 
-    /// A sender that puts records into the queue.
+    /// Returns a sender that puts records into the queue.
     pub fn records(&self) -> RecordSender {
         self.inner.records.clone()
     }
 
-    /// The state of the writer; read from memory.
+    /// Returns the state of the writer; read from memory.
     pub fn progress(&self) -> WriterProgress {
         progress::locked(&self.inner.progress).clone()
     }
 
-    /// The id of a capture in the database. It differs from the id at its start only if the file was replaced by one in
-    /// which that id is taken.
+    /// Returns the id of a capture in the database. It differs from the id at its start only if the file was replaced
+    /// by one in which that id is taken.
     pub fn stored_id(&self, id: i64) -> i64 {
         progress::locked(&self.inner.progress).moved.get(&id).copied().unwrap_or(id)
     }
 
-    /// The state for the status page; read from memory, never waits for the disk.
+    /// Returns the state for the status page; read from memory, never waits for the disk.
     pub fn status(&self) -> StorageStatus {
         let progress = self.progress();
         let (now, awake) = (SystemClock.mono_ns(), SystemClock.awake_ns());
@@ -237,7 +237,7 @@ impl Store {
         }
     }
 
-    /// A connection for reading.
+    /// Returns a connection for reading.
     ///
     /// # Errors
     /// [`StoreError`] if it cannot be opened.
@@ -245,7 +245,7 @@ impl Store {
         Reader::open(&self.inner.path)
     }
 
-    /// Waits until everything that is in the queue now is on disk. It waits as long as the disk refuses writes.
+    /// Waits until all records that are in the queue now are on disk. It waits as long as the disk refuses writes.
     ///
     /// # Errors
     /// [`StoreError::Closed`] if the writer has ended.
@@ -255,7 +255,7 @@ impl Store {
         answer.await.map_err(|_| StoreError::Closed)
     }
 
-    /// As [`Self::flush`], from a thread outside the asynchronous runtime.
+    /// Waits as [`Self::flush`] does, from a thread outside the asynchronous runtime.
     ///
     /// # Errors
     /// [`StoreError::Closed`] if the writer has ended.
@@ -287,7 +287,7 @@ impl Store {
         self.begin(schema::Durability::AtCommit, work)?.wait()
     }
 
-    /// As [`Self::execute`], without waiting. Work is done in the order in which it was begun.
+    /// Begins work as [`Self::execute`] does, without waiting. Work is done in the order in which it was begun.
     pub(crate) fn begin<T: Send + 'static>(
         &self,
         durability: schema::Durability,
@@ -312,12 +312,12 @@ impl Store {
         let _ = self.inner.commands.send(Command::Damage(failure));
     }
 
-    /// The file that is written, as text for [`Reader::open_written`].
+    /// Returns the file that is written, as text for [`Reader::open_written`].
     pub fn file(&self) -> String {
         file_id::written_file(self.path())
     }
 
-    /// The clock's civil time.
+    /// Returns the clock's civil time.
     pub(crate) fn utc_ns(&self) -> i64 {
         self.inner.clock.utc_ns()
     }

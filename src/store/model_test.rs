@@ -2,7 +2,7 @@
 //!
 //! After each step the files before and after it are known, and the possible remains of a power loss between them are
 //! made from both. Every such image must pass `check` and hold exactly one of the states that the store went through,
-//! none older than what was acknowledged. The disk refuses with a limit on the size of files, which cuts a write
+//! none older than the last acknowledged one. The disk refuses with a limit on the size of files, which cuts a write
 //! anywhere. The limit applies to the process, so the test runs in a separate process. `VN100D_MODEL_CASES` makes it
 //! longer, `VN100D_MODEL_SEED` selects another run.
 
@@ -29,7 +29,7 @@ enum Action {
         samples: u64,
         duplicates: u64,
     },
-    /// The same while no file may grow beyond this many bytes more than the log has.
+    /// Records are sent while no file may grow beyond this many bytes more than the log has.
     Refused {
         samples: u64,
         room: u64,
@@ -54,7 +54,7 @@ enum Action {
         truncates: bool,
     },
     Restart,
-    /// The power fails, and the last image is what remains.
+    /// The power fails, and only the last image remains.
     Crash,
 }
 
@@ -84,7 +84,7 @@ impl Files {
         Self { database: read(path.into()), log: read(schema::wal_path(path)), lock: read(lock::lock_path(path)) }
     }
 
-    /// The database's path, in a new folder.
+    /// Returns the database's path, in a new folder.
     fn write(&self) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("vn100d.db");
@@ -95,7 +95,7 @@ impl Files {
     }
 }
 
-/// Reads a database that passes its check: every value of every sample is what was sent.
+/// Reads a database that passes its check; every value of every sample must be the one that was sent.
 fn read(path: &Path) -> Content {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
@@ -128,10 +128,10 @@ struct Driver {
     store: Store,
     readers: Vec<Reader>,
     import: Option<(Import, model::Capture)>,
-    /// The states that the store went through since the last one that is known to be synced.
+    /// The states of the store since the last one that is known to be synced.
     states: Vec<Content>,
     safe: Files,
-    /// What the last power loss would have left.
+    /// The files that the last power loss would have left.
     image: (Files, Content),
     random: ChaCha8Rng,
     images: BTreeMap<&'static str, u64>,
@@ -141,7 +141,7 @@ struct Driver {
 /// A store that is broken on purpose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Mutant {
-    /// It is sound.
+    /// It works correctly.
     None,
     /// It loses the last of the records that are sent together.
     LosesARecord,
@@ -154,7 +154,7 @@ enum Mutant {
 }
 
 impl Mutant {
-    /// The records as such a store would store them.
+    /// Returns the records as such a store would store them.
     fn changed(self, mut records: Vec<Record>) -> Vec<Record> {
         match self {
             Self::LosesARecord if records.len() > 1 => drop(records.pop()),
@@ -192,7 +192,7 @@ impl Driver {
         driver
     }
 
-    /// The files between two transactions.
+    /// Returns the files between two transactions.
     fn files(&self) -> Files {
         let path = self.store.path().to_owned();
         self.store.execute(move |_| Ok(Files::read(&path))).unwrap()
@@ -202,7 +202,8 @@ impl Driver {
         self.states.last().cloned().unwrap_or_default()
     }
 
-    /// The store advanced to `content` in this many transactions; `None` means that the number is not known.
+    /// Records that the store advanced to `content` in this many transactions; `None` means that the number is not
+    /// known.
     fn went_on(&mut self, content: Content, transactions: Option<u64>, synced: bool) {
         self.states.push(content);
         let mut after = self.files();
@@ -412,7 +413,7 @@ fn told(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(otherwise)
 }
 
-/// An acknowledged commit that was not synced must be found by the model: the check can fail.
+/// The model must notice the loss of an acknowledged commit that was not synced: the check can fail.
 #[test]
 fn the_model_notices_that_an_acknowledged_sample_is_gone() {
     let mut driver = Driver::new(1);
@@ -429,7 +430,7 @@ fn the_model_notices_that_an_acknowledged_sample_is_gone() {
     }
 }
 
-/// Each kind of broken store fails the model within some cases, and a sound one does not: the test can fail.
+/// Each kind of broken store fails the model within some cases, and a correct one does not: the test can fail.
 #[test]
 fn a_store_that_is_broken_fails_its_model() {
     const CASES: u64 = 5;

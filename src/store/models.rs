@@ -80,7 +80,7 @@ impl Store {
 }
 
 impl Reader {
-    /// One model.
+    /// Returns a model.
     ///
     /// # Errors
     /// [`StoreError::NoSuchModel`], or the error that the database reports.
@@ -89,7 +89,7 @@ impl Reader {
         self.connection.prepare_cached(&sql)?.query_row([id], model_of).optional()?.ok_or_else(|| unknown(id))
     }
 
-    /// The properties of the models, the latest first.
+    /// Returns the properties of the models, the latest first.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.

@@ -6,7 +6,7 @@ use rusqlite::{Connection, Params, Row};
 
 /// Rows of a page if no limit is requested.
 pub const LIMIT: u32 = 100;
-/// The most rows of a page.
+/// The maximum number of rows of a page.
 pub const LIMIT_MAX: u32 = 1000;
 
 /// The requested part of a list.
@@ -23,17 +23,17 @@ pub struct PageRequest {
 pub struct Page<T> {
     /// The rows.
     pub rows: Vec<T>,
-    /// The cursor of the next page; absent on the last.
+    /// The cursor of the next page; absent on the last page.
     pub next: Option<String>,
 }
 
 impl PageRequest {
-    /// Everything a page can hold, from the start.
+    /// Requests as many rows as a page may have, from the start.
     pub fn first() -> Self {
         Self { limit: Some(LIMIT_MAX), cursor: None }
     }
 
-    /// One row: the one after this key.
+    /// Requests one row, the one after this key.
     pub(super) fn one_after(list: &str, key: i64) -> Self {
         Self { limit: Some(1), cursor: Some(format!("{list}-1-{}", base36(key))) }
     }
@@ -42,7 +42,7 @@ impl PageRequest {
         self.limit.unwrap_or(LIMIT).clamp(1, LIMIT_MAX) as usize
     }
 
-    /// The key after which the page begins. `list` prevents the use of one list's cursor on another.
+    /// Returns the key after which the page begins. `list` prevents the use of one list's cursor on another.
     pub(super) fn after(&self, list: &str) -> Result<Option<i64>, StoreError> {
         let Some(cursor) = &self.cursor else { return Ok(None) };
         cursor

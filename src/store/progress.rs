@@ -38,7 +38,7 @@ pub struct WriterProgress {
     pub busy: u64,
     /// Records that the schema refused: faults of this program.
     pub refused: u64,
-    /// When the last commit succeeded, real monotonic ns.
+    /// The time of the last successful commit, real monotonic ns.
     pub last_commit_mono_ns: Option<u64>,
     /// The duration of the last commit.
     pub last_commit: Option<Duration>,
@@ -71,8 +71,8 @@ pub struct WriterProgress {
 }
 
 impl WriterProgress {
-    /// Whether this process should end: at once with a damaged file, else at the third I/O error within a minute. A new
-    /// process has new descriptors, and its start checks the database.
+    /// Returns whether this process should end: at once with a damaged file, else at the third I/O error within a
+    /// minute. A new process has new descriptors, and its start checks the database.
     pub fn gives_up(&self) -> bool {
         if self.damaged {
             return true;
@@ -85,7 +85,8 @@ impl WriterProgress {
         }
     }
 
-    /// The present state of the store: a commit that hangs is slow before it ends, and a stalled writer is degraded.
+    /// Returns the present state of the store: a commit that hangs is slow before it ends, and a stalled writer is
+    /// degraded.
     pub(super) fn state_now(&self, now_awake_ns: u64) -> StorageState {
         let longer = |since: Option<u64>, than: Duration| {
             since.is_some_and(|since| now_awake_ns.saturating_sub(since) > than.as_nanos() as u64)
@@ -97,7 +98,7 @@ impl WriterProgress {
         }
     }
 
-    /// The present problem as text: the last error, or how long the writer has been stalled.
+    /// Returns the present problem as text: the last error, or how long the writer has been stalled.
     pub(super) fn error_now(&self, now_awake_ns: u64) -> Option<String> {
         if self.state_now(now_awake_ns) != StorageState::Degraded {
             return self.error.clone();
@@ -108,19 +109,19 @@ impl WriterProgress {
         Some(format!("{doing} for {:.0} s: look at the disk (`dmesg`, `iostat`)", stood_ns as f64 / 1e9))
     }
 
-    /// The time in s until the free space is used up at the present rate; `None` if nothing is written.
+    /// Returns the time in s until the free space is used up at the present rate; `None` if nothing is written.
     pub(super) fn time_to_full_s(&self) -> Option<f64> {
         let growth = self.samples_per_s * BYTES_PER_SAMPLE;
         (growth > 1.0).then(|| self.free_bytes as f64 / growth)
     }
 
-    /// Whether less than a gigabyte is left, or than twelve hours' data at the present rate.
+    /// Returns whether less than a gigabyte is left, or than twelve hours' data at the present rate.
     pub(super) fn low_space(&self) -> bool {
         let need = self.samples_per_s * BYTES_PER_SAMPLE * LOW_SPACE_AHEAD.as_secs_f64();
         (self.free_bytes as f64) < need.max(LOW_SPACE_BYTES)
     }
 
-    /// A condition that deserves attention although data is being stored.
+    /// Returns a condition that deserves attention although data is being stored.
     pub(super) fn warning(&self, wal_alarm_bytes: u64) -> Option<String> {
         let mut warnings = Vec::new();
         if self.low_space() {
@@ -152,7 +153,7 @@ pub(super) fn locked(progress: &Mutex<WriterProgress>) -> MutexGuard<'_, WriterP
 mod tests {
     use super::*;
 
-    /// A7.
+    /// Fault A7 of docs/reliability/line.md.
     #[test]
     fn a_writer_that_hangs_is_slow_and_then_degraded() {
         let second = 1_000_000_000;
@@ -162,7 +163,7 @@ mod tests {
         assert_eq!(progress.state_now(12 * second), StorageState::Slow);
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
         assert!(progress.error_now(14 * second).unwrap().contains("has not ended for 4 s"));
-        // The same for a thread that hangs outside a commit.
+        // A thread that hangs outside a commit is degraded too.
         progress.committing_since_awake_ns = None;
         assert_eq!(progress.state_now(14 * second), StorageState::Degraded);
         // A known state of the disk takes precedence.

@@ -9,18 +9,18 @@ use tokio::sync::mpsc;
 /// The resolution at which the age of the oldest waiting record is known, ns.
 const MARK_EVERY_NS: u64 = 100_000_000;
 
-/// Tracks since when the oldest record that is not on disk has waited, in the queue or in the writer's hands.
+/// Tracks since when the oldest uncommitted record has waited, in the queue or in the writer.
 #[derive(Debug, Default)]
 pub(super) struct Waiting {
-    /// Records that arrived.
+    /// Number of records that arrived.
     came: u64,
-    /// Records that are on disk.
+    /// Number of records on disk.
     written: u64,
     /// Numbers of records and their arrival times. The first is the oldest waiting record or one shortly before it.
     marks: VecDeque<(u64, u64)>,
 }
 
-/// The same, shared between those who put records in and the writer.
+/// [`Waiting`], shared between the senders and the writer.
 pub(super) type SharedWaiting = Arc<Mutex<Waiting>>;
 
 pub(super) fn locked(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
@@ -28,7 +28,7 @@ pub(super) fn locked(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
 }
 
 impl Waiting {
-    /// Notes that a record arrived at `now_ns`.
+    /// Records that a record arrived at `now_ns`.
     fn come(&mut self, now_ns: u64) {
         self.came += 1;
         let is_due = self.marks.back().is_none_or(|(_, at_ns)| now_ns.saturating_sub(*at_ns) >= MARK_EVERY_NS);
@@ -38,7 +38,7 @@ impl Waiting {
         }
     }
 
-    /// Notes that the oldest `count` records are on disk.
+    /// Records that the oldest `count` records are on disk.
     pub(super) fn write(&mut self, count: u64) {
         self.written += count;
         while self.marks.get(1).is_some_and(|(number, _)| *number <= self.written + 1) {
@@ -49,7 +49,7 @@ impl Waiting {
         }
     }
 
-    /// The arrival time of the oldest waiting record.
+    /// Returns the arrival time of the oldest waiting record.
     pub(super) fn since_ns(&self) -> Option<u64> {
         self.marks.front().map(|(_, at_ns)| *at_ns)
     }
@@ -99,17 +99,17 @@ impl RecordSender {
         locked(&self.waiting).come(SystemClock.awake_ns());
     }
 
-    /// Records that wait in the queue.
+    /// Returns the number of records that wait in the queue.
     pub fn queued(&self) -> usize {
         self.queue.max_capacity() - self.queue.capacity()
     }
 
-    /// Records that still fit.
+    /// Returns the number of records that still fit.
     pub fn room(&self) -> usize {
         self.queue.capacity()
     }
 
-    /// Whether the writer has ended.
+    /// Returns whether the writer has ended.
     pub fn is_closed(&self) -> bool {
         self.queue.is_closed()
     }
@@ -124,7 +124,7 @@ mod tests {
         let second = 1_000_000_000;
         let mut waiting = Waiting::default();
         assert_eq!(waiting.since_ns(), None);
-        // Ten a second for five seconds; of the first 25 the disk has all.
+        // Ten per second for five seconds; the first 25 are on disk.
         (0..50).for_each(|number| waiting.come(number * second / 10));
         assert_eq!(waiting.since_ns(), Some(0));
         waiting.write(25);
@@ -134,14 +134,14 @@ mod tests {
         // An hour without a record must not affect the age of the next one.
         waiting.come(3600 * second);
         assert_eq!(waiting.since_ns(), Some(3600 * second));
-        // Many at once take one mark.
+        // Many records at once need one mark.
         (0..1000).for_each(|number| waiting.come(3600 * second + number));
         assert_eq!(waiting.marks.len(), 1);
         waiting.write(1000);
         assert_eq!(waiting.since_ns(), Some(3600 * second));
         waiting.write(1);
         assert_eq!(waiting.since_ns(), None);
-        // The writer may be faster than the note of what it wrote.
+        // The writer may be faster than the note of its records.
         waiting.write(1);
         waiting.come(3700 * second);
         assert_eq!(waiting.since_ns(), None);

@@ -34,14 +34,14 @@ impl Reader {
     /// Opens the database in a separate process, beside the one that writes `file` there ([`super::Store::file`]).
     ///
     /// # Errors
-    /// As [`Self::open`], and [`StoreError::Lost`] if another file has taken its place.
+    /// As [`Self::open`]; [`StoreError::Lost`] if another file has taken its place.
     pub fn open_written(path: &Path, file: &str) -> Result<Self, StoreError> {
         super::file_id::adopt(path, file);
         Self::open(path)
     }
 
-    /// An identifier that distinguishes this database from all others, also from one whose captures have the same ids;
-    /// copies share it.
+    /// Returns an identifier that distinguishes this database from all others, also from one whose captures have the
+    /// same ids; copies share it.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -49,7 +49,7 @@ impl Reader {
         super::writer::identity_of(&self.connection)
     }
 
-    /// A handle with which another thread interrupts a query of this reader that takes too long.
+    /// Returns a handle with which another thread interrupts a query of this reader that takes too long.
     pub fn interrupt(&self) -> Interrupt {
         Interrupt(Arc::new(self.connection.get_interrupt_handle()))
     }
@@ -80,12 +80,12 @@ pub struct ReaderPool {
 }
 
 impl ReaderPool {
-    /// A pool for the database at `path`; connections are opened on demand.
+    /// Creates a pool for the database at `path`; connections are opened on demand.
     pub fn new(path: &Path) -> Self {
         Self { path: path.to_owned(), idle: Arc::default() }
     }
 
-    /// A reader; it returns to the pool when dropped.
+    /// Returns a reader; it returns to the pool when dropped.
     ///
     /// # Errors
     /// As [`Reader::open`].

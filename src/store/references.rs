@@ -81,7 +81,7 @@ impl Store {
     }
 }
 
-/// The id of the reference with this SHA-256, claimed for a job.
+/// Returns the id of the reference with this SHA-256, claimed for a job.
 pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, StoreError> {
     let sql = "UPDATE reference SET claimed = 1 WHERE sha256 = ?1 RETURNING reference_id";
     let id = transaction.query_row(sql, [sha256], |row| row.get(0)).optional()?;
@@ -97,7 +97,7 @@ fn is_whole(transaction: &Transaction<'_>, id: i64) -> Result<bool, StoreError> 
 }
 
 impl Reader {
-    /// The text of a reference.
+    /// Returns the text of a reference.
     ///
     /// # Errors
     /// [`StoreError::NoSuchReference`], or the error that the database reports.
@@ -117,7 +117,7 @@ impl Reader {
         String::from_utf8(text).map_err(|_| unknown())
     }
 
-    /// Whether there are references that no job uses any more.
+    /// Returns whether there are references that no job uses any more.
     pub(super) fn has_orphans(&self) -> Result<bool, StoreError> {
         let sql = format!("SELECT EXISTS (SELECT 1 {ORPHANS})");
         Ok(self.connection.prepare_cached(&sql)?.query_row([], |row| row.get(0))?)

@@ -1,4 +1,5 @@
-//! The database deleted or replaced, open or closed: which captures continue, and which files stay untouched.
+//! Tests of a database that is deleted or replaced, open or closed: which captures continue, and which files stay
+//! untouched.
 
 use crate::observe::StorageState;
 use crate::store::file_id::{FileId, REFUSALS, id_of, kept_log, log_header};
@@ -14,7 +15,7 @@ fn samples(id: i64, range: std::ops::Range<u64>) -> impl Iterator<Item = (i64, R
     range.map(move |seq| (id, sample(1, seq)))
 }
 
-/// A capture `night` of an hour with 100 samples, closed.
+/// Returns a capture `night` of an hour with 100 samples, closed.
 fn night(world: &World) -> (PathBuf, i64) {
     let planned = Some(Duration::from_secs(3600));
     let new = NewCapture::new("pty", CaptureState::Capturing);
@@ -25,7 +26,7 @@ fn night(world: &World) -> (PathBuf, i64) {
     (world.store.path().to_owned(), id)
 }
 
-/// Another database with its own captures.
+/// Returns another database with its own captures.
 fn other(world: &World) -> PathBuf {
     let path = world.directory.path().join("other.db");
     let store = Store::open(&path, StoreOptions::default()).unwrap();
@@ -42,7 +43,7 @@ fn other(world: &World) -> PathBuf {
     path
 }
 
-/// Names and samples of the captures in an intact database.
+/// Returns names and samples of the captures in an intact database.
 fn content(path: &Path) -> Vec<(String, u64)> {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
@@ -80,12 +81,12 @@ fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log()
     let planned = row.planned_duration_s.unwrap();
     assert!((planned - (3600.0 - 150.0 / 40.0)).abs() < 1e-6, "{planned} s are left");
     drop(reader);
-    // What the old file lacks is in the log that was kept.
+    // The data missing in the old file is in the log that was kept.
     let mut kept = path.as_os_str().to_owned();
     kept.push(".lost-1-wal");
     std::fs::rename(PathBuf::from(kept), schema::wal_path(&moved)).unwrap();
     assert_eq!(content(&moved), [("night".to_owned(), 150)]);
-    // Lost again: each capture continues once.
+    // The file is lost again: each capture continues once.
     writer.pretend_io_error();
     std::fs::remove_file(&path).unwrap();
     writer.write_now(samples(id, 160..165));
@@ -130,7 +131,7 @@ fn the_same_database_on_a_device_of_another_number_goes_on() {
     assert_eq!(content(&path), [("night".to_owned(), 110)]);
 }
 
-/// The path's file again, under another number.
+/// Writes the path's file again, under another inode number.
 fn renumber(path: &Path, content: &[u8]) {
     let (beside, number) = (path.with_extension("beside"), id_of(path));
     std::fs::write(&beside, content).unwrap();
@@ -164,7 +165,7 @@ fn an_older_copy_of_the_same_database_never_takes_the_newer_log() {
     assert_eq!(reader.capture(id).unwrap().samples, 100);
     let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
     assert_eq!(writer.write_now(samples(id, 100..150)), 0);
-    // What the log held goes into the file; the log begins again with the next records.
+    // The log is copied into the file; the log begins again with the next records.
     let copied = schema::reopen(&path).unwrap();
     copied.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())).unwrap();
     assert_eq!(writer.write_now(samples(id, 150..160)), 0);
@@ -246,7 +247,7 @@ fn a_log_that_is_taken_away_while_it_is_closed_ends_the_writing() {
 fn a_database_moved_into_place_with_its_own_log_keeps_it() {
     let world = World::new();
     let (path, id) = night(&world);
-    // Another database, copied while its last batch is in its log alone.
+    // Another database, copied while its last batch is only in its log.
     let source = other(&world);
     let (mut second, _) = bare_writer(&source, &world.directory.path().join("other.lock"));
     assert_eq!(second.write_now(samples(3, 1000..1050)), 0);

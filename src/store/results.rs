@@ -1,4 +1,4 @@
-//! Results: what jobs have computed, as the JSON documents that the interfaces return.
+//! Results of jobs, as the JSON documents that the interfaces return.
 
 use super::{Reader, StoreError};
 use rusqlite::OptionalExtension;
@@ -17,7 +17,7 @@ pub struct ResultRow {
 }
 
 impl Reader {
-    /// One result; `None` if there is none with that id.
+    /// Returns a result; `None` if there is none with that id.
     ///
     /// # Errors
     /// The error that the database reports.

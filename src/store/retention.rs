@@ -1,4 +1,4 @@
-//! Rows for retention: the facts it decides on, its announcements, and the space it gives back.
+//! Data for retention: the facts on which it decides, its announcements, and the space that it gives back.
 
 use super::progress::BYTES_PER_SAMPLE;
 use super::{Reader, Store, StoreError, UtcNs};
@@ -21,7 +21,7 @@ pub struct RetentionRow {
     /// Bytes in the file of its samples and of the references of its diagnoses. A reference that diagnoses of several
     /// captures use counts in equal shares.
     pub bytes: u64,
-    /// Whether the capture runs or waits.
+    /// Whether it runs or waits.
     pub open: bool,
     /// Whether it is kept from deletion.
     pub pinned: bool,
@@ -30,7 +30,7 @@ pub struct RetentionRow {
 }
 
 impl Reader {
-    /// All captures, oldest id first.
+    /// Returns all captures, oldest id first.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -62,7 +62,7 @@ impl Reader {
         Ok(rows.collect::<Result<_, _>>()?)
     }
 
-    /// Whether the file has more free pages than it keeps for later data ([`Store::give_back_step`]).
+    /// Returns whether the file has more free pages than it keeps for later data ([`Store::give_back_step`]).
     ///
     /// # Errors
     /// The error that the database reports.
@@ -152,7 +152,7 @@ mod tests {
                 true
             });
         }
-        // The pages that map free ones go with them.
+        // The pages that map free pages are removed with them.
         let after = number("page_count");
         assert!(after <= before - free, "{after} of {before} pages after {free} were free");
         eprintln!("{steps} steps, the longest {longest:?}; {before} pages before, {after} after");

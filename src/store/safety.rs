@@ -7,7 +7,8 @@ use std::time::Duration;
 
 const PERIOD_NS: u64 = 25_000_000;
 
-/// The sensor's clock runs on over `missing` samples before `from`; the fixtures count without them.
+/// Shifts the device times from sample `from` on by `missing` samples: the sensor's clock runs on over a gap, and the
+/// fixtures count without gaps.
 fn late(record: Record, from: u64, missing: u64) -> Record {
     let shift = missing * PERIOD_NS;
     match record {
@@ -142,7 +143,7 @@ fn a_healthy_database_is_recovered_as_it_is() {
     let before = world.reader().capture(id).unwrap();
     let gaps = world.reader().gaps(id, &PageRequest::default()).unwrap().rows;
     let path = world.store.path().to_owned();
-    // As a killed process leaves it: everything in the log.
+    // A killed process leaves everything in the log.
     let copy = world.directory.path().join("killed.db");
     std::fs::copy(&path, &copy).unwrap();
     std::fs::copy(schema::wal_path(&path), schema::wal_path(&copy)).unwrap();
@@ -234,7 +235,7 @@ fn damage_root(path: &std::path::Path, name: &str) -> Vec<u8> {
     whole
 }
 
-/// A database with a finished capture of some thousand samples, closed.
+/// Returns a database with a finished capture of some thousand samples, closed.
 fn with_old_capture(world: &World) -> std::path::PathBuf {
     let old = NewCapture { name: Some("old".to_owned()), ..NewCapture::new("pty", CaptureState::Complete) };
     let id = world.store.create_capture(old).unwrap();
@@ -255,7 +256,7 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     let whole = damage_root(&path, "sample");
     let files = || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
     let before = files();
-    // The first caller receives SQLite's error; the next one receives the instruction what to do.
+    // The first caller receives SQLite's error; the next one receives an instruction.
     assert!(store.purge_step().unwrap_err().is_damage());
     let told = store.purge_step().unwrap_err();
     assert_eq!(told.kind(), StoreErrorKind::Io);
@@ -273,7 +274,7 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     std::fs::write(&path, whole).unwrap();
     let refused = Store::open(&path, StoreOptions::default()).map(drop).unwrap_err();
     assert_eq!(refused.to_string(), told.to_string());
-    // As the error states: if the full check finds nothing, a person decides whether to continue.
+    // If the full check finds nothing, the user decides whether to continue, as the error states.
     assert_eq!(check(&path).unwrap().findings, []);
     std::fs::remove_file(lock::lock_path(&path)).unwrap();
     let store = Store::open(&path, StoreOptions::default()).unwrap();
@@ -356,7 +357,8 @@ fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
     assert_eq!(found, (first.host_utc_ns + 1_000, 16));
 }
 
-/// A writer beside an old capture, with a batch in the log, and the content of file and log once page `gap` is damaged.
+/// Returns a writer beside an old capture, with a batch in the log, and the content of file and log once page `gap` is
+/// damaged.
 fn beside_damage(world: &World) -> (writer::Writer, SharedProgress, impl Fn() -> [Vec<u8>; 2] + use<>) {
     let path = with_old_capture(world);
     let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
@@ -430,7 +432,7 @@ fn a_disk_that_has_gone_is_no_damage() {
     let seen = super::progress::locked(&progress).clone();
     assert!(!seen.damaged && seen.io_failures_mono_ns.len() == 1, "{seen:?}");
     drop(writer);
-    // The same with a disk that takes the mark.
+    // With a disk that takes the mark, the damage is recorded.
     let (mut writer, progress) = super::tests::bare_writer(&path, &lock);
     writer.take_report(corrupt());
     assert!(super::progress::locked(&progress).damaged);

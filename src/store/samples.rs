@@ -53,22 +53,22 @@ impl Chunk {
             times: times.then(Times::default),
         }
     }
-    /// The number of samples.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.segment.len()
     }
-    /// Whether the chunk is empty: the capture has no sample at or after the requested one.
+    /// Returns whether the chunk is empty: the capture has no sample at or after the requested one.
     pub fn is_empty(&self) -> bool {
         self.segment.is_empty()
     }
-    /// `seq` after its last row.
+    /// Returns the `seq` after the last row.
     pub fn next_seq(&self) -> u64 {
         self.first_seq + self.len() as u64
     }
 }
 
 impl Reader {
-    /// Up to `limit` samples from `from_seq` on, without their times.
+    /// Returns up to `limit` samples from `from_seq` on, without their times.
     ///
     /// # Errors
     /// The error that the database reports; a missing `seq` is [`StoreError::Damaged`].
@@ -82,7 +82,7 @@ impl Reader {
         self.read(capture_id, from_seq, limit, channels, false)
     }
 
-    /// As [`Self::read_chunk`], with the three clocks.
+    /// Returns samples as [`Self::read_chunk`] does, with the three clocks.
     ///
     /// # Errors
     /// As [`Self::read_chunk`].
@@ -129,7 +129,7 @@ impl Reader {
         Ok(chunk)
     }
 
-    /// The first and last sample of a capture; `None` if it has none.
+    /// Returns the first and last sample of a capture; `None` if it has none.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -144,7 +144,7 @@ impl Reader {
         })
     }
 
-    /// Segment, device time and civil time of one sample.
+    /// Returns segment, device time and civil time of a sample.
     ///
     /// # Errors
     /// [`StoreError::Damaged`] if the sample does not exist, or the error that the database reports.

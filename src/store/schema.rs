@@ -1,4 +1,4 @@
-//! Opening: the one place that decides which file is ours, what its schema is and which pragmas a connection has.
+//! Opening: decides which files are databases of this program, checks their schema and sets the pragmas of connections.
 
 use super::StoreError;
 use super::file_id::{refuse_replaced, written};
@@ -10,7 +10,7 @@ use std::io::Read as _;
 use std::path::Path;
 use std::time::Duration;
 
-/// `VN10` in ASCII: marks a SQLite file as ours (PRAGMA application_id).
+/// `VN10` in ASCII: marks a SQLite file as a database of this program (PRAGMA application_id).
 pub const APPLICATION_ID: i32 = 0x564E_3130;
 /// First SQLite without the WAL-reset race (sqlite.org/wal.html#walresetbug).
 const SQLITE_NEEDED: (i32, &str) = (3_051_003, "3.51.3");
@@ -36,7 +36,7 @@ const READER_CACHE_KIB: i64 = 256;
 /// Statements that a connection keeps prepared.
 const STATEMENTS: usize = 64;
 
-/// The newest schema version this program knows.
+/// Returns the newest schema version this program knows.
 pub fn schema_version() -> i64 {
     MIGRATIONS.len() as i64
 }
@@ -52,7 +52,7 @@ pub(super) fn check_sqlite() -> Result<(), StoreError> {
     Ok(())
 }
 
-/// The writer's connection to an existing or new database; its schema is upgraded.
+/// Returns the writer's connection to an existing or new database; its schema is upgraded.
 ///
 /// A damaged database is not opened: until it has passed the check, only a connection that cannot write has touched it.
 pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Connection, StoreError> {
@@ -76,7 +76,7 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
     Ok(connection)
 }
 
-/// The writer's connection to a database that must exist: used to reopen it after an error. Unless changed with
+/// Returns the writer's connection to a database that must exist: used to reopen it after an error. Unless changed with
 /// [`keep_log`], closing the connection leaves the log as it is, because the file may be damaged.
 pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
     let connection = open_for_writing(path, OpenFlags::empty())?;
@@ -86,12 +86,12 @@ pub(super) fn reopen(path: &Path) -> Result<Connection, StoreError> {
     Ok(connection)
 }
 
-/// Whether closing the connection leaves the log as it is instead of copying it into the file.
+/// Sets whether closing the connection leaves the log as it is instead of copying it into the file.
 pub(super) fn keep_log(connection: &Connection, keep: bool) -> Result<(), rusqlite::Error> {
     connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, keep).map(drop)
 }
 
-/// Makes a copy an independent database: it gets a new identity, and nothing is left in a log.
+/// Makes a copy an independent database: it gets a new identity, and its log is emptied.
 pub(super) fn make_independent(path: &Path) -> Result<(), StoreError> {
     let connection = writer_connection(path, OpenFlags::empty())?;
     connection.execute("UPDATE writer SET identity = lower(hex(randomblob(16)))", [])?;
@@ -107,7 +107,7 @@ pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error>
     emptied
 }
 
-/// Whether the error reports that the file is not as SQLite wrote it.
+/// Returns whether the error reports that the file is damaged.
 pub(super) fn says_damaged(error: &rusqlite::Error) -> bool {
     use rusqlite::ErrorCode as Code;
     matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
@@ -140,15 +140,15 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
     common_pragmas(connection)
 }
 
-/// Whether a file is a database of captures, of any version. This is determined from SQLite's header (its first 16
-/// bytes, and the application's id in bytes 68 to 71, big endian).
+/// Returns whether a file is a database of captures, of any version. This is determined from SQLite's header (its first
+/// 16 bytes, and the application's id in bytes 68 to 71, big endian).
 pub fn is_database(path: &Path) -> bool {
     let mut head = [0; 72];
     let read = path.is_file() && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
     read && head.starts_with(b"SQLite format 3\0") && head[68..] == APPLICATION_ID.to_be_bytes()
 }
 
-/// The moment at which the pages of a transaction reach the disk.
+/// The time at which the pages of a transaction reach the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Durability {
     /// Before its commit returns.
@@ -157,8 +157,8 @@ pub(crate) enum Durability {
     Later,
 }
 
-/// Set before each transaction, so that none inherits another's. In either mode the log is synced before a checkpoint
-/// and the file after it, so that the file stays intact.
+/// Sets the durability. It is set before each transaction, so that none inherits another's. In either mode the log is
+/// synced before a checkpoint and the file after it, so that the file stays intact.
 pub(super) fn set_durability(connection: &Connection, durability: Durability) -> Result<(), rusqlite::Error> {
     let synchronous = match durability {
         Durability::AtCommit => "FULL",
@@ -167,7 +167,7 @@ pub(super) fn set_durability(connection: &Connection, durability: Durability) ->
     connection.pragma_update(None, "synchronous", synchronous)
 }
 
-/// A connection that can only read. It never checkpoints: only the writer does.
+/// Returns a connection that can only read. It never checkpoints: only the writer does.
 pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     check_sqlite()?;
     match std::fs::metadata(path) {
@@ -222,7 +222,7 @@ pub(super) fn shm_path(path: &Path) -> std::path::PathBuf {
     shared.into()
 }
 
-/// The characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
+/// Escapes the characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
 pub(super) fn uri_escaped(path: &Path) -> String {
     path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23")
 }

@@ -64,7 +64,7 @@ impl World {
         let capture = NewCapture { name: Some("night".to_owned()), ..NewCapture::new("pty", CaptureState::Capturing) };
         self.store.create_capture(capture).unwrap()
     }
-    /// A capture that has ended, without samples.
+    /// Returns a capture that has ended, without samples.
     pub(super) fn complete(&self, name: &str) -> i64 {
         let capture = NewCapture { name: Some(name.to_owned()), ..NewCapture::new("pty", CaptureState::Complete) };
         self.store.create_capture(capture).unwrap()
@@ -89,7 +89,7 @@ impl World {
     }
 }
 
-/// The writer without its thread.
+/// Returns the writer without its thread.
 pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Writer, SharedProgress) {
     let (_, records) = mpsc::channel(1);
     let (_, commands) = mpsc::unbounded_channel();
@@ -112,7 +112,7 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
     (runtime.block_on(async { Writer::new(parts) }).unwrap(), progress)
 }
 
-/// 100 samples, a gap of 3, 50 samples, an event, rejections, the end.
+/// Returns 100 samples, a gap of 3, 50 samples, an event, rejections, and the end.
 pub(super) fn a_capture() -> Vec<Record> {
     let mut records = vec![event(EventKind::CaptureStarted), segment(1, 0)];
     records.extend((0..100).map(|seq| sample(1, seq)));
@@ -582,7 +582,7 @@ fn a_name_that_was_only_liked_gives_way_and_one_that_was_told_does_not() {
         world.store.begin_import(capture, None)
     };
     let called = |end: ImportEnd| world.reader().capture(end.id()).unwrap().name;
-    // Begun together, both find the name free.
+    // Both were begun together and find the name free.
     let (first, second) = (begin(None, Some("desk")).unwrap(), begin(None, Some("desk")).unwrap());
     let (told, unnamed, other) =
         (begin(Some("desk"), None).unwrap(), begin(None, None).unwrap(), begin(None, Some("a/b")).unwrap());

@@ -1,4 +1,4 @@
-//! The time axis: when each sample was taken, and which samples lie in a range of time.
+//! The time axis: determines when each sample was taken, and which samples lie in a range of time.
 //!
 //! In: a capture and times as a user enters them. Out: `seq` of the range's ends, and each sample's time in ns since
 //! the capture's first one. Only one segment is kept at a time, however many there are, and every look-up is a short
@@ -13,12 +13,12 @@ use imu_core::units::period_ns;
 pub enum Moment {
     /// UTC in ns since 1970.
     Utc(i64),
-    /// Since the capture's first sample, ns.
+    /// Time since the capture's first sample, ns.
     Since(i64),
 }
 
 impl Moment {
-    /// RFC 3339, or seconds since the capture's first sample; `None` if the text is neither.
+    /// Reads RFC 3339, or seconds since the capture's first sample; `None` if the text is neither.
     pub fn parse(text: &str) -> Option<Self> {
         if let Ok(seconds) = text.parse::<f64>() {
             let ns = seconds * 1e9;
@@ -28,7 +28,7 @@ impl Moment {
         chrono::DateTime::parse_from_rfc3339(text).ok()?.timestamp_nanos_opt().map(Self::Utc)
     }
 
-    /// The time in ns since the first sample, which was taken at `origin_ns` (UTC).
+    /// Returns the time in ns since the first sample, which was taken at `origin_ns` (UTC).
     pub fn since(self, origin_ns: i64) -> i64 {
         match self {
             Self::Since(ns) => ns,
@@ -51,8 +51,8 @@ pub struct SampleRange {
 }
 
 impl SampleRange {
-    /// The samples of a capture from one moment on and before another; an absent moment stands for the capture's own
-    /// end.
+    /// Returns the samples of a capture from one moment on and before another; an absent moment stands for the
+    /// capture's own end.
     ///
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
@@ -66,12 +66,12 @@ impl SampleRange {
         Ok(Self { capture, axis, from_seq, to_seq: to_seq.max(from_seq) })
     }
 
-    /// The number of samples.
+    /// Returns the number of samples.
     pub fn samples(&self) -> u64 {
         self.to_seq - self.from_seq
     }
 
-    /// The times of its first and its last sample, s since the capture's first one; both 0 if it has none.
+    /// Returns the times of its first and its last sample, s since the capture's first one; both 0 if it has none.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -97,7 +97,7 @@ pub struct TimeAxis {
 }
 
 impl TimeAxis {
-    /// The axis of a capture; it begins at its first sample.
+    /// Returns the axis of a capture; it begins at its first sample.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -107,13 +107,14 @@ impl TimeAxis {
         Ok(Self { capture_id, origin_ns, segment: None })
     }
 
-    /// UTC of the origin of the times, ns since 1970.
+    /// Returns UTC of the origin of the times, ns since 1970.
     pub fn origin_ns(&self) -> i64 {
         self.origin_ns
     }
 
-    /// The `seq` of the first sample at or after the moment, `end` if there is none. Found by bisection: if the axis
-    /// itself runs back (the host's clock was stepped while the sensor was away), it is one of several possible places.
+    /// Returns the `seq` of the first sample at or after the moment, `end` if there is none. Uses bisection: if the
+    /// axis itself runs back (the host's clock was stepped while the sensor was disconnected), the result is one of
+    /// several possible places.
     fn seq_at(&mut self, reader: &Reader, moment: Moment, end: u64) -> Result<u64, StoreError> {
         let wanted_ns = moment.since(self.origin_ns);
         let (mut low, mut high) = (0, end);
@@ -126,8 +127,8 @@ impl TimeAxis {
         Ok(low)
     }
 
-    /// The times of a chunk that was read with its clocks, one per sample, ns since the capture's first one; empty if
-    /// it was read without clocks.
+    /// Returns the times of a chunk that was read with its clocks, one per sample, ns since the capture's first one;
+    /// empty if it was read without clocks.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -141,7 +142,7 @@ impl TimeAxis {
         .collect()
     }
 
-    /// The time of a row, ns since the capture's first sample.
+    /// Returns the time of a row, ns since the capture's first sample.
     fn time_ns(
         &mut self,
         reader: &Reader,

@@ -1,4 +1,4 @@
-//! A time of day as rows carry it.
+//! The time of day, as rows contain it.
 
 use serde::{Serialize, Serializer};
 

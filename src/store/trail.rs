@@ -16,17 +16,17 @@ pub struct SegmentRow {
     pub epoch: u32,
     /// `seq` of its first sample.
     pub first_seq: u64,
-    /// Samples it has.
+    /// Number of its samples.
     pub samples: u64,
     /// Output rate in Hz.
     pub rate_hz: f64,
-    /// What its times rest on.
+    /// The source of its times.
     pub timebase: Timebase,
     /// Its channels in column order.
     pub channels: Vec<Channel>,
     /// Time of its first sample.
     pub from: UtcNs,
-    /// Time of its last sample; null while it has none.
+    /// Time of its last sample; null if it has none yet.
     pub to: Option<UtcNs>,
     /// Device time of its first sample in ns.
     pub first_device_time_ns: Option<u64>,
@@ -41,15 +41,15 @@ pub struct GapRow {
     pub from: UtcNs,
     /// Time of the first sample after it.
     pub to: UtcNs,
-    /// How many samples are missing.
+    /// Number of missing samples.
     pub missing: u64,
     /// Whether the number follows from the sensor's own clock; otherwise from the host's.
     pub missing_exact: bool,
-    /// Why.
+    /// Its cause.
     pub cause: GapCause,
     /// `seq` of the first sample after it.
     pub before_seq: u64,
-    /// The sensor's clock before it in ns, where one epoch spans it.
+    /// The sensor's clock before it in ns, if it lies within one epoch.
     pub from_device_ns: Option<u64>,
     /// The sensor's clock after it in ns.
     pub to_device_ns: Option<u64>,
@@ -58,7 +58,7 @@ pub struct GapRow {
 /// An event as the interfaces show it.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct EventRow {
-    /// When.
+    /// The time of the event.
     pub at: UtcNs,
     /// Its kind, one of those that docs/formats.md lists.
     pub kind: String,
@@ -84,7 +84,7 @@ impl Missing {
         Self(gaps.into_iter().map(summed).collect())
     }
 
-    /// Samples missing before the sample `seq`, over all gaps that lie before it or end at it.
+    /// Returns the number of samples missing before the sample `seq`, over all gaps that lie before it or end at it.
     pub fn up_to(&self, seq: u64) -> u64 {
         let gaps = self.0.partition_point(|(before_seq, _)| *before_seq <= seq);
         gaps.checked_sub(1).and_then(|last| self.0.get(last)).map_or(0, |(_, sum)| *sum)
@@ -92,7 +92,7 @@ impl Missing {
 }
 
 impl Reader {
-    /// A capture's segments in order.
+    /// Returns a capture's segments in order.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.
@@ -119,10 +119,10 @@ impl Reader {
         })
     }
 
-    /// One segment.
+    /// Returns a segment.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] if samples belong to a segment that is not there, or the error that the database
+    /// [`StoreError::Damaged`] if samples belong to a segment that does not exist, or the error that the database
     /// reports.
     pub fn segment(&self, capture_id: i64, segment: u32) -> Result<SegmentRow, StoreError> {
         let before = i64::from(segment.saturating_sub(1));
@@ -132,8 +132,8 @@ impl Reader {
         })
     }
 
-    /// Civil time minus device time, ns, at the first sample of an epoch of the sensor's clock; `None` if its segments
-    /// have no device time.
+    /// Returns civil time minus device time, ns, at the first sample of an epoch of the sensor's clock; `None` if its
+    /// segments have no device time.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -143,10 +143,10 @@ impl Reader {
         Ok(self.connection.prepare_cached(sql)?.query_row(params![capture_id, epoch], |row| row.get(0)).optional()?)
     }
 
-    /// The rate of one segment in Hz.
+    /// Returns the rate of one segment in Hz.
     ///
     /// # Errors
-    /// [`StoreError::Damaged`] if samples belong to a segment that is not there, or the error that the database
+    /// [`StoreError::Damaged`] if samples belong to a segment that does not exist, or the error that the database
     /// reports.
     pub fn segment_rate_hz(&self, capture_id: i64, segment: u32) -> Result<f64, StoreError> {
         let sql = "SELECT rate_hz FROM segment WHERE capture_id = ?1 AND segment_id = ?2";
@@ -156,7 +156,7 @@ impl Reader {
         })
     }
 
-    /// Samples missing before the sample `seq`, over all gaps that lie before it.
+    /// Returns the number of samples missing before the sample `seq`, over all gaps that lie before it.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -167,7 +167,7 @@ impl Reader {
         Ok(missing as u64)
     }
 
-    /// The same for any sample, read once: 16 bytes per gap.
+    /// Returns the number of samples missing before any sample, from one query: 16 bytes per gap.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -179,7 +179,7 @@ impl Reader {
         Ok(Missing::of(gaps))
     }
 
-    /// Samples missing by the cause of their gaps.
+    /// Returns the number of missing samples by the cause of their gaps.
     ///
     /// # Errors
     /// The error that the database reports.
@@ -191,7 +191,7 @@ impl Reader {
         Ok(causes?)
     }
 
-    /// A capture's gaps in the order they were recorded.
+    /// Returns a capture's gaps in the order they were recorded.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.
@@ -215,7 +215,7 @@ impl Reader {
         })
     }
 
-    /// A capture's events in the order they were recorded.
+    /// Returns a capture's events in the order they were recorded.
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.
@@ -227,7 +227,7 @@ impl Reader {
         })
     }
 
-    /// Rows of a capture after the page's cursor; the first column is the key.
+    /// Returns the rows of a capture after the page's cursor; the first column is the key.
     fn page<T>(
         &self,
         sql: &str,

@@ -28,7 +28,7 @@ struct Place {
     columns: &'static [(&'static str, &'static str)],
 }
 
-/// In the order in which they are processed; samples last.
+/// The places in processing order; samples come last.
 const PLACES: [Place; 6] = [
     Place {
         table: "capture",
@@ -48,7 +48,7 @@ const PLACES: [Place; 6] = [
         key: "segment_id",
         columns: &[("first_utc_ns", "first_seq >= ?6"), ("last_utc_ns", "first_seq + samples > ?6")],
     },
-    // By place, not by number: its index is on the place.
+    // The key is the place, not the number, because the index is on the place.
     Place {
         table: "gap",
         capture: "capture_id",
@@ -119,7 +119,7 @@ pub(super) fn since(
     }
 }
 
-/// The civil time of a sample after the noted corrections are done.
+/// Returns the civil time of a sample after the noted corrections are done.
 pub(super) fn corrected(connection: &Connection, capture_id: i64, seq: u64, utc_ns: i64) -> Result<i64, StoreError> {
     let sql = "SELECT by_ns, before_utc_ns FROM utc_correction JOIN capture ON capture.id = capture_id \
                WHERE capture_id = ?1 AND ?2 >= first_seq AND ?2 < coalesce(end_seq, samples) \
@@ -145,7 +145,7 @@ pub(super) fn note(
     next_seq: u64,
 ) -> Result<(), StoreError> {
     close(connection, capture_id, next_seq)?;
-    // Then no earlier time can overflow.
+    // This ensures that no earlier time overflows.
     if before_utc_ns.checked_add(by_ns).is_none() {
         return Ok(());
     }
@@ -156,7 +156,7 @@ pub(super) fn note(
     Ok(())
 }
 
-/// Samples with times below this still belong to the correction that was noted last; `None` if there is none.
+/// Returns the time below which samples still belong to the correction that was noted last; `None` if there is none.
 pub(super) fn open_before(connection: &Connection, capture_id: i64) -> Result<Option<i64>, StoreError> {
     let sql = "SELECT max(before_utc_ns) FROM utc_correction WHERE capture_id = ?1 AND end_seq IS NULL";
     Ok(connection.prepare_cached(sql)?.query_row([capture_id], |row| row.get(0))?)
@@ -237,7 +237,7 @@ fn rows(connection: &Connection, correction: &Correction, place: &Place) -> Resu
     Ok(lowest)
 }
 
-/// The same for samples, whole batches at a time, whose checksums are renewed.
+/// Moves the times of samples, whole batches at a time, whose checksums are renewed.
 fn samples(connection: &Connection, correction: &Correction, place: &Place) -> Result<Option<i64>, StoreError> {
     let end = correction.next_key.min(correction.end_seq);
     let first = correction.since.seq;
@@ -308,7 +308,7 @@ mod tests {
     const PERIOD_NS: i64 = 25_000_000;
     const COUNT: u64 = 40_000;
 
-    /// The record with the time of a clock that was not set.
+    /// Returns the record with the time of a clock that was not set.
     fn early(record: Record) -> Record {
         match record {
             Record::Sample { seq, segment, mut sample } => {
@@ -332,8 +332,8 @@ mod tests {
         Record::UtcSet { by_ns, before_utc_ns, boot_id: boot_id.map(str::to_owned), since_seq }
     }
 
-    /// The records of a capture that began in 1970: segments and gaps, then the clock is set while two samples are
-    /// still held.
+    /// Returns the records of a capture that began in 1970: segments and gaps, then the clock is set while two samples
+    /// are still held.
     fn records() -> Vec<Record> {
         let mut records = vec![early(segment(1, 0)), event(5)];
         for seq in 0..COUNT {
@@ -392,7 +392,7 @@ mod tests {
         for part in records().chunks(5000) {
             writer.write_now(part.iter().map(|record| (id, record.clone())));
         }
-        // The state that a kill right after the clock was set leaves: noted, nothing done.
+        // The state after a kill right after the clock was set: the correction is noted, and nothing is done.
         assert_eq!(
             (one(&path, LEFT), one(&path, &format!("SELECT count(*) FROM sample WHERE host_utc_ns < {UNSET_NS}"))),
             (1, COUNT as i64 + 2)
@@ -476,7 +476,7 @@ mod tests {
         }
         world.store.flush_blocking().unwrap();
         all_right(&path, seq);
-        // A second time: what is already right stays.
+        // A second time: times that are already right stay.
         world.send(id, [utc_set(BY_NS, UNSET_NS, None, None), sample(4, seq)]);
         world.store.close().unwrap();
         all_right(&path, seq + 1);
@@ -494,7 +494,7 @@ mod tests {
         Record::Event(EventRecord { utc_ns, kind: EventKind::CaptureStarted, message, detail: None })
     }
 
-    /// The record with the time of a clock that is off by this much.
+    /// Returns the record with the time of a clock that is off by this much.
     fn off(record: Record, by_ns: i64) -> Record {
         match record {
             Record::Sample { seq, segment, mut sample } => {
@@ -532,7 +532,8 @@ mod tests {
 
     const SAMPLES: &str = "SELECT host_utc_ns FROM sample ORDER BY seq";
 
-    /// 100 samples of a first boot and 50 of a second one, whose clocks both began at about the same wrong time.
+    /// Returns 100 samples of a first boot and 50 of a second one, whose clocks both began at about the same wrong
+    /// time.
     fn two_boots() -> (Vec<Record>, i64) {
         let (first_off, second_off) = (BY_NS, BY_NS + 120 * PERIOD_NS);
         let mut records = vec![started(START_NS - first_off), of_boot(off(segment(1, 0), first_off), "one")];
@@ -582,7 +583,7 @@ mod tests {
             let mut records = vec![of_boot(off(segment(1, 0), BY_NS), "one")];
             records.extend((0..50).map(|seq| off(sample(1, seq), BY_NS)));
             records.extend(first);
-            // Two that were still held.
+            // Two samples that were still held.
             records.extend((50..52).map(|seq| off(sample(1, seq), BY_NS)));
             records.extend((52..100).map(|seq| off(sample(1, seq), second_off)));
             records.extend([utc_set(second_off, UNSET_NS, Some("one"), since_seq), sample(1, 100)]);
@@ -591,7 +592,7 @@ mod tests {
         let middle = START_NS + 52 * PERIOD_NS - second_off - step / 2;
         let right: Vec<i64> = (0..101).map(|seq| START_NS + seq * PERIOD_NS).collect();
         assert_eq!(corrected_rows(steps(Some(utc_set(step, middle, Some("one"), None)), None), SAMPLES), right);
-        // As after a step back that no row records: what lies before it stays.
+        // As after a step back that no row records: the times before it stay.
         let mut expected = right.clone();
         expected.iter_mut().take(52).for_each(|utc_ns| *utc_ns -= BY_NS);
         assert_eq!(corrected_rows(steps(None, Some(52)), SAMPLES), expected);

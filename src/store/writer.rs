@@ -64,13 +64,13 @@ type Work = Box<dyn FnOnce(Result<&mut Connection, StoreError>) -> Option<Failur
 
 /// The commands to the thread, besides records.
 pub(super) enum Command {
-    /// Run this.
+    /// Run this work.
     Run(Work),
-    /// A reader met damage.
+    /// A reader found damage.
     Damage(Failure),
-    /// Reply when everything that is in the queue now is committed.
+    /// Reply when all records that are in the queue now are committed.
     Flush(oneshot::Sender<()>),
-    /// Write what is there and end.
+    /// Write the rest and end.
     Stop,
 }
 
@@ -110,13 +110,13 @@ pub(super) struct Writer {
     waiting: SharedWaiting,
     lock: WriterLock,
     connection: Option<Connection>,
-    /// The identity of the file, and since when it is known.
+    /// The identity of the open file.
     file: FileId,
     file_checked: Instant,
     file_check: Duration,
-    /// The connection is closed: another file is in its place, which was reported.
+    /// Whether the connection is closed because another file is in its place, which was reported.
     replaced: bool,
-    /// The file was lost: what goes into the replacement.
+    /// The records for the replacement of a lost file.
     lost: Lost,
     identity: String,
     wal_alarm_bytes: u64,
@@ -127,13 +127,13 @@ pub(super) struct Writer {
     correcting: Option<Instant>,
     /// Steps that failed since one succeeded, for a reason that does not pass by itself.
     correction_failures: u32,
-    /// Taken from the queue, not yet committed.
+    /// Records taken from the queue and not yet committed.
     batch: Vec<(i64, Record)>,
     /// The number of the next batch.
     number: i64,
-    /// The batch was passed to a commit that failed: it may be on disk.
+    /// Whether the batch was passed to a commit that failed: it may be on disk.
     in_doubt: bool,
-    /// An I/O error happened: the file must be checked when it is reopened.
+    /// Whether an I/O error happened: the file must be checked when it is reopened.
     suspect: bool,
     /// The deadline for committing the oldest record of the batch.
     due: Option<Instant>,
@@ -180,7 +180,7 @@ impl Writer {
             lock,
             connection: Some(connection),
             damage: None,
-            // An earlier run may have left some.
+            // An earlier run may have left corrections.
             correcting: Some(Instant::now()),
             correction_failures: 0,
             batch: Vec::with_capacity(COMMIT_RECORDS),
@@ -199,8 +199,8 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Records outside the database what was acknowledged. Also determines why a disk refuses writes, which SQLite does
-    /// not report.
+    /// Records outside the database the last acknowledged batch. The error shows why a disk refuses writes, which
+    /// SQLite does not report.
     fn remember(&self) -> Option<std::io::Error> {
         self.lock.mark(&self.identity, self.number - 1).err()
     }
@@ -255,7 +255,7 @@ impl Writer {
         }
     }
 
-    /// Runs a command. A batch that is being gathered is committed first, so that a command sees what preceded it.
+    /// Runs a command. A batch that is being gathered is committed first, so that a command sees the records before it.
     fn run_command(&mut self, work: Work) {
         if self.retry_at.is_none() && self.damage.is_none() {
             self.commit();
@@ -300,7 +300,7 @@ impl Writer {
         self.connection.as_mut().ok_or(StoreError::Closed)
     }
 
-    /// Reopens the same file, if it still holds what was committed.
+    /// Reopens the same file, if it still holds the committed data.
     fn reopen(&mut self) -> Result<(), StoreError> {
         let connection = schema::reopen(&self.path).map_err(|error| match error {
             StoreError::Foreign { .. } => StoreError::Damaged { report: "its header is not one of ours".to_owned() },
@@ -469,7 +469,7 @@ impl Writer {
         }
     }
 
-    /// The batch is acknowledged: the next one gets the next number.
+    /// Records that the batch is acknowledged: the next one gets the next number.
     fn remember_commit(&mut self) {
         self.number += 1;
         // A mark that could not be written is merely out of date.
@@ -509,7 +509,7 @@ impl Writer {
         }
     }
 
-    /// Sizes and rates, once a second.
+    /// Measures sizes and rates, once a second.
     fn measure(&mut self) {
         let now = Instant::now();
         let seconds = (now - self.measured_at).as_secs_f64();
@@ -544,7 +544,7 @@ impl Writer {
         }
     }
 
-    /// Writes everything that is there, copies the log into the file and closes it.
+    /// Writes the rest, copies the log into the file and closes it.
     pub(super) fn stop(&mut self) -> Result<(), StoreError> {
         self.records.close();
         if self.damage.is_some() {

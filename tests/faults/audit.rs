@@ -1,8 +1,8 @@
-//! Audit: what every fault test ends in. Nothing lost silently, nothing torn, nothing leaked.
+//! Audit: the checks at the end of every fault test. Nothing is lost silently, torn or leaked.
 //!
-//! The oracle is the emulator's log: every frame that the sensor made and what became of it. The database must have each
-//! intact frame as a row, inside a recorded gap, or counted among the discarded ones; what a gap says is missing must be
-//! what the sensor's clock and the log say.
+//! The oracle is the emulator's log: every frame that the sensor made, and its fate. The database must have each intact
+//! frame as a row, inside a recorded gap, or counted as discarded. The number of missing samples of a gap must agree
+//! with the sensor's clock and the log.
 
 use crate::world::{Process, World, vn100d};
 use rusqlite::types::Value;
@@ -10,26 +10,26 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// The daemon may keep this much memory of its own at most, a job's work space included. The program's own pages are not
-/// counted: the kernel takes them back when it needs to, and a test build has more of them than a release.
+/// The maximum private memory of the daemon, including a job's work space. The program's own pages are not counted: the
+/// kernel can reclaim them, and a test build has more of them than a release.
 const ANONYMOUS_MAX_BYTES: u64 = 48 << 20;
 
-/// A reader of the database that was not open yet when the baseline was taken: its file, the log, the index.
+/// The files of a reader of the database that was not open when the baseline was taken: database, log, index.
 const READER_FDS: usize = 3;
 
-/// A frame that the emulated sensor made, as its log has it.
+/// A frame of the emulated sensor, from its log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Made {
     pub number: u64,
     pub tick: u64,
     pub device_time_ns: u64,
-    /// When the terminal had it, on the clock of `sample.host_mono_ns`.
+    /// The time at which the terminal had it, on the clock of `sample.host_mono_ns`.
     pub host_mono_ns: u64,
     pub fate: String,
 }
 
 impl Made {
-    /// It arrived whole, if anybody listened.
+    /// Returns whether a listener received it complete.
     pub fn is_intact(&self) -> bool {
         matches!(self.fate.as_str(), "sent" | "held" | "duplicated" | "reordered")
     }
@@ -68,12 +68,12 @@ impl SensorLog {
                 });
             }
         }
-        // In the order in which the sensor made them: one that is left out is settled before one that still waits.
+        // In the order in which the sensor made them: a frame that is omitted is settled before one that still waits.
         log.frames.sort_by_key(|frame| frame.number);
         log
     }
 
-    /// When the last event of this kind happened.
+    /// Returns the time of the last event of this kind.
     pub fn last(&self, what: &str) -> u64 {
         self.events
             .iter()
@@ -88,7 +88,7 @@ impl SensorLog {
     }
 }
 
-/// What a process holds.
+/// The resources that a process holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Held {
     pub anonymous_bytes: u64,
@@ -117,13 +117,13 @@ impl Held {
     }
 }
 
-/// A gap as the database has it.
+/// A gap in the database.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gap {
     pub before_seq: i64,
     pub from_utc_ns: i64,
     pub to_utc_ns: i64,
-    /// Where one epoch spans it.
+    /// The device times at its ends, if one epoch spans it.
     pub device_ns: Option<(i64, i64)>,
     pub missing: i64,
     pub exact: bool,
@@ -136,7 +136,7 @@ impl Gap {
     }
 }
 
-/// What the audit found, for the figures of a test.
+/// The results of the audit, for the figures of a test.
 #[derive(Debug)]
 pub struct Audited {
     pub samples: u64,
@@ -145,13 +145,13 @@ pub struct Audited {
     pub segments: u64,
     pub rejected: BTreeMap<String, u64>,
     pub log: SensorLog,
-    /// Host time of the rows, in order.
+    /// Host times of the rows, in order.
     pub row_mono_ns: Vec<u64>,
     pub held: Held,
 }
 
 impl Audited {
-    /// From what the sensor's log calls an event to the first row after it, s.
+    /// Returns the time from an event in the sensor's log to the first row after it, s.
     pub fn resumed_after_s(&self, event: &str) -> f64 {
         let at = self.log.last(event);
         let first = self.row_mono_ns.iter().find(|row| **row > at).expect("a row after the event");
@@ -163,7 +163,7 @@ impl Audited {
     }
 }
 
-/// How many lines of a log contain all of these words.
+/// Returns how many lines of a log contain all of these words.
 pub fn lines_with(log: &str, words: &[&str]) -> usize {
     log.lines().filter(|line| words.iter().all(|word| line.contains(word))).count()
 }
@@ -187,7 +187,7 @@ fn text(value: &Value) -> String {
 }
 
 impl World {
-    /// What status says is safe.
+    /// Returns the number of samples that the status reports as committed.
     pub fn committed(&self) -> u64 {
         self.get("/v1/status")["capture"]["committed"].as_u64().unwrap_or(0)
     }
@@ -215,7 +215,7 @@ impl World {
         audited
     }
 
-    /// The database against itself and against the sensor's log, when nobody writes it.
+    /// Checks the database for consistency and against the sensor's log, when no process writes it.
     pub fn audit(&self, sensor_log: &Path, held: Held) -> Audited {
         assert_eq!(self.query("PRAGMA integrity_check"), [[Value::Text("ok".into())]]);
         assert!(self.query("PRAGMA foreign_key_check").is_empty());
@@ -265,7 +265,7 @@ impl World {
             })
             .collect();
 
-        // The counters and the rows say the same, and the rows have no holes of their own.
+        // The counters and the rows agree, and the rows have no holes.
         let segments = integer(&of("SELECT count(*) FROM segment WHERE capture_id = CAPTURE")[0][0]);
         let missing: i64 = gaps.iter().map(|gap| gap.missing).sum();
         let expected = [rows.len() as i64, missing, gaps.len() as i64, segments].map(Value::Integer);
@@ -280,7 +280,7 @@ impl World {
     }
 }
 
-/// The daemon's memory, descriptors and threads, once they are back where they were.
+/// Returns the daemon's memory, descriptors and threads, once they are back at the baseline.
 fn settled(daemon: &Process, baseline: Option<Held>) -> Held {
     let deadline = Instant::now() + Duration::from_secs(20);
     loop {
@@ -299,7 +299,7 @@ fn settled(daemon: &Process, baseline: Option<Held>) -> Held {
     }
 }
 
-/// What the descriptors of a process are.
+/// Lists the descriptors of a process.
 fn descriptors(pid: u32) -> String {
     let entries = std::fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
     let links = entries.filter_map(|entry| std::fs::read_link(entry.path()).ok());
@@ -315,7 +315,8 @@ struct Row {
     period_ns: f64,
 }
 
-/// `expected = received + Σ gap.missing`, with `expected` from the first and last tick of each stretch of one clock and rate.
+/// Checks that `expected = received + Σ gap.missing`, with `expected` from the first and last tick of each stretch of
+/// one clock and rate.
 fn check_epochs(rows: &[Row], gaps: &[Gap]) {
     for stretch in rows.chunk_by(|a, b| a.epoch == b.epoch && a.period_ns == b.period_ns) {
         let (first, last) = (&stretch[0], &stretch[stretch.len() - 1]);
@@ -344,11 +345,13 @@ fn check_epochs(rows: &[Row], gaps: &[Gap]) {
     }
 }
 
-/// Every row is a frame that the sensor sent; every intact frame is a row, inside a gap, or counted as discarded; what a gap
-/// says within one epoch is what the sensor's clock says, and no less than what the log has lost there.
+/// Checks that every row is a frame that the sensor sent, and that every intact frame is a row, inside a gap, or
+/// counted as discarded. The missing samples of a gap within one epoch must agree with the sensor's clock, and must not
+/// be fewer than those lost there in the log.
 fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64>, log: &SensorLog) {
     if rows.iter().any(|row| row.device_ns.is_none()) {
-        // Without the sensor's time a row cannot be told from its neighbour: there are no more of them than were sent.
+        // Without the sensor's time, neighbouring rows are indistinguishable: there must be no more rows than frames
+        // sent.
         let intact = log.frames.iter().filter(|frame| frame.is_intact()).count();
         assert!(rows.len() <= intact, "{} rows of {intact} frames", rows.len());
         return;
@@ -360,7 +363,7 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
     let mut previous: Option<usize> = None;
     for (number, row) in rows.iter().enumerate() {
         let device_ns = row.device_ns.unwrap() as u64;
-        // Behind the last one, and sent not after it was heard nor long before.
+        // The frame comes after the last one, and was not sent after its arrival nor long before it.
         let fits = |frame: &Made| {
             frame.is_intact()
                 && frame.device_time_ns == device_ns
@@ -384,7 +387,7 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
                 Some(Gap { device_ns: Some((from, to)), missing, .. }) => {
                     let instants = ((to - from) as f64 / row.period_ns).round() as i64 - 1;
                     assert_eq!(*missing, instants, "between {from} and {to} ns");
-                    // Frames of the output under way; those of another rate or format are no samples of it.
+                    // Frames of the present output; those of another rate or format are not samples of it.
                     let lost = between.iter().filter(|frame| {
                         let steps = (frame.device_time_ns as f64 - *from as f64) / row.period_ns;
                         (steps - steps.round()).abs() < 1e-3
@@ -395,7 +398,7 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
                         "{lost} frames were lost between {from} and {to} ns, {missing} are missing"
                     );
                 }
-                // Across two epochs only the host's clock tells: the monotonic one, whatever became of civil time and however
+                // Across two epochs only the host's monotonic clock counts, whatever happened to civil time and however
                 // often the daemon was killed meanwhile.
                 Some(gap) => {
                     let before = &rows[number - 1];

@@ -23,7 +23,7 @@ fn connect(world: &World) -> TcpStream {
     stream
 }
 
-/// A connection on which this was sent; None where the daemon does not take it.
+/// Returns a connection on which these bytes were sent; `None` if the daemon does not accept it.
 fn sent(world: &World, bytes: &[u8]) -> Option<TcpStream> {
     let mut stream = TcpStream::connect(world.url.trim_start_matches("http://")).ok()?;
     stream.set_read_timeout(Some(Duration::from_secs(10))).ok()?;
@@ -31,7 +31,7 @@ fn sent(world: &World, bytes: &[u8]) -> Option<TcpStream> {
     Some(stream)
 }
 
-/// Whether the other side has closed: there is nothing to read any more.
+/// Returns whether the other side has closed: no more bytes can be read.
 fn is_closed(stream: &mut TcpStream) -> bool {
     stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
     let mut rest = [0; 4096];
@@ -44,7 +44,7 @@ fn is_closed(stream: &mut TcpStream) -> bool {
     }
 }
 
-/// `VmRSS` or `VmHWM` of a process in bytes.
+/// Returns `VmRSS` or `VmHWM` of a process in bytes.
 pub fn memory(pid: u32, name: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
     let line = status.lines().find(|line| line.starts_with(name)).unwrap();
@@ -58,7 +58,7 @@ fn metric(world: &World, name: &str) -> f64 {
     line.rsplit(' ').next().unwrap().parse().unwrap()
 }
 
-/// Asks for the status so often a second, for so long; answers how long each took, the shortest first.
+/// Requests the status this many times per second, for this time; returns the durations, the shortest first.
 pub fn ask(world: &World, per_s: u32, time: Duration) -> Vec<Duration> {
     let askers = per_s.div_ceil(50);
     let mut took: Vec<Duration> = std::thread::scope(|scope| {
@@ -90,7 +90,7 @@ pub fn p99(sorted: &[Duration]) -> Duration {
     sorted[sorted.len() * 99 / 100]
 }
 
-/// A daemon that captures, once samples come.
+/// Returns the sensor and a daemon that captures, once samples arrive.
 fn capturing(world: &World) -> (Process, Process) {
     let sensor = world.emulate(&[]);
     let daemon = world.daemon("", &["--capture", "1h"]);
@@ -105,7 +105,7 @@ fn nothing_missing(world: &World) {
     assert_eq!(status["sensor"]["state"], "streaming", "{status}");
 }
 
-/// E1.
+/// Row E1.
 #[test]
 fn a_thousand_half_heads_are_closed_in_time_and_harm_nobody() {
     let world = World::new();
@@ -126,7 +126,7 @@ fn a_thousand_half_heads_are_closed_in_time_and_harm_nobody() {
     settle(&world);
 }
 
-/// E2.
+/// Row E2.
 #[test]
 fn a_thousand_idle_connections_and_200_requests_a_second_harm_nobody() {
     let world = World::new();
@@ -155,7 +155,7 @@ fn a_thousand_idle_connections_and_200_requests_a_second_harm_nobody() {
     settle(&world);
 }
 
-/// E3.
+/// Row E3.
 #[test]
 fn readers_of_a_byte_a_second_are_dropped_after_30_s_and_hold_nothing() {
     const STREAMS: usize = 4;
@@ -169,7 +169,7 @@ fn readers_of_a_byte_a_second_are_dropped_after_30_s_and_hold_nothing() {
     let mut most = 0;
     let dropped = loop {
         for stream in &mut slow {
-            // What the kernel has buffered comes to its end in months; an error is the end.
+            // The kernel's buffer would last for months; an error is the end.
             let _ = stream.read(&mut [0]);
         }
         most = most.max(memory(daemon.id(), "VmRSS"));
@@ -179,7 +179,7 @@ fn readers_of_a_byte_a_second_are_dropped_after_30_s_and_hold_nothing() {
             let busy: i64 = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get(0)).unwrap();
             assert_eq!(busy, 0, "a reader holds the log");
         }
-        // This very question has a connection too.
+        // This request has a connection too.
         if metric(&world, "vn100d_http_connections") <= 1.0 {
             break begun.elapsed();
         }
@@ -196,13 +196,13 @@ fn readers_of_a_byte_a_second_are_dropped_after_30_s_and_hold_nothing() {
     settle(&world);
 }
 
-/// E5.
+/// Row E5.
 #[test]
 fn a_query_whose_client_has_gone_ends_within_a_second() {
     let world = World::new();
     let capture = fill(&world, "night", &SIX, &plain(scaled(600_000, 2_000_000)), noise);
     let daemon = world.daemon("", &[]);
-    // More large queries than the four that may run: once twenty are refused the others run.
+    // More large queries than the four that may run: after twenty refusals the others run.
     let large = format!("/v1/captures/{capture}/samples?max_points=10");
     let request = format!("GET {large} HTTP/1.1\r\nHost: localhost\r\n\r\n");
     let begun = Instant::now();
@@ -212,11 +212,11 @@ fn a_query_whose_client_has_gone_ends_within_a_second() {
     let refused = |at_least: f64| metric(&world, "vn100d_http_queries_refused_total") >= at_least;
     world.until("all large queries run", Duration::from_secs(10), || refused(20.0).then_some(()), &daemon);
     let one_more = format!("/v1/captures/{capture}/samples?to=1");
-    // Its answer comes after a pause; that it is refused is counted before.
+    // Its answer comes after a pause, but the refusal is counted before.
     let asked = sent(&world, format!("GET {one_more} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).unwrap();
     let still = || refused(21.0).then_some(());
     world.until("four queries still run", Duration::from_secs(1), still, &daemon);
-    // Dropped with unread bytes: the kernel sends a reset.
+    // The connections are dropped with unread bytes: the kernel sends a reset.
     drop((clients, asked));
     std::thread::sleep(Duration::from_millis(900));
     let (status, text) = world.request("GET", &one_more, "").unwrap();
@@ -226,7 +226,7 @@ fn a_query_whose_client_has_gone_ends_within_a_second() {
     settle(&world);
 }
 
-/// A daemon under `prlimit --nofile=64`.
+/// Returns a daemon under `prlimit --nofile=64`.
 fn with_64_files(world: &World) -> Process {
     let mut command = Command::new("prlimit");
     let listen = world.url.trim_start_matches("http://");
@@ -249,7 +249,7 @@ fn limit_files(pid: u32, files: u64) {
     assert!(status.success());
 }
 
-/// E6.
+/// Row E6.
 #[test]
 fn without_files_left_nothing_breaks_and_accepting_goes_on() {
     if !have("prlimit", "limits the daemon to 64 open files") {
@@ -260,10 +260,10 @@ fn without_files_left_nothing_breaks_and_accepting_goes_on() {
     let daemon = with_64_files(&world);
     let streaming = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(20));
     world.until("samples", Duration::from_secs(15), streaming, &daemon);
-    // Five times as many connections as there can be files; those held open keep asking.
+    // Five times as many connections as there can be files; those held open repeat their requests.
     let request = b"GET /v1/captures HTTP/1.1\r\nHost: localhost\r\n\r\n";
     let held: Vec<TcpStream> = (0..300).filter_map(|_| sent(&world, request)).collect();
-    // What capture and store open comes first: the sensor is found again while connections are held.
+    // Capture and store open their files first: the sensor is found again while connections are held.
     drop(sensor);
     std::thread::sleep(Duration::from_millis(300));
     let _sensor = world.emulate(&[]);
@@ -289,8 +289,8 @@ fn without_files_left_nothing_breaks_and_accepting_goes_on() {
     let after_crowd = released.elapsed();
     let again = || world.try_get("/v1/status").filter(|status| status["sensor"]["state"] == "streaming");
     world.until("the sensor streams again", Duration::from_secs(3), again, &daemon);
-    // Not one file is left, whatever the daemon closes meanwhile: its first three are never closed. Accept itself fails,
-    // is counted, and goes on once there are some.
+    // No descriptor is free, whatever the daemon closes meanwhile: its first three are never closed. Accepting itself
+    // fails, is counted, and continues once descriptors are free.
     limit_files(daemon.id(), 3);
     let mut waiting = sent(&world, b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
     std::thread::sleep(Duration::from_millis(500));
@@ -307,7 +307,7 @@ fn without_files_left_nothing_breaks_and_accepting_goes_on() {
     settle(&world);
 }
 
-/// Status and id of 50 identical submissions at once.
+/// Returns status and id of 50 identical submissions at once.
 fn submit_50(world: &World, body: &Value) -> Vec<(u16, i64)> {
     let body = body.to_string();
     std::thread::scope(|scope| {
@@ -326,13 +326,13 @@ fn submit_50(world: &World, body: &Value) -> Vec<(u16, i64)> {
     })
 }
 
-/// E7.
+/// Row E7.
 #[test]
 fn fifty_identical_submissions_are_one_job_also_while_the_capture_grows() {
     let world = World::new();
     let night = fill(&world, "night", &SIX, &plain(scaled(600_000, 2_000_000)), noise);
     let (_sensor, daemon) = capturing(&world);
-    // The first keeps the worker busy while those over the running capture come in.
+    // The first keeps the worker busy while the submissions over the running capture arrive.
     for body in
         [json!({"kind": "noise", "capture": night}), json!({"kind": "allan", "capture": "latest", "taus": "octave"})]
     {
@@ -342,7 +342,7 @@ fn fifty_identical_submissions_are_one_job_also_while_the_capture_grows() {
         assert!(answers.iter().all(|(_, id)| *id == answers[0].1), "{answers:?}");
     }
     assert_eq!(world.query("SELECT count(*) FROM job"), [[rusqlite::types::Value::Integer(2)]]);
-    // Many different ones: the queue is bounded, and says when to come again.
+    // Many different jobs: the queue is bounded, and the answer states when to try again.
     let mut refused = None;
     for channels in 1..=200_u32 {
         let names: Vec<&str> = SIX
@@ -370,7 +370,7 @@ fn fifty_identical_submissions_are_one_job_also_while_the_capture_grows() {
     settle(&world);
 }
 
-/// Item 6 of what is promised: changes need the token beyond loopback, and on loopback this machine's name.
+/// Promise 6: beyond loopback changes need the token, and on loopback the host must be this machine.
 #[test]
 fn beyond_loopback_changes_need_the_token_and_on_loopback_the_host_must_be_this_one() {
     let world = World::new();

@@ -1,8 +1,8 @@
-//! Isolation: everything that may be asked of the daemon at once costs the recorder no sample (row H).
+//! Isolation: a combination of all requests to the daemon costs the recorder no sample (row H).
 //!
-//! `VN100D_ISOLATION=30m` says for how long, and that nothing else runs on the machine: the figures are then held to what is
-//! promised. Otherwise it takes 15 s beside other tests, and lost samples are bounded only. As root the daemon is in a memory cgroup with the limit of
-//! its unit.
+//! `VN100D_ISOLATION=30m` sets the duration, and states that nothing else runs on the machine: the figures must then
+//! meet the promises. Otherwise the test takes 15 s beside other tests, and lost samples are only bounded. As root the
+//! daemon is in a memory cgroup with the limit of its unit.
 
 use crate::http::{ask, memory, p99};
 use crate::jobs::{children, fill, model, noise, plain, settle, wakes};
@@ -20,17 +20,17 @@ use std::time::Duration;
 const MIB: u64 = 1 << 20;
 /// The unit's `MemoryMax=`.
 const UNIT_BYTES: u64 = 1280 * MIB;
-/// What the recorder's own process may have resident.
+/// The maximum resident memory of the recorder's own process.
 const RECORDER_BYTES: u64 = 64 * MIB;
-/// A hostile body: as large as one may be.
+/// The size of a hostile body: the largest that is accepted.
 const BODY_BYTES: usize = 32_000_000;
-/// Workers that are killed.
+/// Number of workers that are killed.
 const KILLS: u32 = 20;
 
 /// A memory cgroup with the unit's limit; removed when dropped.
 struct Cgroup {
     folder: PathBuf,
-    /// Version 2.
+    /// Whether the hierarchy is version 2.
     unified: bool,
 }
 
@@ -49,7 +49,7 @@ impl Cgroup {
         Some(cgroup)
     }
 
-    /// Processes that were killed for want of memory.
+    /// Returns the number of processes that were killed for lack of memory.
     fn killed(&self) -> u64 {
         let file = if self.unified { "memory.events" } else { "memory.oom_control" };
         let text = std::fs::read_to_string(self.folder.join(file)).unwrap();
@@ -57,7 +57,7 @@ impl Cgroup {
         line.rsplit(' ').next().unwrap().parse().unwrap()
     }
 
-    /// Memory that is no file's, at this moment.
+    /// Returns the present memory that does not belong to files.
     fn anonymous(&self) -> u64 {
         let name = if self.unified { "anon " } else { "total_rss " };
         let text = std::fs::read_to_string(self.folder.join("memory.stat")).unwrap_or_default();
@@ -82,17 +82,17 @@ fn remove(folder: &Path) {
     }
 }
 
-/// A group that has a share of the processor (cgroup v1); removed when dropped.
+/// A group with a share of the processor (cgroup v1); removed when dropped.
 struct Share(PathBuf);
 
 impl Share {
-    /// 1024 is the share of a group that says nothing.
+    /// 1024 is the default share of a group.
     fn new(name: &str, shares: u32) -> Option<Self> {
         let folder = Path::new("/sys/fs/cgroup/cpu").join(format!("vn100d-test-{}-{name}", std::process::id()));
         std::fs::create_dir(&folder).ok()?;
         let share = Self(folder);
         std::fs::write(share.0.join("cpu.shares"), shares.to_string()).ok()?;
-        // A kernel that shares out real-time priority among groups takes no thread that has it into a group without.
+        // A kernel that divides real-time priority among groups accepts no real-time thread in a group without a share.
         let _ = std::fs::write(share.0.join("cpu.rt_runtime_us"), "100000");
         Some(share)
     }
@@ -101,7 +101,7 @@ impl Share {
         std::fs::write(self.0.join("cgroup.procs"), pid.to_string()).unwrap();
     }
 
-    /// Takes the thread that calls it.
+    /// Moves the calling thread into the group.
     fn take_thread(&self) {
         let thread = std::fs::read_link("/proc/thread-self").unwrap();
         std::fs::write(self.0.join("tasks"), thread.file_name().unwrap().as_encoded_bytes()).unwrap();
@@ -114,10 +114,10 @@ impl Drop for Share {
     }
 }
 
-/// As `sched_setscheduler` numbers it.
+/// The number of this policy in `sched_setscheduler`.
 const SCHED_RR: u64 = 2;
 
-/// The scheduling policy of a thread of this name.
+/// Returns the scheduling policy of a thread of this name.
 fn policy(pid: u32, name: &str) -> u64 {
     let threads = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten();
     let mut all = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
@@ -126,7 +126,7 @@ fn policy(pid: u32, name: &str) -> u64 {
     stat.rsplit(") ").next().unwrap().split(' ').nth(38).unwrap().parse().unwrap()
 }
 
-/// Status of a request whose body is written as `fill` writes it.
+/// Returns the status of a request whose body `fill` writes.
 fn post(
     world: &World,
     route: &str,
@@ -144,7 +144,7 @@ fn post(
     text.split(' ').nth(1)?.parse().ok()
 }
 
-/// A recording of so many bytes, row by row.
+/// Sends a recording of this many bytes, row by row.
 fn send_recording(stream: &mut TcpStream, bytes: u64, seed: u64) -> std::io::Result<()> {
     let mut out = std::io::BufWriter::with_capacity(1 << 16, stream);
     let head = "time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n";
@@ -172,7 +172,7 @@ fn send_recording(stream: &mut TcpStream, bytes: u64, seed: u64) -> std::io::Res
     out.flush()
 }
 
-/// What is asked of the daemon, and how often it was answered.
+/// Requests to the daemon, and how often each was answered.
 #[derive(Debug, Default)]
 struct Asked {
     bodies: AtomicU64,
@@ -198,18 +198,19 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     let night = fill(&world, "night", nine, &plain(if long { 720_000 } else { scaled(60_000, 720_000) }), noise);
     let sensor = world.emulate(&["--baud", "921600"]);
     if root("the emulated sensor ahead of everything else") {
-        // It stands for a sensor, which sends on whatever the host does.
+        // It represents a sensor, which continues to send whatever the host does.
         for task in std::fs::read_dir(format!("/proc/{}/task", sensor.id())).unwrap().flatten() {
             let id = task.file_name().to_str().and_then(|id| rustix::process::Pid::from_raw(id.parse().ok()?));
             rustix::process::setpriority_process(id, -15).unwrap();
         }
     }
     let mut command = program();
-    // As the unit has it.
+    // As in the unit.
     command.env("MALLOC_ARENA_MAX", "2");
     let port = world.port();
     let configuration = "[sensor]\nrate-hz = 800\nbaud = 921600\n";
-    // As under systemd, whose unit has CPUWeight=200. The clients stand for other machines: what they do costs this one nothing.
+    // As under systemd, whose unit has CPUWeight=200. The clients represent other machines: their work costs this one
+    // nothing.
     let shares = root("the daemon and its clients in processor groups")
         .then(|| Some((Share::new("unit", 2048)?, Share::new("clients", 2)?)))
         .flatten();
@@ -328,7 +329,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
             while go_on() {
                 std::thread::sleep(pause);
                 if let Some(child) = children(pid).pop().and_then(|pid| rustix::process::Pid::from_raw(pid as i32)) {
-                    // It may just have ended.
+                    // The process may just have ended.
                     if rustix::process::kill_process(child, rustix::process::Signal::KILL).is_ok() {
                         asked.kills.fetch_add(1, Ordering::Relaxed);
                     }
@@ -368,7 +369,7 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     let gaps = world.until("the gaps are listed", Duration::from_secs(5), listed, &daemon);
     let (late, all) = wakes(&world, "0.02");
     eprintln!("H1: {} of {all} wakes were more than 20 ms late", all - late);
-    // On every push other tests run beside it, on two cores: what is asked of the machine is then more than of the daemon.
+    // On every push other tests run beside it, on two cores: the machine's load is then more than the daemon's.
     let missing_max = if alone { 0 } else { running["samples"].as_u64().unwrap() / 10 };
     assert!(running["missing"].as_u64().unwrap() <= missing_max, "{gaps}");
     // A program with debug assertions is three times as large.
@@ -377,7 +378,8 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
     assert!(p99(&took) < Duration::from_millis(if alone { 50 } else { 1000 }), "{:?}", p99(&took));
     assert!(cgroup.as_ref().is_none_or(|cgroup| cgroup.killed() == 0 && unit_most < UNIT_BYTES));
     assert!(asked.kills.into_inner() > 0 && asked.bodies.into_inner() > 0, "nothing was asked");
-    // None: who sends on after a refusal may not hear it. 503: the picture's process was among those that were killed.
+    // None: a client that continues to send after a refusal may not receive it. 503: the picture's process was among
+    // those that were killed.
     assert!(codes.into_inner().unwrap().keys().all(|code| matches!(code, None | Some(200..=202 | 413 | 429 | 503))));
     daemon.terminate();
     drop(daemon);

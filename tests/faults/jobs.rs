@@ -1,4 +1,4 @@
-//! Background work that is interrupted, starved or fed nonsense (rows F1 to F10).
+//! Background work that is interrupted, starved or given invalid input (rows F1 to F10).
 
 use crate::audit::lines_with;
 use crate::http::memory;
@@ -14,20 +14,20 @@ use vn100d::store::{CaptureState, NewCapture, Store, StoreOptions};
 const START_NS: i64 = 1_800_000_000_000_000_000;
 const SIX: [Channel; 6] =
     [Channel::AccelX, Channel::AccelY, Channel::AccelZ, Channel::GyroX, Channel::GyroY, Channel::GyroZ];
-/// Samples of a job's chunk.
+/// Number of samples of a job's chunk.
 const CHUNK: u64 = vn100d::jobs::CHUNK as u64;
 
-/// A stretch of samples at one rate, after `missing` that are missing.
+/// A stretch of samples at one rate, after `missing` missing samples.
 pub struct Stretch {
     pub samples: u64,
     pub rate_hz: f64,
     pub missing: u64,
     pub cause: GapCause,
-    /// The sensor's clock begins anew.
+    /// Whether the sensor's clock restarts.
     pub reset: bool,
 }
 
-/// White noise around 0 in ±0.005, the same for the same place.
+/// Returns white noise around 0 in ±0.005, the same for the same place.
 pub fn noise(seq: u64, channel: Channel) -> f64 {
     let mut state = (seq + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ ((channel as u64 + 1) << 32);
     state ^= state >> 29;
@@ -35,12 +35,12 @@ pub fn noise(seq: u64, channel: Channel) -> f64 {
     ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.01
 }
 
-/// One stretch of so many samples at 40 Hz.
+/// Returns one stretch of this many samples at 40 Hz.
 pub fn plain(samples: u64) -> Vec<Stretch> {
     vec![Stretch { samples, rate_hz: 40.0, missing: 0, cause: GapCause::Checksum, reset: false }]
 }
 
-/// Makes a capture in the world's database, before a daemon has it; answers its id.
+/// Makes a capture in the world's database, before a daemon opens it; returns its id.
 pub fn fill(
     world: &World,
     name: &str,
@@ -105,7 +105,7 @@ pub fn fill(
     id
 }
 
-/// What every one of these tests ends in: the file is sound and its counters agree with its rows.
+/// Checks at the end of every test that the file is sound and its counters agree with its rows.
 pub fn settle(world: &World) {
     assert_eq!(world.query("PRAGMA integrity_check"), [[Value::Text("ok".to_owned())]]);
     let wrong = world.query(
@@ -115,14 +115,14 @@ pub fn settle(world: &World) {
     assert!(wrong.is_empty(), "counters and rows differ: {wrong:?}");
 }
 
-/// Submits a job and answers its id.
+/// Submits a job and returns its id.
 fn submit(world: &World, body: &serde_json::Value) -> i64 {
     let (status, text) = world.request("POST", "/v1/jobs", &body.to_string()).unwrap();
     assert!(status == 202 || status == 200, "{status} {text}");
     serde_json::from_str::<serde_json::Value>(&text).unwrap()["id"].as_i64().unwrap()
 }
 
-/// Submits a diagnosis and answers its id.
+/// Submits a diagnosis and returns its id.
 fn diagnose(world: &World, capture: i64, wanted: &serde_json::Value) -> i64 {
     let route = format!("/v1/captures/{capture}/diagnoses");
     let (status, text) = world.request("POST", &route, &wanted.to_string()).unwrap();
@@ -130,7 +130,7 @@ fn diagnose(world: &World, capture: i64, wanted: &serde_json::Value) -> i64 {
     serde_json::from_str::<serde_json::Value>(&text).unwrap()["id"].as_i64().unwrap()
 }
 
-/// Waits for the job's end and answers it.
+/// Waits for the job's end and returns the job.
 fn ended(world: &World, job: i64, daemon: &Process) -> serde_json::Value {
     let over = || {
         world
@@ -140,7 +140,7 @@ fn ended(world: &World, job: i64, daemon: &Process) -> serde_json::Value {
     world.until("the job ends", Duration::from_secs(120), over, daemon)
 }
 
-/// The result's bytes as they are kept.
+/// Returns the result's bytes as they are stored.
 fn body(world: &World, job: i64) -> String {
     let rows = world.query(&format!("SELECT body FROM result WHERE job_id = {job}"));
     match &rows[..] {
@@ -156,7 +156,7 @@ fn progress(world: &World, job: i64) -> Option<f64> {
     world.try_get(&format!("/v1/jobs/{job}"))?["progress"].as_f64()
 }
 
-/// A copy of the world's database with no daemon on it.
+/// Returns a copy of the world's database without a daemon.
 fn copy(world: &World) -> World {
     let other = World::new();
     std::fs::create_dir_all(other.path("data")).unwrap();
@@ -165,7 +165,7 @@ fn copy(world: &World) -> World {
     other
 }
 
-/// The bytes of this job's result if nothing interrupts it.
+/// Returns the bytes of this job's result if nothing interrupts it.
 fn uninterrupted(world: &World, wanted: &serde_json::Value) -> String {
     let world = copy(world);
     let daemon = world.daemon("", &[]);
@@ -174,7 +174,7 @@ fn uninterrupted(world: &World, wanted: &serde_json::Value) -> String {
     body(&world, job)
 }
 
-/// F1.
+/// Row F1.
 #[test]
 fn a_job_killed_at_four_fifths_goes_on_there_and_comes_to_the_same_bytes() {
     let world = World::new();
@@ -209,7 +209,7 @@ fn a_job_killed_at_four_fifths_goes_on_there_and_comes_to_the_same_bytes() {
     settle(&world);
 }
 
-/// F2.
+/// Row F2.
 #[test]
 fn a_job_killed_after_any_chunk_comes_to_the_same_bytes() {
     let made = World::new();
@@ -257,7 +257,7 @@ fn a_job_killed_after_any_chunk_comes_to_the_same_bytes() {
     }
 }
 
-/// F3.
+/// Row F3.
 #[test]
 fn a_job_over_a_running_capture_takes_in_what_was_there_and_says_so() {
     let world = World::new();
@@ -292,7 +292,7 @@ fn a_job_over_a_running_capture_takes_in_what_was_there_and_says_so() {
     settle(&world);
 }
 
-/// How many of the reader's wakes were at most `late_s` late, and how many there were.
+/// Returns how many of the reader's wakes were at most `late_s` late, and how many there were.
 pub fn wakes(world: &World, late_s: &str) -> (f64, f64) {
     let text = world.request("GET", "/metrics", "").unwrap().1;
     let value = |name: &str| {
@@ -303,7 +303,7 @@ pub fn wakes(world: &World, late_s: &str) -> (f64, f64) {
     (in_time, value("vn100d_reader_wake_seconds_count"))
 }
 
-/// F4.
+/// Row F4.
 #[test]
 fn two_jobs_beside_a_capture_at_800_hz_cost_it_nothing() {
     let world = World::new();
@@ -312,14 +312,14 @@ fn two_jobs_beside_a_capture_at_800_hz_cost_it_nothing() {
     let daemon = world.daemon("[sensor]\nrate-hz = 800\nbaud = 921600\n", &["--capture", "1h"]);
     let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(800));
     world.until("samples at 800 Hz", Duration::from_secs(20), some, &daemon);
-    // What else this machine does is none of the jobs' doing: of three rounds one must hold.
+    // Other work on this machine is not the jobs' fault: one of three rounds must succeed.
     let mut shares = Vec::new();
-    // The same jobs again would be the same jobs: each pair has channels of its own.
+    // Resubmitted jobs would be the same jobs: each pair has separate channels.
     let mut sets = (2..=SIX.len()).rev().flat_map(|count| SIX.windows(count));
     for _ in 0..3 {
         let before = wakes(&world, "0.02");
         let mut after = before;
-        // On a fast machine a pair of jobs is over before there is anything to count.
+        // On a fast machine a pair of jobs is over before any wake is counted.
         while after.1 - before.1 < 50.0 {
             let channels = sets.next().unwrap();
             let names: Vec<&str> = channels.iter().map(|channel| channel.name()).collect();
@@ -347,7 +347,7 @@ fn two_jobs_beside_a_capture_at_800_hz_cost_it_nothing() {
     settle(&world);
 }
 
-/// The nice values of the process's threads of that name.
+/// Returns the nice values of the process's threads of that name.
 fn threads_nice(pid: u32, name: &str) -> Vec<String> {
     let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap().flatten();
     let stats = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("stat")).ok());
@@ -356,14 +356,14 @@ fn threads_nice(pid: u32, name: &str) -> Vec<String> {
     named.map(|stat| stat.rsplit(") ").next().unwrap().split(' ').nth(16).unwrap().to_owned()).collect()
 }
 
-/// The processes that the daemon has started.
+/// Returns the processes that the daemon has started.
 pub fn children(daemon: u32) -> Vec<u32> {
     let tasks = std::fs::read_dir(format!("/proc/{daemon}/task")).unwrap().flatten();
     let lists = tasks.filter_map(|task| std::fs::read_to_string(task.path().join("children")).ok());
     lists.flat_map(|list| list.split_whitespace().map(|pid| pid.parse().unwrap()).collect::<Vec<_>>()).collect()
 }
 
-/// The process in which the daemon works on a job.
+/// Returns the process in which the daemon works on a job.
 fn worker(daemon: &Process) -> Option<u32> {
     let is_worker = |pid: &u32| {
         std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| line.starts_with(b"vn100d\0worker\0"))
@@ -371,14 +371,14 @@ fn worker(daemon: &Process) -> Option<u32> {
     children(daemon.id()).into_iter().find(is_worker)
 }
 
-/// A model of white noise alone: `n` is N of each channel.
+/// Returns a model with only white noise: `n` is N of each channel.
 pub fn model(channels: &[Channel], rate_hz: f64, n: f64) -> serde_json::Value {
     let channels: serde_json::Map<_, _> = channels.iter().map(|of| (of.name().to_owned(), json!({"N": n}))).collect();
     json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": rate_hz, "channels": channels})
 }
 
-/// F8. Whoever kills the worker, for want of memory or by hand, harms nothing but the job's time; a daemon that is killed takes
-/// its worker with it, and counts for nothing.
+/// Row F8: a worker that is killed, for lack of memory or by hand, costs only the job's time. A daemon that is killed
+/// takes its worker with it, which does not count as an attempt.
 #[test]
 fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     let world = World::new();
@@ -429,7 +429,7 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     settle(&world);
 }
 
-/// F9: a job that takes too long. Its process is given 3 s of processor time instead of six hours.
+/// Row F9: a job that takes too long. Its process is given 3 s of processor time instead of six hours.
 #[test]
 fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() {
     let world = World::new();
@@ -459,7 +459,7 @@ fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() 
     settle(&world);
 }
 
-/// F10: references of the largest size that is taken: many short rows, which take the most memory.
+/// Row F10: references of the largest accepted size: many short rows, which take the most memory.
 #[test]
 fn the_largest_reference_costs_the_daemon_little_memory_and_is_kept_once() {
     let rows = scaled(500_000, 1_500_000);
@@ -467,7 +467,7 @@ fn the_largest_reference_costs_the_daemon_little_memory_and_is_kept_once() {
     let night = fill(&world, "night", &SIX, &plain(2000), noise);
     let long = fill(&world, "long", &SIX, &plain(300_000), noise);
     let mut daemon = world.daemon("", &[]);
-    // What waits behind it keeps its reference; what has failed does not.
+    // A waiting job keeps its reference; a failed job does not.
     let first = diagnose(&world, long, &json!({"sim": model(&SIX, 40.0, 1e-4)}));
     let pid = world.until("a worker", Duration::from_secs(20), || worker(&daemon), &daemon);
     let pid = rustix::process::Pid::from_raw(pid as i32).unwrap();
@@ -492,7 +492,7 @@ fn the_largest_reference_costs_the_daemon_little_memory_and_is_kept_once() {
     settle(&world);
 }
 
-/// F5.
+/// Row F5.
 #[test]
 fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
     let world = World::new();
@@ -509,7 +509,7 @@ fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
         assert_eq!(world.request("GET", &format!("/v1/captures/{few}/allan"), "").unwrap().0, 422);
         daemon.terminate();
     }
-    // As an older program would have left it, with one more job that it was in the middle of.
+    // As an older program would have left it, with one more job in progress.
     let waiting = old + 100;
     let connection = rusqlite::Connection::open(world.database()).unwrap();
     connection
@@ -530,11 +530,11 @@ fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
     assert_eq!(answer.headers()["vn100d-stale"], "vn100d 0.0.1");
     let before = answer.body_mut().read_to_string().unwrap();
     assert_eq!(world.get(&format!("/v1/jobs/{old}"))["stale"], true);
-    // The older program's checkpoint is not built upon: the job is done from its beginning.
+    // The older program's checkpoint is not used: the job is done from its beginning.
     assert_eq!(ended(&world, waiting, &daemon)["state"], "done");
     let statistics: serde_json::Value = serde_json::from_str(&body(&world, waiting)).unwrap();
     assert_eq!(statistics["channels"]["gyro_x"]["n"], 4000);
-    // What the older program could not do is tried again, once.
+    // A job that failed in the older program is tried again, once.
     assert_eq!(world.request("GET", &format!("/v1/captures/{few}/allan"), "").unwrap().0, 202);
     let over = || world.request("GET", &format!("/v1/captures/{few}/allan"), "").filter(|(status, _)| *status == 422);
     world.until("this program's own answer", Duration::from_secs(10), over, &daemon);
@@ -549,7 +549,7 @@ fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
     settle(&world);
 }
 
-/// F6.
+/// Row F6.
 #[test]
 fn nothing_is_averaged_across_a_gap_a_reset_or_two_rates() {
     let world = World::new();
@@ -561,8 +561,8 @@ fn nothing_is_averaged_across_a_gap_a_reset_or_two_rates() {
         stretch(1000, 100.0, 0, GapCause::RateChange, false),
         stretch(1500, 40.0, 10, GapCause::RateChange, false),
     ];
-    // Each stretch stands on a level of its own: a term across any boundary would be a million times the noise. In the
-    // accelerometer such a step is a motion, which is left out with a second to both sides.
+    // Each stretch has a different level: a term across any boundary would be a million times the noise. In the
+    // accelerometer such a step is a motion, which is excluded with a second on both sides.
     let ends = [3000, 5000, 7500, 8500, 10_000];
     let level = |seq: u64| ends.iter().position(|end| seq < *end).unwrap() as f64 * 3.0;
     let steps = fill(&world, "steps", &[Channel::MagX], &stretches, |seq, channel| level(seq) + noise(seq, channel));
@@ -588,7 +588,8 @@ fn nothing_is_averaged_across_a_gap_a_reset_or_two_rates() {
         let found = curve["deviation"][index].as_f64().unwrap();
         assert_eq!(curve["n"][index], terms, "terms at m = {m}");
         assert!((found / expected - 1.0).abs() < 1e-5, "m = {m}: {found}, by each stretch alone {expected}");
-        // Several short stretches tell less than one long one: the degrees of freedom are below those of one stretch.
+        // Several short stretches contain less information than one long one: the degrees of freedom are below those of
+        // one stretch.
         assert!(curve["edf"][index].as_f64().unwrap() < terms as f64 + 1.0, "m = {m}");
     }
     let warnings = report["warnings"].to_string();
@@ -597,7 +598,7 @@ fn nothing_is_averaged_across_a_gap_a_reset_or_two_rates() {
     settle(&world);
 }
 
-/// F7.
+/// Row F7.
 #[test]
 fn degenerate_input_gets_a_reason_and_no_number_that_is_none() {
     let world = World::new();

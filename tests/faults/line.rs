@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 const START: Duration = Duration::from_secs(20);
 
-/// A sensor that obeys faults, the daemon on it, a capture that holds samples.
+/// A sensor that obeys faults, a daemon that captures from it, and a capture with samples.
 struct Streaming {
     world: World,
     sensor: Process,
@@ -35,14 +35,14 @@ impl Streaming {
         self.world.get("/v1/status")["sensor"]["state"].as_str().unwrap().to_owned()
     }
 
-    /// Waits for a state of the sensor and returns how long that took.
+    /// Waits for a state of the sensor and returns the time that it took.
     fn until_state(&self, state: &str, patience: Duration) -> Duration {
         let begun = Instant::now();
         self.world.until(state, patience, || (self.state() == state).then_some(()), &self.daemon);
         begun.elapsed()
     }
 
-    /// Waits until the emulator's log has this event so many times.
+    /// Waits until the emulator's log contains this event this many times.
     fn until_event(&self, what: &str, times: usize, patience: Duration) {
         let count = || SensorLog::read(&self.log).events.iter().filter(|event| event.what.starts_with(what)).count();
         self.world.until(what, patience, || (count() >= times).then_some(()), &self.daemon);
@@ -55,7 +55,8 @@ impl Streaming {
     }
 }
 
-/// The gap lasts as long on the host's clock as the sensor's clock says, within 0.1 s, and its count is that of the clock.
+/// Checks that the gap lasts as long on the host's clock as on the sensor's, within 0.1 s, and that its count follows
+/// from the sensor's clock.
 fn is_measured(gap: &Gap, away_s: f64, resumed_s: f64) {
     let (from, to) = gap.device_ns.expect("one epoch spans it");
     let device_s = (to - from) as f64 / 1e9;
@@ -72,7 +73,7 @@ fn is_measured(gap: &Gap, away_s: f64, resumed_s: f64) {
     );
 }
 
-/// B1.
+/// Row B1.
 #[test]
 fn after_an_unplug_the_same_capture_goes_on_within_three_seconds_and_the_gap_is_exact() {
     let mut run = Streaming::begin("", &[]);
@@ -92,7 +93,7 @@ fn after_an_unplug_the_same_capture_goes_on_within_three_seconds_and_the_gap_is_
     is_measured(&found.gaps[0], f64::from(away), resumed);
 }
 
-/// B2: the adapter has another number, and with a pattern another name.
+/// Row B2: the adapter has another number, and with a pattern another name.
 #[test]
 fn a_sensor_that_returns_under_another_name_is_found_and_status_shows_the_name() {
     let world = World::new();
@@ -125,7 +126,7 @@ fn a_sensor_that_returns_under_another_name_is_found_and_status_shows_the_name()
     assert_eq!((found.causes(), found.segments), (vec!["unplugged"], 2));
 }
 
-/// B2: the link stays, what it points at is another device.
+/// Row B2: the link stays and points at another device.
 #[test]
 fn behind_an_unchanged_link_the_status_shows_the_new_device() {
     let mut run = Streaming::begin("", &[]);
@@ -148,7 +149,7 @@ fn behind_an_unchanged_link_the_status_shows_the_new_device() {
     assert_eq!((found.causes(), found.segments), (vec!["unplugged"], 2));
 }
 
-/// B3.
+/// Row B3.
 #[test]
 fn a_flapping_plug_leaks_nothing_and_costs_little() {
     let (times, half_ms) = tools::scaled((50, 120), (500, 600));
@@ -177,7 +178,7 @@ fn a_flapping_plug_leaks_nothing_and_costs_little() {
     assert!(found.causes().iter().all(|cause| *cause == "unplugged"), "{:?}", found.causes());
 }
 
-/// B4.
+/// Row B4.
 #[test]
 fn a_line_that_hung_up_is_absent_and_costs_nothing() {
     let seconds = tools::scaled(5, 60);
@@ -198,7 +199,7 @@ fn a_line_that_hung_up_is_absent_and_costs_nothing() {
     assert_eq!(found.causes(), ["unplugged"]);
 }
 
-/// B5.
+/// Row B5.
 #[test]
 fn a_silent_sensor_is_stalled_within_a_second_and_streams_within_three_when_it_speaks_again() {
     let seconds = tools::scaled(8, 30);
@@ -219,7 +220,8 @@ fn a_silent_sensor_is_stalled_within_a_second_and_streams_within_three_when_it_s
     assert!((found.gaps[0].missing as f64 / 40.0 - away).abs() < 0.1);
 }
 
-/// B6, on the wire: whatever stands between frames, every intact one is a row, and the noise is counted to the byte.
+/// Row B6, on the wire: whatever stands between frames, every intact frame is a row, and the noise is counted to the
+/// byte.
 #[test]
 fn garbage_between_frames_costs_no_frame_and_is_counted_to_the_byte() {
     let bytes = tools::scaled(40_000_u64, 400_000);
@@ -229,7 +231,7 @@ fn garbage_between_frames_costs_no_frame_and_is_counted_to_the_byte() {
     let found = run.audit();
     let frames = (bytes / 512 + 1) as usize;
     let counted = found.rejected.get("garbage_bytes").copied().unwrap_or(0);
-    // Random bytes may look like the beginning of a frame or a line; those are counted as what they looked like.
+    // Random bytes may look like the beginning of a frame or a line; those are counted as such.
     let lookalikes: u64 =
         found.rejected.iter().filter(|(cause, _)| *cause != "garbage_bytes").map(|(_, count)| count).sum();
     println!("B6: {bytes} bytes before {frames} frames: {:?}, missing {}", found.rejected, found.missing);
@@ -238,7 +240,7 @@ fn garbage_between_frames_costs_no_frame_and_is_counted_to_the_byte() {
     assert!(bytes - counted <= lookalikes * 200, "{counted} of {bytes} bytes, and {lookalikes} lookalikes");
 }
 
-/// B8.
+/// Row B8.
 #[test]
 fn each_garbled_frame_is_one_missing_sample_and_its_neighbours_stand() {
     let bad = tools::scaled(12, 200);
@@ -256,7 +258,7 @@ fn each_garbled_frame_is_one_missing_sample_and_its_neighbours_stand() {
     assert_eq!(found.rejected.get("checksum"), Some(&bad), "{:?}", found.rejected);
 }
 
-/// B13: it changes while it streams.
+/// Row B13: the baud rate changes while the sensor streams.
 #[test]
 fn a_sensor_at_another_baud_rate_is_said_within_three_seconds_and_found() {
     let mut run = Streaming::begin("", &["--strict-baud"]);
@@ -273,7 +275,7 @@ fn a_sensor_at_another_baud_rate_is_said_within_three_seconds_and_found() {
     assert_eq!(found.causes(), ["checksum"]);
 }
 
-/// B13: it never speaks at a rate that may be tried.
+/// Row B13: the sensor never uses a rate that is tried.
 #[test]
 fn a_baud_rate_that_is_not_to_be_tried_gives_a_hint_and_no_load() {
     let world = World::new();
@@ -294,7 +296,7 @@ fn a_baud_rate_that_is_not_to_be_tried_gives_a_hint_and_no_load() {
     assert_eq!(world.query("SELECT count(*) FROM capture")[0][0], rusqlite::types::Value::Integer(0));
 }
 
-/// B16.
+/// Row B16.
 #[test]
 fn a_port_that_may_not_be_opened_is_said_with_the_remedy_and_tried_again() {
     if !tools::root("another user is needed to be refused") || !tools::have("setpriv", "it becomes another user") {
@@ -313,7 +315,7 @@ fn a_port_that_may_not_be_opened_is_said_with_the_remedy_and_tried_again() {
         std::fs::set_permissions(&sensor.first_line, permissions).unwrap();
     };
     permit(0o000);
-    // The program may lie in a folder that is root's alone.
+    // The program may lie in a folder that only root may read.
     let copy = world.path("program");
     std::fs::copy(env!("CARGO_BIN_EXE_vn100d"), &copy).unwrap();
     let mut command = std::process::Command::new("setpriv");
@@ -332,7 +334,7 @@ fn a_port_that_may_not_be_opened_is_said_with_the_remedy_and_tried_again() {
     assert_eq!(found.missing, 0);
 }
 
-/// The capture belongs to one sensor (issue: another unit is refused and said).
+/// The capture belongs to one sensor (issue: another unit is refused and reported).
 #[test]
 fn another_unit_is_refused_and_said_and_the_right_one_goes_on() {
     let mut run = Streaming::begin("", &[]);
@@ -378,7 +380,7 @@ fn a_capture_with_fourteen_hundred_gaps_keeps_working() {
     assert_eq!((found.missing, found.gaps.len(), found.segments), (1400, 1400, 1401));
 }
 
-/// A stream of frames and noise, and the number of frames in it.
+/// Returns a stream of frames and noise, and the number of frames in it.
 fn stream(bytes: usize, random: &mut rand_chacha::ChaCha8Rng) -> (Vec<u8>, usize) {
     let frame = frame();
     let (mut out, mut frames) = (Vec::with_capacity(bytes + 1024), 0);
@@ -394,7 +396,7 @@ fn stream(bytes: usize, random: &mut rand_chacha::ChaCha8Rng) -> (Vec<u8>, usize
     (out, frames)
 }
 
-/// One frame of the default output, as the emulator encodes it (checked against published vectors elsewhere).
+/// Returns one frame of the default output, as the emulator encodes it (checked against published vectors elsewhere).
 fn frame() -> Vec<u8> {
     let mut sensor = vn100d::emulator::VirtualSensor::new(&vn100d::emulator::SensorOptions::default());
     let mut out = Vec::new();
@@ -404,7 +406,7 @@ fn frame() -> Vec<u8> {
     out
 }
 
-/// A decoder that believes the default output alone, as a capture does.
+/// Returns a decoder that accepts only the default output, as a capture does.
 fn decoder() -> vn100_proto::Decoder {
     use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, MeasurementKind};
     let output = vn100d::capture::output::Output::Binary { fields: "01,0609".to_owned(), divisor: 20 };
@@ -414,7 +416,7 @@ fn decoder() -> vn100_proto::Decoder {
     decoder
 }
 
-/// B6, in the decoder.
+/// Row B6, in the decoder.
 #[test]
 fn every_intact_frame_between_noise_is_decoded_and_noise_makes_no_frame() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(6);
@@ -450,7 +452,7 @@ fn every_intact_frame_between_noise_is_decoded_and_noise_makes_no_frame() {
     assert_eq!(false_frames, 0);
 }
 
-/// B7.
+/// Row B7.
 #[test]
 fn however_the_bytes_are_split_the_samples_are_the_same() {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
@@ -459,7 +461,7 @@ fn however_the_bytes_are_split_the_samples_are_the_same() {
     let decode = |sizes: &mut dyn FnMut() -> usize| {
         let (mut decoder, mut events, mut rest) = (decoder(), Vec::new(), &bytes[..]);
         let mut note = |event: vn100_proto::Event<'_>| {
-            // Noise may come in other pieces; what it amounts to may not.
+            // The noise may arrive in other pieces, but its total must be the same.
             match event {
                 vn100_proto::Event::Measurement(measurement) => events.push(format!("{measurement:?}")),
                 vn100_proto::Event::Rejected { .. } => {}

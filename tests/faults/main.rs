@@ -1,8 +1,8 @@
-//! Faults: the built daemon in a world that breaks, and the audit of what it kept.
+//! Faults: the built daemon in a world with faults, and the audit of its data.
 //!
-//! One file per group of faults: the process and its host, the serial line, storage, time, HTTP, background jobs. Each test
-//! is named for what it promises and ends in the same audit ([`audit`]). The sizes are scaled so that all of it runs on
-//! every push; `VN100D_FAULTS=full` runs the figures that docs/reliability.md states.
+//! One file per group of faults: the process and its host, the serial line, storage, time, HTTP, background jobs. Each
+//! test is named after its promise and ends in the same audit ([`audit`]). The sizes are scaled so that all tests run
+//! on every push; `VN100D_FAULTS=full` runs the figures that docs/reliability.md states.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 

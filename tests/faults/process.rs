@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 const START: Duration = Duration::from_secs(20);
-/// 400 Hz through 921600 baud.
+/// 400 Hz through 921,600 baud.
 const FAST: &str = "[sensor]\nrate-hz = 400.0\nbaud = 921600\n";
 const FAST_SENSOR: [&str; 2] = ["--baud", "921600"];
 
@@ -32,14 +32,14 @@ fn integer(value: &Value) -> i64 {
     }
 }
 
-/// A sensor at 400 Hz with its log.
+/// Returns a sensor at 400 Hz with its log.
 fn fast_sensor(world: &World) -> (Process, PathBuf) {
     let log = world.path("sensor.log");
     let sensor = world.emulate(&[&["--faults", "-", "--log", log.to_str().unwrap()], &FAST_SENSOR[..]].concat());
     (sensor, log)
 }
 
-/// A1.
+/// Row A1.
 #[test]
 fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes_on_within_five_seconds() {
     let kills = tools::scaled(20, 200);
@@ -51,7 +51,7 @@ fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes
     let (mut worst_lost_s, mut worst_restart_s) = (0.0_f64, 0.0_f64);
     let mut rows_before = 0;
     for kill in 0..kills {
-        // Every other one right after the start, before anything is committed; the others with something to lose.
+        // Every other kill comes right after the start, before anything is committed; the others after a commit.
         if kill % 2 == 1 {
             world.until("samples are safe", START, || (world.committed() > rows_before).then_some(()), &daemon);
         }
@@ -87,7 +87,7 @@ fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes
     assert!(worst_lost_s <= 1.0, "{worst_lost_s} s of data were not committed");
 }
 
-/// A3, while streaming.
+/// Row A3, while streaming.
 #[test]
 fn a_termination_while_streaming_loses_nothing_that_came_before_it() {
     let world = World::new();
@@ -111,7 +111,7 @@ fn a_termination_while_streaming_loses_nothing_that_came_before_it() {
     assert_eq!(found.causes(), ["daemon_stopped"]);
 }
 
-/// A capture of this many samples that is complete, and no job for it yet.
+/// Makes a complete capture of this many samples, without jobs.
 fn recorded(world: &World, samples: u64) {
     let mut daemon = world.daemon("", &[]);
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
@@ -132,7 +132,7 @@ fn recorded(world: &World, samples: u64) {
         .unwrap();
 }
 
-/// A3, during a job.
+/// Row A3, during a job.
 #[test]
 fn a_termination_during_a_job_keeps_what_the_job_has() {
     let world = World::new();
@@ -158,7 +158,7 @@ fn a_termination_during_a_job_keeps_what_the_job_has() {
     assert_eq!(world.query("PRAGMA integrity_check")[0][0], Value::Text("ok".into()));
 }
 
-/// A file system of its own that is taken away with the test.
+/// A separate file system that is removed with the test.
 struct Mounted(PathBuf);
 
 impl Mounted {
@@ -177,7 +177,8 @@ impl Drop for Mounted {
     }
 }
 
-/// A3, while the disk is full: what it could not write it says, with an exit code that is not 0.
+/// Row A3, while the disk is full: the program reports the data that it could not write, with an exit code other than
+/// 0.
 #[test]
 fn a_termination_while_the_disk_is_full_ends_in_time_and_says_what_is_lost() {
     if !tools::root("a file system of its own is mounted") {
@@ -199,7 +200,7 @@ fn a_termination_while_the_disk_is_full_ends_in_time_and_says_what_is_lost() {
     let took = begun.elapsed().as_secs_f64();
     println!("A3: full disk: ended within {took:.2} s with exit code {code:?}");
     assert!(took <= 10.0, "{took} s");
-    // An exit code of 0 would say that everything is safe.
+    // An exit code of 0 would state that everything is safe.
     assert_eq!(code, Some(74), "{}", daemon.log());
     std::fs::remove_file(&filler).unwrap();
     let rows = integer(&world.query("SELECT count(*) FROM sample")[0][0]) as u64;
@@ -225,7 +226,7 @@ impl Manager {
         Self { socket, path }
     }
 
-    /// How often the watchdog is fed within this time.
+    /// Returns how often the watchdog is fed within this time.
     fn fed(&self, within: Duration) -> usize {
         let deadline = Instant::now() + within;
         let (mut count, mut buffer) = (0, [0; 4096]);
@@ -237,7 +238,8 @@ impl Manager {
         count
     }
 
-    /// Reads the daemon's messages from here on, as systemd does: the socket holds ten, and a daemon that sends more waits.
+    /// Reads the daemon's messages from now on, as systemd does: the socket holds ten, and a daemon that sends more
+    /// waits.
     fn listens(&self) -> Arc<Mutex<String>> {
         let told = Arc::new(Mutex::new(String::new()));
         let (socket, heard) = (self.socket.try_clone().unwrap(), Arc::downgrade(&told));
@@ -252,7 +254,7 @@ impl Manager {
         told
     }
 
-    /// The daemon as systemd starts it, with a watchdog of 8 s.
+    /// Returns the daemon, started as by systemd, with a watchdog of 8 s.
     fn daemon(&self, world: &World, configuration: &str, arguments: &[&str]) -> Process {
         let mut command = program();
         command.env("NOTIFY_SOCKET", &self.path).env("WATCHDOG_USEC", "8000000").env_remove("WATCHDOG_PID");
@@ -260,7 +262,7 @@ impl Manager {
     }
 }
 
-/// A4.
+/// Row A4.
 #[test]
 fn a_stopped_process_goes_on_and_what_it_missed_has_the_cause_host_stall() {
     let stopped = Duration::from_secs(tools::scaled(5, 60));
@@ -281,7 +283,7 @@ fn a_stopped_process_goes_on_and_what_it_missed_has_the_cause_host_stall() {
     let first = found.row_mono_ns.iter().find(|row| **row >= continued_ns).unwrap();
     let resumed = (first - continued_ns) as f64 / 1e9;
     let away = (continued_ns - stopped_ns) as f64 / 1e9;
-    // Until the terminal was full it took what came, and that is no part of the gap: the sensor's log knows what is.
+    // Until the terminal was full it accepted data, which is not part of the gap: the sensor's log shows the rest.
     let overrun = found.log.count("overrun") as f64 / 400.0;
     let missing = found.missing as f64 / 400.0;
     println!(
@@ -295,7 +297,7 @@ fn a_stopped_process_goes_on_and_what_it_missed_has_the_cause_host_stall() {
     assert!(missing <= away + 0.1 && missing >= away - 1.5, "{away} s stopped, {missing} s missing");
 }
 
-/// A control group that limits memory, as far as this machine lets make one.
+/// A control group that limits memory, if this machine allows one.
 struct Limited(PathBuf);
 
 impl Limited {
@@ -334,7 +336,7 @@ impl Drop for Limited {
     }
 }
 
-/// A5.
+/// Row A5.
 #[test]
 fn little_memory_is_enough_for_a_large_request_a_job_and_a_capture() {
     let samples = tools::scaled(300_000, 1_000_000);
@@ -380,7 +382,7 @@ fn little_memory_is_enough_for_a_large_request_a_job_and_a_capture() {
     assert_eq!(found.missing, 0);
 }
 
-/// A6, in a handler.
+/// Row A6, in a handler.
 #[test]
 #[cfg_attr(not(debug_assertions), ignore = "only debug builds can be made to panic")]
 fn a_panic_ends_the_process_at_once_and_the_capture_goes_on_after_the_restart() {
@@ -393,7 +395,7 @@ fn a_panic_ends_the_process_at_once_and_the_capture_goes_on_after_the_restart() 
     let acked = world.committed();
     assert!(world.request("GET", "/metrics", "").is_none());
     let status = daemon.ended(Duration::from_secs(5));
-    // What a shell calls 134.
+    // A shell reports this as 134.
     assert_eq!(status.signal(), Some(6), "{status:?}");
     assert_eq!(lines_with(&daemon.log(), &["panicked"]), 1, "{}", daemon.log());
     let rows = integer(&world.query("SELECT count(*) FROM sample")[0][0]) as u64;
@@ -406,7 +408,7 @@ fn a_panic_ends_the_process_at_once_and_the_capture_goes_on_after_the_restart() 
     assert_eq!(found.causes(), ["daemon_stopped"]);
 }
 
-/// A6, in a job.
+/// Row A6, in a job.
 #[test]
 #[cfg_attr(not(debug_assertions), ignore = "only debug builds can be made to panic")]
 fn a_job_that_panics_three_times_is_failed_and_the_daemon_goes_on() {
@@ -426,7 +428,7 @@ fn a_job_that_panics_three_times_is_failed_and_the_daemon_goes_on() {
     assert_eq!(world.query("PRAGMA integrity_check")[0][0], Value::Text("ok".into()));
 }
 
-/// A7: the writer hangs in an fsync that takes a minute.
+/// Row A7: the writer hangs in an fsync that takes a minute.
 #[test]
 fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     if !tools::have("strace", "it makes fsync slow") {
@@ -447,7 +449,7 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     let status = world.until("storage is degraded", Duration::from_secs(15), ill, &daemon);
     let said = begun.elapsed().as_secs_f64();
     assert!(status["storage"]["error"].as_str().unwrap().contains("commit has not ended"), "{}", status["storage"]);
-    // One more feeding may have been earned by the last turn.
+    // The last turn may have earned one more feeding.
     manager.fed(Duration::from_secs(4));
     let fed = manager.fed(Duration::from_secs(6));
     let asked = Instant::now();
@@ -461,7 +463,7 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     assert!(said <= 5.0, "{said} s, of which up to a second until the next commit");
     assert!(asked.elapsed() < Duration::from_millis(500));
     let acked = world.committed();
-    // As systemd's watchdog would end it; strace lets nobody go before its delay is over.
+    // Ended as by systemd's watchdog; strace releases no process before its delay is over.
     attached.kill();
     daemon.kill();
     let rows = integer(&world.query("SELECT count(*) FROM sample")[0][0]) as u64;
@@ -472,7 +474,7 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     assert_eq!(found.causes(), ["daemon_stopped"]);
 }
 
-/// A8.
+/// Row A8.
 #[test]
 fn a_second_daemon_on_the_same_database_ends_at_once_and_names_the_first() {
     let world = World::new();
@@ -497,7 +499,7 @@ fn a_second_daemon_on_the_same_database_ends_at_once_and_names_the_first() {
     assert_eq!(found.missing, 0, "the first is unaffected");
 }
 
-/// A9.
+/// Row A9.
 #[test]
 fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_free() {
     if !tools::have("flock", "it holds the port") {
@@ -517,7 +519,7 @@ fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_
     assert!(hint.contains(&format!("process {} (flock)", holder.id())), "{hint}");
     std::thread::sleep(Duration::from_secs(tools::scaled(5, 30)));
     assert_eq!(lines_with(&daemon.log(), &["is in use by"]), 1, "{}", daemon.log());
-    // The lock is the child's as well.
+    // The child holds the lock too.
     for child in
         std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", holder.id())).unwrap().split_whitespace()
     {
@@ -534,7 +536,7 @@ fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_
     assert_eq!(found.missing, 0);
 }
 
-/// Of eight baud rates the one that worked is the first that a resumed capture tries.
+/// A resumed capture first tries the one of eight baud rates that worked.
 #[test]
 fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
     let world = World::new();
@@ -560,7 +562,7 @@ fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
     assert_eq!(again, [57_600]);
 }
 
-/// Status, events and notifications give one name, which is the database's.
+/// Status, events and notifications show one name, which is the database's.
 #[test]
 fn a_capture_that_nobody_named_has_one_name_everywhere() {
     let world = World::new();

@@ -1,18 +1,18 @@
-//! Rate: a sensor that sends at another rate than before, told so by somebody else or reset to its flash, in each way of
-//! recording (rows B9, B11); and what a gap is blamed on.
+//! Rate: a sensor that sends at another rate than before, because another program configured it or because it was reset
+//! to its flash, in each way of recording (rows B9, B11); and the causes of gaps.
 
 use crate::world::{Process, World};
 use rusqlite::types::Value;
 use std::io::Write as _;
 use std::time::{Duration, Instant};
 
-/// A way of recording, with what makes the sensor send at 50 Hz in it and the rate that its flash holds.
+/// A way of recording.
 struct Mode {
     name: &'static str,
     configuration: &'static str,
-    /// SyncOut drives something: the sensor cannot number its messages.
+    /// SyncOut is in use: the sensor cannot number its messages.
     pin_in_use: bool,
-    /// The rate that is recorded is this one in the end, whatever the sensor was told: it is configured again.
+    /// Whether the recorded rate ends at the configured one, because the sensor is configured again.
     insists: bool,
 }
 
@@ -42,8 +42,8 @@ fn samples(world: &World, daemon: &Process, more: u64) {
     world.until_more_samples(more, daemon);
 }
 
-/// What became of a fault: s until the rate was right and an event said so, gaps, samples missing, and by how much the
-/// capture's sample time differs from the host's, s.
+/// Returns the outcome of a fault: s until the rate was right and an event reported it, gaps, samples missing, and the
+/// difference between the capture's sample time and the host's, s.
 fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64) {
     let world = World::new();
     let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600"]);
@@ -86,7 +86,7 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
     assert_eq!(world.get("/v1/captures/latest")["accounting"]["holds"], true);
     let causes = world.query("SELECT cause || ' ' || missing FROM gap ORDER BY before_seq, gap_id");
     let causes = causes.iter().map(|row| if let Value::Text(text) = &row[0] { text.clone() } else { panic!() });
-    // A gap has the rate of the segment before it; the first sample stands for a period of its own.
+    // A gap has the rate of the segment before it; the first sample counts as a period.
     let had = "SELECT (SELECT sum(samples / rate_hz) FROM segment) + (SELECT coalesce(sum(missing / (SELECT rate_hz FROM segment \
                WHERE first_seq < before_seq ORDER BY segment_id DESC LIMIT 1)), 0) FROM gap)";
     let passed = "SELECT (max(host_mono_ns) - min(host_mono_ns)) / 1e9 + 0.02 FROM sample";
@@ -94,7 +94,8 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
     (took, causes.collect(), integer(&world, "SELECT coalesce(sum(missing), 0) FROM gap"), off)
 }
 
-/// Every gap has this cause; `at_least` of them there must be. What is configured again may pause for less than a period.
+/// Checks that every gap has this cause and that there are `at_least` of them. Configuring the sensor again may pause
+/// its output for less than a period.
 fn in_all_modes(fault: &str, end_hz: impl Fn(&Mode) -> f64, cause: &str, at_least: usize) {
     for mode in &MODES {
         let (took, causes, missing, off_s) = outcome(mode, fault, end_hz(mode));
@@ -111,25 +112,25 @@ fn in_all_modes(fault: &str, end_hz: impl Fn(&Mode) -> f64, cause: &str, at_leas
     }
 }
 
-/// B11.
+/// Row B11.
 #[test]
 fn a_rate_that_rises_is_right_within_five_seconds_and_makes_no_false_count_in_any_mode() {
     in_all_modes("rate 100", |mode| if mode.insists { 50.0 } else { 100.0 }, "rate_change", 0);
 }
 
-/// B11.
+/// Row B11.
 #[test]
 fn a_rate_that_falls_is_right_within_five_seconds_and_makes_no_false_count_in_any_mode() {
     in_all_modes("rate 25", |mode| if mode.insists { 50.0 } else { 25.0 }, "rate_change", 0);
 }
 
-/// B9: the flash holds VNYMR at 40 Hz.
+/// Row B9: the flash holds VNYMR at 40 Hz.
 #[test]
 fn a_brown_out_is_a_reset_within_five_seconds_and_makes_no_false_count_in_any_mode() {
     in_all_modes("reset", |mode| if mode.name == "keep" { 40.0 } else { 50.0 }, "sensor_reset", 1);
 }
 
-/// The reader stands for less than what counts as a standstill of the host: the terminal overflows within a frame.
+/// The reader pauses for less than the limit for a stall of the host: the terminal overflows within a frame.
 #[test]
 fn a_frame_that_is_cut_because_the_host_read_late_is_the_hosts_doing() {
     let world = World::new();
@@ -142,7 +143,7 @@ fn a_frame_that_is_cut_because_the_host_read_late_is_the_hosts_doing() {
         daemon.signal(rustix::process::Signal::CONT);
         samples(&world, &daemon, 1600);
     }
-    // A frame that is broken on the line is the line's.
+    // A frame that breaks on the line is the line's fault.
     sensor.say("checksum 1");
     samples(&world, &daemon, 800);
     let (status, body) = world.request("POST", "/v1/captures/latest/stop", "").unwrap();
@@ -166,7 +167,7 @@ fn a_clock_that_jumps_ahead_is_told_and_nothing_is_missing() {
     let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600"]);
     let daemon = world.daemon("[sensor]\nbaud = 921600\n", &["--capture", "1h"]);
     samples(&world, &daemon, 120);
-    // The clock's present time is known within what a question takes.
+    // The clock's present time is known within the duration of a request.
     let seen = world.query("SELECT max(device_time_ns), max(host_mono_ns) FROM sample");
     let (Value::Integer(device_ns), Value::Integer(heard_ns)) = (&seen[0][0], &seen[0][1]) else { panic!() };
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);

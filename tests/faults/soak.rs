@@ -1,9 +1,9 @@
-//! Soak: everything at once, for as long as asked, from a seed (row G).
+//! Soak: all faults at once, for a given time, from a seed (row G).
 //!
-//! `VN100D_SOAK=8h` runs it for eight hours (30 s where it is not set), `VN100D_SOAK_SEED=N` repeats a run: the same faults in
-//! the same order after the same pauses. What depends on the scheduler (which sample a kill falls on) differs.
-//! `VN100D_SOAK_RATE=800` sets the sensor's rate in Hz (400 unless it is set): 75 minutes of it are the samples of 25 hours at 40 Hz.
-//! `VN100D_SOAK_CALM=1` leaves faults, kills and jobs out: what memory does by itself.
+//! `VN100D_SOAK=8h` runs it for eight hours (30 s if it is not set), `VN100D_SOAK_SEED=N` repeats a run: the same
+//! faults in the same order after the same pauses. Effects of the scheduler (the sample at which a kill falls) differ.
+//! `VN100D_SOAK_RATE=800` sets the sensor's rate in Hz (400 unless it is set): 75 minutes then give the samples of 25
+//! hours at 40 Hz. `VN100D_SOAK_CALM=1` omits faults, kills and jobs, to observe the memory alone.
 
 use crate::audit::Held;
 use crate::jobs::model;
@@ -18,7 +18,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// What a sample takes in the database (docs/performance.md).
+/// Bytes of a sample in the database (docs/performance.md).
 const BYTES_PER_SAMPLE: u64 = 190;
 /// Requests per second.
 const REQUESTS: u32 = 20;
@@ -37,7 +37,7 @@ fn rate_hz() -> u64 {
     std::env::var("VN100D_SOAK_RATE").map_or(400, |text| text.parse().expect("VN100D_SOAK_RATE is a number"))
 }
 
-/// How long, and from which seed.
+/// Returns the requested duration and seed.
 fn asked() -> (Duration, u64) {
     let duration = std::env::var("VN100D_SOAK").map_or(Duration::from_secs(30), |text| {
         imu_core::units::parse_duration(&text).expect("VN100D_SOAK is a duration, such as 10m")
@@ -47,7 +47,7 @@ fn asked() -> (Duration, u64) {
     (duration, seed.unwrap_or(u64::from(now.subsec_nanos())))
 }
 
-/// Starts the daemon with civil time of its own, where that can be set.
+/// Starts the daemon, with a separate civil time if it can be set.
 fn start(world: &World, civil: Option<&Faketime>, arguments: &[&str]) -> Process {
     let mut command = program();
     command.envs(civil.iter().flat_map(|civil| civil.environment()));
@@ -55,7 +55,7 @@ fn start(world: &World, civil: Option<&Faketime>, arguments: &[&str]) -> Process
     world.daemon_of(command, world.port().to_str().unwrap(), &configuration, arguments)
 }
 
-/// What happens next.
+/// The next fault.
 #[derive(Debug)]
 enum Fault {
     /// The daemon is killed and started again.
@@ -64,7 +64,7 @@ enum Fault {
     FullDisk(Duration),
     /// Every sync takes half a second, for a while.
     SlowSync(Duration),
-    /// What the emulated sensor is told.
+    /// A command to the emulated sensor.
     Sensor(String),
 }
 
@@ -88,7 +88,7 @@ impl Fault {
     }
 }
 
-/// `strace` on the running daemon, which holds each of its syncs up; it lets go when it is ended.
+/// Attaches `strace` to the running daemon and delays each of its syncs; its end releases the daemon.
 fn slow_syncs(daemon: &Process, how_long: Duration) {
     let mut strace = Command::new("strace");
     strace.args(["-f", "-qq", "-o", "/dev/null", "-e", "trace=fsync,fdatasync"]);
@@ -99,7 +99,7 @@ fn slow_syncs(daemon: &Process, how_long: Duration) {
     attached.terminate();
 }
 
-/// What the requests came to.
+/// The outcomes of the requests.
 #[derive(Default)]
 struct Asked {
     answered: AtomicU64,
@@ -130,7 +130,7 @@ impl Asked {
         }
     }
 
-    /// One job after the other: a noise report, then a diagnosis.
+    /// Runs one job after the other: a noise report, then a diagnosis.
     fn work(&self, world: &World, stop: &AtomicBool) {
         let diagnosis = serde_json::json!({"sim": model(&Channel::ANALYSED[..6], rate_hz() as f64, 1e-4)}).to_string();
         let wanted = [
@@ -174,12 +174,12 @@ fn end_jobs(world: &World, daemon: &Process) {
     world.until("every job has ended", Duration::from_secs(60), ended, daemon);
 }
 
-/// The time after which a process's growth is judged by its rate, s, and how far it may grow before.
+/// The time after which a process's growth is judged by its rate, s, and the permitted growth before.
 const FIRST_S: f64 = 3600.0;
 const FIRST_GROWTH_BYTES: f64 = (4 << 20) as f64;
 
-/// Growth of memory in bytes per hour, from (s, bytes) after `from_s`; `None` from less than ten minutes. Of each minute the
-/// least counts: a job's work space comes and goes.
+/// Returns the growth of memory in bytes per hour, from (s, bytes) after `from_s`; `None` for less than ten minutes.
+/// The minimum of each minute counts, because a job's work space varies.
 fn slope(points: &[(f64, f64)], from_s: f64) -> Option<Slope> {
     let late: Vec<(f64, f64)> = points.iter().copied().filter(|(time, _)| *time > from_s).collect();
     let least = |minute: &[(f64, f64)]| minute.iter().copied().min_by(|one, other| one.1.total_cmp(&other.1));
@@ -203,7 +203,7 @@ struct Slope {
     span_s: f64,
 }
 
-/// G.
+/// Row G.
 #[test]
 fn everything_at_once_loses_nothing_silently() {
     let (duration, seed) = asked();
@@ -212,10 +212,10 @@ fn everything_at_once_loses_nothing_silently() {
         duration.as_secs()
     );
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    // Eight hours see a fault every two and a half minutes, half a minute one every three seconds.
+    // In eight hours a fault occurs every two and a half minutes, in half a minute every three seconds.
     let mean_s = (duration.as_secs_f64() / 200.0).clamp(2.0, 150.0);
     let world = World::new();
-    // Twice the room that the samples need: a disk that is full was filled on purpose.
+    // Twice the room that the samples need: a full disk was filled on purpose.
     let size = (64 << 20) + 2 * BYTES_PER_SAMPLE * rate_hz() * duration.as_secs();
     let disk = tools::root("a file system of its own is mounted").then(|| Mount::tmpfs(&world, &size.to_string()));
     let can_trace = tools::have("strace", "it makes fsync slow");
@@ -226,7 +226,8 @@ fn everything_at_once_loses_nothing_silently() {
     world.until_more_samples(400, &daemon);
     let (asked, stop) = (Asked::default(), AtomicBool::new(false));
     let (mut kills, mut faults, mut full_disks, mut slow, mut steps, mut backups) = (0, 0, 0, 0, 0, 0);
-    // At the end of a long run the daemon lives on for up to 100 minutes: how its memory grows can be judged.
+    // At the end of a long run the daemon continues for up to 100 minutes, so that the growth of its memory can be
+    // judged.
     let long = duration >= Duration::from_secs(1800);
     let last_kill = duration - if long { (duration * 2 / 3).min(Duration::from_secs(6000)) } else { Duration::ZERO };
     let mut baseline = Held::of(daemon.id());

@@ -21,14 +21,14 @@ const START: Duration = Duration::from_secs(20);
 /// A line that carries 800 Hz.
 const FAST: &[&str] = &["--baud", "921600"];
 
-/// The daemon behind other programs (`strace …`), on the world's port and data directory.
+/// Returns the daemon started through other programs (`strace …`), on the world's port and data directory.
 fn start(world: &World, wrapper: &[&str], configuration: &str, arguments: &[&str]) -> Process {
     let process = begin(world, wrapper, configuration, arguments);
     world.until("the daemon answers", START, || world.try_get("/healthz").map(|_| ()), &process);
     process
 }
 
-/// As [`start`], without waiting for an answer.
+/// Starts the daemon as [`start`] does, without waiting for an answer.
 fn begin(world: &World, wrapper: &[&str], configuration: &str, arguments: &[&str]) -> Process {
     let config = world.path("vn100d.toml");
     std::fs::write(&config, configuration).unwrap();
@@ -52,12 +52,12 @@ fn begin(world: &World, wrapper: &[&str], configuration: &str, arguments: &[&str
     Process::start(&mut command, false)
 }
 
-/// `strace` that injects; the traced program stays this process's child.
+/// Returns an `strace` command that injects faults; the traced program stays this process's child.
 fn strace<'a>(calls: &'a str, inject: &'a str) -> Vec<&'a str> {
     vec!["strace", "-D", "-f", "-qq", "-o", "/dev/null", "-e", calls, "-e", inject]
 }
 
-/// The last line of a program that has ended with an error.
+/// Returns the last line of a program that has ended with an error.
 fn last_words(process: &Process) -> String {
     let begun = Instant::now();
     loop {
@@ -78,7 +78,7 @@ fn committed(world: &World) -> u64 {
     world.try_get("/v1/status").and_then(|status| status["capture"]["committed"].as_u64()).unwrap_or(0)
 }
 
-/// Waits until so many samples are on disk.
+/// Waits until this many samples are on disk.
 fn until_committed(world: &World, samples: u64, patience: Duration, daemon: &Process) {
     world.until("samples on disk", patience, || (committed(world) >= samples).then_some(()), daemon);
 }
@@ -88,7 +88,7 @@ fn until_state(world: &World, state: &str, patience: Duration, daemon: &Process)
     world.until(state, patience, there, daemon);
 }
 
-/// Stops the capture and the daemon, and audits what is there.
+/// Stops the capture and the daemon, and audits the data.
 fn stop_and_settle(world: &World, daemon: &mut Process) {
     let capture = world.get("/v1/captures/latest");
     let (code, body) = world.request("POST", &format!("/v1/captures/{}/stop", capture["id"]), "").unwrap();
@@ -97,7 +97,7 @@ fn stop_and_settle(world: &World, daemon: &mut Process) {
     settle(world);
 }
 
-/// The database is whole, its counters agree with its rows, and nothing is missing but what gaps say.
+/// Checks that the database is intact, its counters agree with its rows, and only samples in gaps are missing.
 fn settle(world: &World) {
     assert!(sound(&world.database()));
 }
@@ -113,7 +113,7 @@ fn gaps(world: &World) -> Vec<serde_json::Value> {
     world.get("/v1/captures/latest/gaps")["gaps"].as_array().unwrap().clone()
 }
 
-/// Asks for the status all the time and notes how long the answers take.
+/// Requests the status all the time and records how long the answers take.
 struct Watch {
     stop: Arc<AtomicBool>,
     thread: std::thread::JoinHandle<Vec<Duration>>,
@@ -138,7 +138,7 @@ impl Watch {
         Self { stop, thread }
     }
 
-    /// The 99th percentile must be within 100 ms.
+    /// Asserts that the 99th percentile is within 100 ms.
     fn settle(self) {
         self.stop.store(true, Ordering::Relaxed);
         let mut took = self.thread.join().unwrap();
@@ -149,7 +149,7 @@ impl Watch {
     }
 }
 
-/// A file system of its own under the world's data directory; gone with the test.
+/// A separate file system under the world's data directory, removed with the test.
 pub struct Mount(pub PathBuf);
 
 impl Mount {
@@ -202,7 +202,7 @@ fn sample(segment: u32, seq: u64) -> Record {
     Record::Sample { seq, segment, sample }
 }
 
-/// A database with one capture of `batches` commits of `each` samples.
+/// Makes a database with one capture of `batches` commits of `each` samples.
 fn build(database: &Path, batches: u64, each: u64) {
     let store = Store::open(database, StoreOptions::default()).unwrap();
     let capture = NewCapture { name: Some("night".to_owned()), ..NewCapture::new("pty", CaptureState::Stopped) };

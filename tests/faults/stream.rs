@@ -1,4 +1,4 @@
-//! Stream: a sensor that is reset, changes rate or format, repeats itself, stalls, or is another one.
+//! Stream: a sensor that is reset, changes its rate or format, repeats frames, stalls, or is replaced by another one.
 
 use crate::world::{Process, World};
 use serde_json::Value;
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 const START: Duration = Duration::from_secs(20);
 const SENSOR: &str = "[sensor]\n";
 
-/// An emulated sensor that obeys faults, the daemon on it, and a capture with some samples.
+/// Returns an emulated sensor that obeys faults, the daemon on it, and a capture with some samples.
 fn capturing(world: &World, configuration: &str) -> (Process, Process) {
     let sensor = world.emulate(&["--faults", "-", "--baud", "921600"]);
     let daemon = world.daemon(&format!("{configuration}baud = 921600\n"), &["--capture", "1h"]);
@@ -15,7 +15,7 @@ fn capturing(world: &World, configuration: &str) -> (Process, Process) {
     (sensor, daemon)
 }
 
-/// Waits for so many more samples.
+/// Waits for this many more samples.
 fn samples(world: &World, daemon: &Process, more: u64) {
     let now = || world.try_get("/v1/status")?["capture"]["samples"].as_u64();
     let before = now().unwrap_or(0);
@@ -27,7 +27,7 @@ fn stop(world: &World) {
     assert_eq!(status, 200, "{body}");
 }
 
-/// Stops the capture and checks what must hold for every one: its numbers, the file, the order of its rows.
+/// Stops the capture and checks the requirements for every capture: its numbers, the file, the order of its rows.
 fn settle(world: &World) -> Value {
     stop(world);
     let capture = world.get("/v1/captures/latest");
@@ -69,7 +69,7 @@ fn gap_length_s(world: &World, cause: &str) -> f64 {
     count(world, &sql) as f64 / 1e9
 }
 
-/// While a capture runs both identities hold at every instant that somebody asks.
+/// While a capture runs both identities hold at every instant.
 #[test]
 fn the_numbers_agree_at_every_instant_of_a_running_capture() {
     let world = World::new();
@@ -96,7 +96,7 @@ fn the_numbers_agree_at_every_instant_of_a_running_capture() {
     drop(daemon);
 }
 
-/// B9.
+/// Row B9.
 #[test]
 fn a_reset_sensor_is_configured_again_within_two_seconds_and_its_time_never_runs_back() {
     let world = World::new();
@@ -120,7 +120,7 @@ fn a_reset_sensor_is_configured_again_within_two_seconds_and_its_time_never_runs
     assert!((missing - length_s * 40.0).abs() <= 3.0, "{missing} in {length_s} s");
 }
 
-/// B10.
+/// Row B10.
 #[test]
 fn a_clock_beyond_32_bits_of_microseconds_and_a_counter_that_wraps_are_no_gap() {
     let world = World::new();
@@ -130,13 +130,13 @@ fn a_clock_beyond_32_bits_of_microseconds_and_a_counter_that_wraps_are_no_gap() 
     samples(&world, &daemon, 160);
     settle(&world);
     assert!(count(&world, "SELECT max(device_time_ns) FROM sample") > 4_294_967_296_000);
-    // The jump itself is what a jump is; nothing is missing where the number of bits runs out.
+    // No gap may follow the jump: nothing is missing where the clock exceeds 32 bits.
     let beyond = "SELECT count(*) FROM gap WHERE to_device_ns > 4294000000000 AND from_device_ns > 4293000000000";
     assert_eq!(count(&world, beyond), 0);
     assert_eq!(segments(&world).len(), 2);
 }
 
-/// B11.
+/// Row B11.
 #[test]
 fn a_silent_change_of_rate_is_noticed_within_two_seconds_and_no_analysis_mixes_the_rates() {
     let world = World::new();
@@ -165,7 +165,7 @@ fn a_silent_change_of_rate_is_noticed_within_two_seconds_and_no_analysis_mixes_t
     assert_eq!(curve["n"][0].as_u64(), Some(of_rate - 1), "samples of {rate} Hz alone");
 }
 
-/// B12.
+/// Row B12.
 #[test]
 fn a_sensor_that_changes_its_format_is_configured_again_and_what_it_sent_is_counted() {
     for format in ["VNYMR", "01,0001"] {
@@ -193,7 +193,7 @@ fn a_sensor_that_changes_its_format_is_configured_again_and_what_it_sent_is_coun
     }
 }
 
-/// B12, where the output is kept.
+/// Row B12, with the output kept.
 #[test]
 fn a_kept_output_that_changes_goes_on_in_a_new_segment() {
     let world = World::new();
@@ -218,7 +218,7 @@ fn a_kept_output_that_changes_goes_on_in_a_new_segment() {
     assert!(reason.contains("without time"), "{reason}");
 }
 
-/// B14.
+/// Row B14.
 #[test]
 fn frames_that_come_twice_or_late_are_counted_and_never_stored_twice() {
     let world = World::new();
@@ -233,12 +233,12 @@ fn frames_that_come_twice_or_late_are_counted_and_never_stored_twice() {
         (&20.into(), &1.into()),
         "{capture:#}"
     );
-    // The place of the late one was counted as missing when its successor came.
+    // The place of the late one was counted as missing when its successor arrived.
     assert_eq!(capture["missing"], 1);
     assert_eq!(count(&world, "SELECT count(*) - count(DISTINCT device_time_ns) FROM sample"), 0);
 }
 
-/// B15.
+/// Row B15.
 #[test]
 fn a_burst_after_a_stall_of_the_line_loses_nothing_and_is_told_as_latency() {
     let world = World::new();
@@ -255,7 +255,7 @@ fn a_burst_after_a_stall_of_the_line_loses_nothing_and_is_told_as_latency() {
     assert!(capture["clocks"][0]["latency_max_ms"].as_f64().unwrap() > 1500.0, "{}", capture["clocks"]);
 }
 
-/// Messages without time: the sensor numbers them itself, and every loss is exact.
+/// Messages without time: the sensor numbers them, and every loss is exact.
 #[test]
 fn messages_without_time_are_counted_by_the_sensor_itself() {
     let world = World::new();
@@ -264,10 +264,10 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     assert_eq!(world.get("/v1/status")["sensor"]["timebase"], "sync_counter");
     sensor.say("drop 7");
     samples(&world, &daemon, 60);
-    // Without time a burst cannot be told from a loss; with the count it can.
+    // Without time a burst looks like a loss; the count distinguishes them.
     sensor.say("hold 2s");
     samples(&world, &daemon, 120);
-    // The daemon dies and comes back: the count goes on.
+    // The daemon dies and restarts: the count continues.
     daemon.kill();
     let mut daemon = world.daemon(&format!("{configuration}baud = 921600\n"), &[]);
     samples(&world, &daemon, 60);
@@ -280,9 +280,9 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     let stretch = &capture["accounting"]["stretches"][0];
     let had = capture["samples"].as_u64().unwrap() + capture["missing"].as_u64().unwrap();
     assert_eq!((&stretch["timebase"], stretch["expected"].as_u64()), (&"sync_counter".into(), Some(had)));
-    // A clean stop puts back what the sensor sent before, its count included.
+    // A clean stop restores the sensor's previous output, including its count.
     assert_eq!(daemon.terminate(), Some(0));
-    // The emulator forgets a daemon's claim on the terminal within a second; a real port does at once.
+    // The emulator clears a daemon's claim on the terminal within a second; a real port does at once.
     let probe = || {
         let probe = crate::world::vn100d(&["--json", "probe", "--device", world.port().to_str().unwrap()]);
         probe.status.success().then(|| String::from_utf8_lossy(&probe.stdout).into_owned())
@@ -291,8 +291,8 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     assert!(text.contains("0,0,0,0,1,0,1") && text.contains("3,0,0,0,6,1,0,100000000,0"), "{text}");
 }
 
-/// B9, B12: a sensor whose flash holds the very message that is recorded, at the same rate, tells its reset by the missing
-/// count alone.
+/// Row B9, B12: the flash of a sensor holds the recorded message at the same rate: only the missing count shows its
+/// reset.
 #[test]
 fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switched_on_again() {
     let world = World::new();
@@ -321,7 +321,8 @@ fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switch
     assert!(capture["rejected"]["unexpected_format"].as_u64().unwrap() > 5, "{capture:#}");
 }
 
-/// Another unit in place of the capture's: refused and said; stopped by hand, the outage is a gap up to the stop.
+/// Another unit replaces the capture's: it is refused and reported. If the capture is stopped by hand, the outage is a
+/// gap up to the stop.
 #[test]
 fn another_unit_is_refused_and_an_outage_that_is_stopped_by_hand_is_a_gap_to_the_end() {
     let world = World::new();

@@ -17,7 +17,7 @@ struct Faked {
 }
 
 impl Faked {
-    /// `None` (said) where the tool is not at hand.
+    /// Returns `None`, with a note, if the tool is not available.
     fn new(offset: &str, zone: &str) -> Option<Self> {
         let world = World::new();
         let time = Faketime::new(world.folder.path(), offset)?;
@@ -57,7 +57,7 @@ impl Faked {
         }
     }
 
-    /// Stops the capture: nothing is missing, and the order of rows is that of the sensor's time.
+    /// Stops the capture; nothing must be missing, and the order of rows must be that of the sensor's time.
     fn settle(&self) -> serde_json::Value {
         self.world.request("POST", "/v1/captures/latest/stop", "").unwrap();
         let capture = self.world.get("/v1/captures/latest");
@@ -72,7 +72,7 @@ impl Faked {
     }
 }
 
-/// A daemon of its own civil time and zone.
+/// Returns a daemon with a separate civil time and zone.
 fn start(world: &World, time: &Faketime, zone: &str, arguments: &[&str]) -> Process {
     let mut command = program();
     command.envs(time.environment()).env("TZ", zone);
@@ -83,7 +83,7 @@ fn now_s() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs() as i64
 }
 
-/// D1.
+/// Row D1.
 #[test]
 fn a_stepped_clock_makes_no_gap_and_is_told_with_its_size() {
     let Some(faked) = Faked::new("+0", "UTC") else { return };
@@ -102,13 +102,13 @@ fn a_stepped_clock_makes_no_gap_and_is_told_with_its_size() {
         assert!((by_s - (pair[1] - pair[0]) as f64).abs() < 0.010, "{by_s} s for {pair:?}");
     }
     assert!(capture["duration_s"].as_f64().unwrap() > 0.0);
-    // What was stamped 1970 is corrected once the clock is set again, in steps beside the capture.
+    // Times in 1970 are corrected once the clock is set again, in steps beside the capture.
     let wrong = "SELECT count(*) FROM sample WHERE host_utc_ns < 1735689600000000000";
     let corrected = || Some(()).filter(|()| faked.count(wrong) == 0);
     faked.world.until("the rows of 1970 are corrected", START, corrected, &faked.daemon);
 }
 
-/// D3.
+/// Row D3.
 #[test]
 fn summer_time_and_time_zones_change_nothing() {
     // Summer time ends in Berlin on 2026-10-25 at 01:00 UTC: the capture runs across it.
@@ -118,7 +118,7 @@ fn summer_time_and_time_zones_change_nothing() {
     faked.world.until("the hour is over", START, || Some(()).filter(|()| faked.count(across) > 20), &faked.daemon);
     let capture = faked.settle();
     assert_eq!(faked.steps_seen(), Vec::<serde_json::Value>::new());
-    // What arrives on a loaded machine is stamped late now and then; summer time would be an hour.
+    // On a loaded machine some samples are stamped late; summer time would be an hour.
     assert_eq!(
         faked.count(
             "SELECT count(*) FROM (SELECT host_utc_ns - lag(host_utc_ns) OVER (ORDER BY seq) AS step FROM sample) \
@@ -147,7 +147,8 @@ fn summer_time_and_time_zones_change_nothing() {
     }
 }
 
-/// D3: at a leap second the kernel's civil clock is put back by a second at 23:59:60 (`STA_INS`): a step like any other.
+/// Row D3: at a leap second the kernel's civil clock is set back by a second at 23:59:60 (`STA_INS`): a step like any
+/// other.
 #[test]
 fn a_leap_second_is_a_step_of_one_second_that_costs_nothing() {
     // 2016-12-31T23:59:60, the last one so far.
@@ -166,14 +167,14 @@ fn a_leap_second_is_a_step_of_one_second_that_costs_nothing() {
     let by_s = steps[0]["detail"]["by_s"].as_f64().unwrap();
     assert!(steps.len() == 1 && (by_s + 1.0).abs() < 0.010, "{steps:?}");
     assert_eq!(steps[0]["detail"]["utc_back_filled"], false);
-    // No sixty-first second in any zone, with or without leap seconds in its data.
+    // There is no sixty-first second in any zone, with or without leap seconds in its data.
     assert!(!capture.to_string().contains(":60."), "{capture:#}");
     let back = "SELECT count(*) FROM (SELECT host_utc_ns - lag(host_utc_ns) OVER (ORDER BY seq) AS step FROM sample) WHERE step < 0";
     assert_eq!(faked.count(back), 1, "once civil time goes back");
 }
 
-/// A clock that is stepped by hours while the daemon is away: within one boot its monotonic clock tells how long that was, also
-/// where the sensor's own clock began again.
+/// A clock is stepped by hours while the daemon is absent: within one boot its monotonic clock shows the length of the
+/// absence, even if the sensor's own clock restarted.
 #[test]
 fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter() {
     let Some(mut faked) = Faked::new("+0", "UTC") else { return };
@@ -204,7 +205,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         // Up to a second before the kill was not committed; sixty samples came after the gap.
         assert!(mono_s > 3.0 && mono_s < away_s - 1.4 + 1.5, "{mono_s} s, away for {away_s} s");
     }
-    // Across a boot nothing but civil time tells: the host was started anew, and its clock was set by ten minutes.
+    // Across a boot only civil time counts: the host was restarted, and its clock was set by ten minutes.
     faked.daemon.kill();
     {
         use rusqlite::config::DbConfig;
@@ -226,7 +227,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
     assert_eq!(capture["accounting"]["holds"], true, "{capture:#}");
 }
 
-/// D4.
+/// Row D4.
 #[test]
 fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so() {
     let Some(faked) = Faked::new(&format!("{:+}", -(now_s() - 100)), "UTC") else { return };
@@ -248,7 +249,7 @@ fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so(
         let earliest = faked.count(&format!("SELECT min({column}) FROM {table}"));
         assert!((today - earliest) < 120_000_000_000, "{table}.{column}: {earliest}, now {today}");
     }
-    // Civil time runs on over the place where it was set.
+    // Civil time is continuous where it was set.
     assert_eq!(
         faked.count(
             "SELECT count(*) FROM (SELECT host_utc_ns - lag(host_utc_ns) OVER (ORDER BY seq) AS step FROM sample) \
@@ -259,7 +260,7 @@ fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so(
     assert!(capture["started_at"].as_str().unwrap().starts_with("20"), "{capture:#}");
 }
 
-/// D4: a host without a battery-backed clock starts in 1970.
+/// Row D4: a host without a battery-backed clock starts in 1970.
 #[test]
 fn a_capture_that_began_at_its_hour_does_not_wait_for_that_hour_again() {
     let world = World::new();

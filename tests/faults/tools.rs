@@ -1,4 +1,4 @@
-//! Tools: what a fault needs besides the program, and how large a run shall be.
+//! Tools: the requirements of a fault besides the program, and the scale of a run.
 
 #![allow(dead_code, reason = "not every machine runs every row")]
 
@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use vn100_testkit::tool;
 
-/// True where this program can be run. Where it cannot, says that the test is skipped; with `VN100D_REQUIRE_TOOLS` set, as
-/// CI does, a missing tool fails the test instead.
+/// Returns whether this program can be run. If not, prints that the test is skipped; with `VN100D_REQUIRE_TOOLS` set,
+/// as in CI, a missing tool fails the test instead.
 pub fn have(name: &str, reason: &str) -> bool {
     let found = Command::new("sh")
         .args(["-c", &format!("command -v {name}")])
@@ -17,19 +17,19 @@ pub fn have(name: &str, reason: &str) -> bool {
     tool(found, name, reason)
 }
 
-/// True for the superuser, who may mount and set limits.
+/// Returns whether this is the superuser, who may mount and set limits.
 pub fn root(reason: &str) -> bool {
     tool(rustix::process::geteuid().is_root(), "root", reason)
 }
 
-/// Civil time that a program is told: libfaketime, and the file that says by how much it is off.
+/// The civil time of a program: libfaketime, and the file with its offset.
 pub struct Faketime {
     library: PathBuf,
     file: PathBuf,
 }
 
 impl Faketime {
-    /// `None` (said) where the library is not installed. `offset`: `+0`, `-3600`, in s.
+    /// Returns `None`, with a note, if the library is not installed. `offset`: `+0`, `-3600`, in s.
     pub fn new(folder: &Path, offset: &str) -> Option<Self> {
         let folders = std::fs::read_dir("/usr/lib").into_iter().flatten().flatten().map(|entry| entry.path());
         let library = folders.map(|folder| folder.join("faketime/libfaketime.so.1")).find(|library| library.exists());
@@ -39,7 +39,7 @@ impl Faketime {
         Some(faketime)
     }
 
-    /// What a program has to be started with.
+    /// Returns the environment with which a program must be started.
     pub fn environment(&self) -> [(&str, &std::ffi::OsStr); 4] {
         [
             ("LD_PRELOAD", self.library.as_os_str()),
@@ -49,7 +49,7 @@ impl Faketime {
         ]
     }
 
-    /// Steps civil time to this offset, as a whole: readers never see half a file.
+    /// Steps civil time to this offset; readers never see half a file.
     pub fn step(&self, offset: &str) {
         let next = self.file.with_extension("next");
         std::fs::write(&next, offset).unwrap();
@@ -57,7 +57,7 @@ impl Faketime {
     }
 }
 
-/// The full figure where `VN100D_FAULTS=full` asks for it, else the scaled one.
+/// Returns the full figure if `VN100D_FAULTS=full` is set, else the scaled one.
 pub fn scaled<T>(every_push: T, full: T) -> T {
     if std::env::var("VN100D_FAULTS").is_ok_and(|value| value == "full") { full } else { every_push }
 }

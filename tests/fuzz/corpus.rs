@@ -9,7 +9,7 @@ use vn100_testkit::ros2::{self, Cdr};
 
 const ACCEL: [f64; 3] = [-0.077, 0.164, -9.965];
 
-/// The inputs of a target.
+/// Returns the inputs of a target.
 pub fn of(target: &str) -> Vec<Vec<u8>> {
     match target {
         "decoder" => decoder(),
@@ -28,7 +28,7 @@ pub fn of(target: &str) -> Vec<Vec<u8>> {
     }
 }
 
-/// Words worth putting anywhere in an input of a target.
+/// Returns byte strings that are worth inserting anywhere in an input of a target.
 pub fn dictionary(target: &str) -> &'static [&'static [u8]] {
     match target {
         "decoder" => {

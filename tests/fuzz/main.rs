@@ -1,9 +1,9 @@
 //! Fuzzing on the stable toolchain: mutations of small valid inputs, by a seed.
 //!
-//! Each target ([`targets`]) is a function of bytes that panics when what it promises does not hold; libFuzzer runs the
-//! same functions (`fuzz/`). Here each runs for `VN100D_FUZZ` (default `2s`) on mutations of a corpus made by this
-//! project's own encoders. A failure prints seed, case and a minimised input; `VN100D_FUZZ_SEED=N` repeats a run.
-//! Besides what the targets promise, every input must keep within a memory bound and a time.
+//! Each target ([`targets`]) is a function of bytes that panics if its promise does not hold; libFuzzer runs the same
+//! functions (`fuzz/`). Here each runs for `VN100D_FUZZ` (default `2s`) on mutations of a corpus made by this project's
+//! own encoders. A failure prints seed, case and a minimised input; `VN100D_FUZZ_SEED=N` repeats a run. Besides the
+//! targets' promises, every input must stay within a limit of memory and of time.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 
@@ -22,15 +22,15 @@ use std::time::{Duration, Instant};
 #[global_allocator]
 static ALLOCATOR: PeakAlloc = PeakAlloc;
 
-/// What one input may take beyond what was there before it: readers' buffers, not what a length field claims.
+/// The maximum memory that one input may take in addition: readers' buffers, not the claim of a length field.
 const MEMORY_MAX_BYTES: usize = 48 << 20;
-/// How long one input may take on a loaded machine.
+/// The time limit of one input on a loaded machine.
 const TIME_MAX: Duration = Duration::from_secs(20);
 
 /// One target at a time: memory is counted for the whole process.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// Why an input failed; `None` where it did not.
+/// Returns the reason why an input failed; `None` if it did not.
 fn failure(target: targets::Target, input: &[u8]) -> Option<String> {
     ALLOCATOR.reset_peak_usage();
     let before = ALLOCATOR.current_usage();
@@ -48,7 +48,7 @@ fn failure(target: targets::Target, input: &[u8]) -> Option<String> {
     }
 }
 
-/// A smaller input that fails too: pieces are taken out as long as it does.
+/// Returns a smaller input that fails too: pieces are removed as long as it does.
 fn minimised(target: targets::Target, mut input: Vec<u8>) -> Vec<u8> {
     let deadline = Instant::now() + Duration::from_secs(10);
     let mut piece = input.len() / 2;
@@ -74,7 +74,7 @@ fn check(name: &str, target: targets::Target, input: &[u8], told: &str) {
     panic!("{name}, {told}: {why}\nminimised, {} bytes: {}", small.len(), hex(&small));
 }
 
-/// Runs a target on its regressions, its corpus, and mutations of that.
+/// Runs a target on its regressions, its corpus, and mutations of the corpus.
 fn fuzz(name: &str) {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let target = targets::TARGETS.iter().find(|(known, _)| *known == name).unwrap().1;
@@ -94,7 +94,7 @@ fn fuzz(name: &str) {
     );
     let started = Instant::now();
     let mut cases = 0;
-    // Each case has a stream of its own, so that it does not depend on how many ran before it.
+    // Each case has a separate random stream, so that it does not depend on the number of earlier cases.
     while started.elapsed() < patience {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         random.set_stream(cases);

@@ -3,7 +3,7 @@
 use rand::seq::IndexedRandom as _;
 use rand::{Rng, RngExt as _};
 
-/// Numbers at which things break.
+/// Numbers at which programs often fail.
 const INTERESTING: [u64; 12] =
     [0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFF, 0x7FFF_FFFF_FFFF_FFFF, u64::MAX];
 /// Numbers as text.
@@ -24,7 +24,7 @@ const INTERESTING_TEXT: [&str; 12] = [
 /// Longest input.
 const LENGTH_MAX: usize = 64 * 1024;
 
-/// An input of the corpus with one to eight changes.
+/// Returns an input of the corpus with one to eight changes.
 pub fn mutated(corpus: &[Vec<u8>], dictionary: &[&[u8]], random: &mut impl Rng) -> Vec<u8> {
     let mut input = corpus.choose(random).cloned().unwrap_or_default();
     for _ in 0..random.random_range(1..=8) {
@@ -51,7 +51,7 @@ fn change(input: &mut Vec<u8>, corpus: &[Vec<u8>], dictionary: &[&[u8]], random:
         2 => input.truncate(at),
         3 => drop(input.drain(at..end)),
         4 => {
-            // A piece again, once or many times.
+            // Repeat a piece, once or many times.
             let piece = input[at..end].repeat(if random.random_bool(0.9) { 1 } else { 50 });
             input.splice(at..at, piece);
         }

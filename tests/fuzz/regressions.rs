@@ -2,13 +2,13 @@
 
 /// Target, and the input as hex.
 const FOUND: [(&str, &str); 5] = [
-    // Durations went through `f64`: one of 158446744073709551616 ms was another when it was written and read again.
+    // Durations went through `f64`: a duration of 158446744073709551616 ms changed when it was written and read again.
     ("faults", "306d20686f6c64203135383434363734343037333730393535313631366d73"),
-    // A name of 3 GB in a schema of 30 bytes was given memory before it was found absent.
+    // A name of 3 GB in a schema of 30 bytes was allocated before it was found to be missing.
     ("mcap", "894d434150300d0a031e000000000000000100022b32c8000000000000000000000000000000000000000000000000"),
     // A row that ended with a carriage return and the one behind it were rejected as one.
     ("csv", "74696d655f732c6779726f5f785f7261645f730d3731303335383236370d2c310a373130333538323637372c33"),
-    // The rounding was so many periods that a level of it was beyond all integers.
+    // The rounding had so many periods that one of its levels exceeded all integers.
     (
         "csv",
         "74696d655f732c2c616363656c5f7a5f6d5f73322c74656d70657261747572655f630a302c2c2c350a2e30352c2c372c0a30\

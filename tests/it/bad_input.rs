@@ -1,4 +1,4 @@
-//! What goes wrong says what to do, with the exit code of docs/formats.md.
+//! Errors state a remedy, with the exit code of docs/formats.md.
 
 use crate::world::{Process, World, program, vn100d};
 use std::time::Duration;
@@ -101,7 +101,8 @@ fn a_recording_that_is_none_names_the_file_and_leaves_nothing() {
     fails(&["--data-dir", data, "show", "latest"], 1, &["latest"]);
 }
 
-/// Whoever types a path means a recording: what is none is called what it is, not a capture of no database.
+/// A user who types a path means a recording: if it is not one, the error reports that, not a missing capture in a
+/// missing database.
 #[test]
 fn a_path_that_is_no_recording_is_called_what_it_is() {
     let folder = tempfile::tempdir().unwrap();
@@ -119,6 +120,6 @@ fn a_path_that_is_no_recording_is_called_what_it_is() {
             fails(&[&["--data-dir", &data], command, &[path]].concat(), 74, &[path, word]);
         }
     }
-    // A name is a capture's.
+    // A name refers to a capture.
     fails(&["--data-dir", &data, "noise", "night"], 1, &["there is no database"]);
 }

@@ -1,4 +1,4 @@
-//! The demonstration, as the README has it.
+//! The demonstration, as in the README.
 
 use crate::world::program;
 use serde_json::Value;
@@ -15,7 +15,7 @@ fn five_hours_pass_in_under_two_minutes_and_the_parameters_are_found() {
     assert!(output.status.success(), "{text}");
     assert!(text.contains("720000 samples, 0 missing"), "{text}");
     assert!(text.contains("/dev/pts/"), "{text}");
-    // The model lacks the hum that the sensor has; the diagnosis names it.
+    // The sensor's hum is missing in the model; the diagnosis names it.
     let sentence = text.lines().find(|line| line.contains("that the model lacks")).unwrap_or_else(|| panic!("{text}"));
     assert!(sentence.trim().starts_with("accel_z: a 11.400 Hz tone of "), "{sentence}");
     for path in ["/v1/diagnoses/latest", "/diagnoses/latest"] {

@@ -1,4 +1,4 @@
-//! Diagnoses through the daemon: asked for, followed, fetched, seen, and gone on with after a restart.
+//! Diagnoses through the daemon: requested, followed, fetched, displayed, and continued after a restart.
 
 use crate::world::{Process, World, vn100d};
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ fn model(effects: &Value) -> Value {
         "accel_z": {"N": 0.002, "B": 4e-4, "K": 2e-5, "bias": -9.8, "effects": effects}}})
 }
 
-/// A daemon over a capture of 20 minutes with a tone, `desk`.
+/// Returns a daemon over a capture of 20 minutes with a tone, `desk`.
 fn with_capture(world: &World) -> Process {
     let path = |name: &str| -> PathBuf { world.path(name) };
     let tone = json!([{"effect": "tone", "frequency_hz": 13.38, "amplitude": 0.002}]);
@@ -75,7 +75,7 @@ fn a_diagnosis_is_asked_for_followed_fetched_and_seen() {
     let Value::String(page) = world.get(&format!("/diagnoses/{id}")) else { panic!("a page is no JSON") };
     assert!(page.contains(&format!("<h1>{}</h1>", report["summary"].as_str().unwrap())), "{page}");
     assert!(!page.contains("<script>") && !page.contains("http://") && !page.contains("https://"), "{page}");
-    // The same wish is the same job; the corrected model closes the gap.
+    // The same request is the same job; the corrected model closes the gap.
     let (status, again) = submitted(&world, &json!({"sim": plain, "reference": null}));
     assert_eq!((status, again["id"].as_i64()), (200, Some(id)), "{again}");
     let better = world.get(&format!("/v1/diagnoses/{id}/model"));
@@ -104,7 +104,7 @@ fn a_diagnosis_that_is_interrupted_begins_anew_at_the_next_start_and_a_cancelled
     let world = World::new();
     let mut daemon = with_capture(&world);
     let of = |n: f64| json!({"sim": {"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": {"gyro_x": {"N": n}}}});
-    // Behind a longer one both wait.
+    // Both wait for a longer one.
     submitted(&world, &json!({"sim": model(&json!([]))}));
     let (cancelled, waits) =
         (submitted(&world, &of(1e-4)).1["id"].clone(), submitted(&world, &of(2e-4)).1["id"].clone());
@@ -149,12 +149,12 @@ fn a_capture_of_a_known_motion_is_diagnosed_against_it() {
     let cause = &report["causes"][0];
     assert_eq!((&cause["effect"], &cause["triad"]), (&json!("scale_factor"), &json!("gyro")), "{report:#}");
     assert!((cause["parameters"]["gyro"]["x"].as_f64().unwrap() - 1e-3).abs() < 1e-4, "{cause:#}");
-    // It turns about x with x down and at no other time: pose and rate tell the same.
+    // It turns about x with x down and at no other time: pose and rate are equivalent.
     let place = &report["where"][0];
     assert!(place["channel"] == "gyro_x" && place["at"]["axis"] == "x" && place["sign"] == "real higher", "{report:#}");
     let Value::String(page) = world.get(&format!("/diagnoses/{}", job["id"])) else { panic!("a page is no JSON") };
     assert!(page.contains("Beyond the motion") && page.contains("gyro_x against the rate about x"), "{page}");
-    // The name of the motion that the simulator went through says the same.
+    // The name of the simulated motion gives the same result.
     let (status, job) = submitted(&world, &json!({"sim": model(json!({})), "reference": "rate-table"}));
     assert_eq!(status, 202, "{job}");
     let route = format!("/v1/diagnoses/{}", job["id"]);

@@ -1,4 +1,5 @@
-//! The diagnosis from the command line: what a model lacks is named, added, and gone; taken out it is back.
+//! The diagnosis from the command line: a missing effect is named and added, and the gap closes; without the effect it
+//! opens again.
 
 use crate::world::{World, program, vn100d};
 use serde_json::{Value, json};
@@ -56,12 +57,12 @@ fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
     assert!(found["discrepancy"]["closed"].as_f64().unwrap() > 0.9, "{found:#}");
     let place = &found["where"][0];
     assert!(place["band_hz"][0].as_f64().unwrap() < 9.5 && place["band_hz"][1].as_f64().unwrap() > 8.7, "{found:#}");
-    // What the corrected model makes is what it says.
+    // The output of the corrected model must match the model.
     let again = path("again.csv");
     done(&["simulate", "--model", &better, "--duration", "20min", "--seed", "6", "--out", &again]);
     let closed = diagnosed(&again, &better, &[]);
     assert_eq!((closed["verdict"].as_str(), effects(&closed)), (Some("no_gap"), vec![]), "{closed:#}");
-    // And the recording itself is.
+    // And so must the recording itself.
     let closed = diagnosed(&real, &better, &[]);
     assert_eq!(effects(&closed), Vec::<&str>::new(), "{closed:#}");
     assert_ne!(closed["verdict"], "unknown_effect", "{closed:#}");
@@ -72,7 +73,7 @@ fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
     let less = write(folder.path(), "less.json", &less.to_string());
     let open = diagnosed(&again, &less, &[]);
     assert_eq!(effects(&open), ["resonance"], "{open:#}");
-    // A person gets one sentence first, also on the page.
+    // The user gets one sentence first, also on the page.
     let page = path("page.html");
     let said = done(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
     let sentence = said.lines().next().unwrap();
@@ -119,7 +120,7 @@ fn stamps_that_scatter_are_found_in_a_table_and_in_a_capture_of_it_and_times_are
     let (plain, rich) = (model(&folder, "plain", &plain), model(&folder, "rich", &rich));
     let (whole, real, better) = (path("whole.csv"), path("real.csv"), path("better.json"));
     done(&["simulate", "--model", &rich, "--duration", "20min", "--seed", "5", "--out", &whole]);
-    // A hole of more than a minute: compared is what follows.
+    // The recording has a hole of more than a minute: the part after it is compared.
     let text = std::fs::read_to_string(&whole).unwrap();
     let at = |line: &str| line.split(',').next().unwrap().parse::<f64>().ok();
     let kept = text.lines().filter(|line| !at(line).is_some_and(|s| (100.0..300.0).contains(&s)));
@@ -135,7 +136,7 @@ fn stamps_that_scatter_are_found_in_a_table_and_in_a_capture_of_it_and_times_are
         let timing = &of("timing")["parameters"]["gyro_x"];
         assert!((timing["jitter_s"].as_f64().unwrap() / 0.001 - 1.0).abs() < 0.05, "{name}: {timing}");
         assert!((timing["drop_probability"].as_f64().unwrap() / 0.01 - 1.0).abs() < 0.2, "{name}: {timing}");
-        // Places are counted at the rate of the median step, which scattering stamps tell to some 1e-4.
+        // Places are counted at the rate of the median step, which scattering stamps determine to some 1e-4.
         let step = &of("bias_step")["parameters"]["gyro_x"];
         assert!((step["at_s"].as_f64().unwrap() - 700.0).abs() < 0.5, "{name}: {step}");
         let interval = &of("bias_step")["uncertainty"]["gyro_x"][0]["at_s"];
@@ -200,7 +201,7 @@ fn a_calibration_is_kept_and_found_again_the_same() {
     let kept = std::fs::read_to_string(file.path()).unwrap();
     assert!(serde_json::from_str::<Value>(&kept).unwrap()["kinds"]["tone"]["offset"].as_f64().unwrap() > 4.0);
     assert_eq!(calibrated(), found, "from the cache");
-    // What is broken is made anew, and the same.
+    // A broken file is made again with the same content.
     std::fs::write(file.path(), &kept[..kept.len() / 2]).unwrap();
     assert_eq!(calibrated(), found, "made anew");
     assert_eq!(std::fs::read_to_string(file.path()).unwrap(), kept);

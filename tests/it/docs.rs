@@ -1,7 +1,7 @@
-//! The documentation's code blocks run as they stand.
+//! The documentation's code blocks run unchanged.
 //!
 //! A block whose first line is ```` ```sh no-run: REASON ```` is not run and must give its reason. The README's two
-//! commands are what the tests themselves are: `tests/it/demo.rs` runs the demonstration, and this is `cargo test`.
+//! commands are the tests themselves: `tests/it/demo.rs` runs the demonstration, and this is `cargo test`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,4 +1,4 @@
-//! Samples out and in again: every form gives back what was recorded, and nothing half stays behind.
+//! Export and import: every format restores the recorded values, and a failure leaves no partial output.
 
 use crate::world::vn100d;
 use arrow_array::Array as _;
@@ -9,7 +9,7 @@ use rusqlite::types::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// A folder with a database in `data` and whatever a test writes.
+/// A folder with a database in `data` and the files of a test.
 pub struct Place(tempfile::TempDir);
 
 impl Place {
@@ -44,7 +44,7 @@ impl Place {
         assert!(said(&output).contains(why), "{arguments:?}: {}", said(&output));
     }
 
-    /// Rows of the database.
+    /// Returns rows of the database.
     pub fn query(&self, sql: &str) -> Vec<Vec<Value>> {
         let database = rusqlite::Connection::open(self.path("data/vn100d.db")).unwrap();
         let mut statement = database.prepare(sql).unwrap();
@@ -53,7 +53,7 @@ impl Place {
         rows.map(Result::unwrap).collect()
     }
 
-    /// Everything in the folder, the data directory left out.
+    /// Returns the names of all files in the folder, without the data directory.
     pub fn files(&self) -> Vec<String> {
         fn walk(folder: &Path, from: &Path, found: &mut Vec<String>) {
             for entry in std::fs::read_dir(folder).unwrap().flatten() {
@@ -79,8 +79,8 @@ fn said(output: &Output) -> String {
 /// 2026-11-21T20:00:00Z.
 const EVENING_S: u64 = 1_795_291_200;
 
-/// A recording at 40 Hz with jitter below a millisecond, two holes, a channel that is absent now and then, and values that no short
-/// decimal says.
+/// Returns a recording at 40 Hz with jitter below a millisecond, two holes, a channel that is sometimes absent, and
+/// values without a short decimal.
 fn recording(samples: usize) -> String {
     let mut text = String::from("time_s,gyro_x_rad_s,accel_z_m_s2,mag_x_gauss,temperature_c\n");
     let mut ticks = 0_usize;
@@ -100,7 +100,7 @@ fn recording(samples: usize) -> String {
     text
 }
 
-/// A place with this recording as capture 1, `night`.
+/// Returns a place with this recording as capture 1, `night`.
 pub fn with_capture(samples: usize) -> Place {
     let place = Place::new();
     std::fs::write(place.path("night.csv"), recording(samples)).unwrap();
@@ -127,7 +127,7 @@ fn csv_goes_out_and_in_again_with_every_bit_and_every_gap() {
     assert!(one == two, "the samples differ");
     let gaps = place.query(&of(GAPS, 1, "gap_id"));
     assert_eq!((gaps.len(), &gaps), (2, &place.query(&of(GAPS, 2, "gap_id"))));
-    // Counted from the first sample, to standard output: everything but the time of day is the same.
+    // Times from the first sample, to standard output: everything but the time of day is the same.
     let text = place.done(&["export", "1", "--format", "csv"]);
     assert!(text.starts_with("time_s,mag_x_gauss,accel_z_m_s2,gyro_x_rad_s,temperature_c\n0,"), "{}", &text[..200]);
     std::fs::write(place.path("relative.csv"), text).unwrap();
@@ -208,7 +208,7 @@ fn mcap_has_every_sample_at_its_time_in_si_and_as_recorded() {
         }
     }
     assert_eq!((own, mag), (2_000, 2_000));
-    // What comes in again is what was recorded, not what the standard messages made of it.
+    // The import restores the recorded values, not those of the standard messages.
     place.done(&["import", "out.mcap", "--name", "again"]);
     assert!(place.query(&of(SAMPLES, 1, "seq")) == place.query(&of(SAMPLES, 2, "seq")), "the samples differ");
     assert_eq!(place.query(&of(GAPS, 1, "gap_id")), place.query(&of(GAPS, 2, "gap_id")));
@@ -265,7 +265,7 @@ fn what_cannot_be_is_refused_and_leaves_nothing() {
         "/dev/full cannot be written: No space left",
     );
     for format in ["csv", "ndjson", "parquet", "mcap"] {
-        // A disk that takes 51 KB of a file and no more (SQLite wants 32 for itself).
+        // The disk accepts 51 KB of a file (SQLite needs 32 of them).
         let out = format!("out.{format}");
         let limited = Command::new("sh")
             .args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" --data-dir data export 1 --out \"$1\""])
@@ -282,7 +282,7 @@ fn what_cannot_be_is_refused_and_leaves_nothing() {
     assert_eq!(place.text("mine.csv"), "mine");
     place.done(&["export", "1", "--out", "mine.csv", "--force"]);
     assert!(place.text("mine.csv").starts_with("time_s,"));
-    // Lines that were rejected on the way in are told by the exit code, as everywhere.
+    // Rejected lines determine the exit code, as everywhere.
     std::fs::write(place.path("torn.csv"), "time_s,gyro_x_rad_s\n0,1\n0.025,x\n0.05,1\n0.075,1\n").unwrap();
     assert_eq!(place.run(&["export", "torn.csv"]).status.code(), Some(3));
 }
@@ -328,7 +328,7 @@ fn an_mcap_file_that_was_not_finished_does_not_look_whole() {
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     let status = child.wait().unwrap();
     let written = std::fs::read(place.path("half.mcap")).unwrap();
-    // A machine that was done before the signal came has written a whole one.
+    // A machine that finished before the signal has written a complete file.
     assert_eq!(written.ends_with(mcap::MAGIC), status.success(), "{status}");
 }
 
@@ -347,7 +347,7 @@ fn a_data_set_has_a_file_per_capture_where_its_sensor_and_day_say() {
     assert!(other.ends_with(&format!("capture-2-sim_one-{of_database}")), "{other}");
     let schema = |file: &str| {
         let file = std::fs::File::open(place.path(file)).unwrap();
-        // What the file says of its capture is its own.
+        // The file's metadata describes its capture.
         ParquetRecordBatchReaderBuilder::try_new(file).unwrap().schema().fields().clone()
     };
     assert_eq!(schema(night), schema(reports[1]["file"].as_str().unwrap()), "one schema for all files");
@@ -357,7 +357,7 @@ fn a_data_set_has_a_file_per_capture_where_its_sensor_and_day_say() {
     let files = place.files();
     place.done(&["export", "night", "1", "--partitioned", "lake"]);
     assert!(std::fs::read(place.path(night)).unwrap() == first && place.files() == files);
-    // What fails leaves no folder either.
+    // A failure leaves no folder either.
     std::fs::write(place.path("file"), "").unwrap();
     place.refused(74, &["export", "1", "--partitioned", "file"], "cannot be made");
     assert_eq!(vn100d(&["export", "--partitioned", "lake"]).status.code(), Some(2), "which captures?");

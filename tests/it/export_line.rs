@@ -1,4 +1,4 @@
-//! Captures of a sensor's line on their way out: epochs of its clock, gaps, absent values, one that still grows.
+//! Exports of captures of a sensor's line: epochs of its clock, gaps, absent values, a capture that still grows.
 
 use crate::export::Place;
 use arrow_array::Array as _;
@@ -17,17 +17,18 @@ const PERIOD_NS: i64 = 25_000_000;
 const CHANNELS: [Channel; 7] =
     [Channel::MagX, Channel::MagY, Channel::MagZ, Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::Temperature];
 
-/// The sample's period since the capture's start: 7 are missing before sample 400, 100 before sample 700.
+/// Returns the sample's period since the capture's start: 7 are missing before sample 400, 100 before sample 700.
 fn tick(seq: u64) -> u64 {
     seq + if seq >= 400 { 7 } else { 0 } + if seq >= 700 { 100 } else { 0 }
 }
 
-/// When it was taken, by the sensor's clock: whole periods.
+/// Returns the sample's time by the sensor's clock: whole periods.
 fn taken_ns(seq: u64) -> i64 {
     START_NS + tick(seq) as i64 * PERIOD_NS
 }
 
-/// A sensor that restarted before sample 700. It arrives up to 3 ms late, but for the first sample of each run of the clock.
+/// Returns a sample of a sensor that restarted before sample 700. It arrives up to 3 ms late, except for the first
+/// sample of each run of the clock.
 fn sample(seq: u64) -> Sample {
     let run = if seq < 700 { 0 } else { 700 };
     let device_ns = 1_250_000_000 + (tick(seq) - tick(run)) * PERIOD_NS as u64;
@@ -81,7 +82,7 @@ fn named(name: &str, state: CaptureState) -> NewCapture {
     capture
 }
 
-/// A place whose capture 1, `line`, has 1,000 samples in three segments and two epochs.
+/// Returns a place whose capture 1, `line`, has 1,000 samples in three segments and two epochs.
 fn with_line() -> Place {
     let place = Place::new();
     std::fs::create_dir(place.path("data")).unwrap();
@@ -108,7 +109,7 @@ fn with_line() -> Place {
     place
 }
 
-/// The rows that CSV must have, their times counted from `origin_ns`.
+/// Returns the rows that CSV must have, their times counted from `origin_ns`.
 fn rows(count: u64, origin_ns: i64) -> Vec<String> {
     let row = |seq: u64| {
         let ns = taken_ns(seq) - origin_ns;
@@ -140,8 +141,8 @@ fn a_capture_with_epochs_and_gaps_leaves_by_the_sensor_s_clock_and_comes_back_th
         assert!(place.text(&back) == place.text("line.csv"), "{file} comes back as something else");
         assert_eq!(accounts(id), accounts(1), "{file}");
     }
-    // In a message of a magnetic field gauss are tesla, which are not always the same number again.
-    // Such a message has three axes, but its third is none here: what was recorded is taken all the same.
+    // A message of a magnetic field converts gauss to tesla and may not restore the same number. It has three axes, of
+    // which the third is absent here: the recorded values are used anyway.
     let mag = ["--channels", "mag_z,mag_x"];
     place.done(&[&["export", "line", "--out", "mag.mcap"], &mag[..]].concat());
     place.done(&["import", "mag.mcap", "--name", "mag"]);
@@ -206,7 +207,7 @@ fn a_capture_that_is_recorded_meanwhile_leaves_as_far_as_it_went() {
             let output = place.run(&["export", "growing"]);
             let text = String::from_utf8(output.stdout).unwrap();
             let count = text.lines().count().saturating_sub(1);
-            // Right at its beginning there is nothing yet to be told.
+            // At the capture's beginning there may be no rows yet.
             if count > 0 {
                 assert!(text.lines().skip(1).eq(expected(count)), "{count} samples");
             }

@@ -1,4 +1,4 @@
-//! The gap of real recordings: what N, B and K lack of them is found without being told (`docs/validation.md`).
+//! The gap of real recordings: the effects missing in N, B and K are found without hints (`docs/validation.md`).
 
 use crate::world::{World, vn100d};
 use serde_json::Value;
@@ -6,14 +6,14 @@ use std::io::Read as _;
 use std::path::Path;
 use vn100_testkit::real_data;
 
-/// What a program that ended well said.
+/// Returns the output of a program that ended without an error.
 fn done(arguments: &[&str]) -> String {
     let ended = vn100d(arguments);
     assert!(ended.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
     String::from_utf8(ended.stdout).unwrap()
 }
 
-/// A recording against the N, B and K of a recording.
+/// Returns a recording against the N, B and K of a recording.
 fn against_plain(world: &World, real: &Path, of: &Path, rate: &[&str]) -> Value {
     let plain = world.path("plain.json");
     let (real, of, plain) = (real.to_str().unwrap(), of.to_str().unwrap(), plain.to_str().unwrap());
@@ -21,7 +21,7 @@ fn against_plain(world: &World, real: &Path, of: &Path, rate: &[&str]) -> Value 
     serde_json::from_str(&done(&[&["--json", "diagnose", "--real", real, "--sim", plain], rate].concat())).unwrap()
 }
 
-/// The effects of one kind on a channel, with their parameters.
+/// Returns the effects of one kind on a channel, with their parameters.
 fn on(found: &Value, effects: &[&str], channel: &str) -> Vec<Value> {
     let causes = found["causes"].as_array().unwrap().iter();
     let of = causes.filter(|cause| effects.contains(&cause["effect"].as_str().unwrap()));
@@ -34,7 +34,7 @@ fn number(of: &Value, name: &str) -> f64 {
     of[name].as_f64().unwrap_or(f64::NAN)
 }
 
-/// Whether a channel has a line, steady or wandering, at a frequency.
+/// Returns whether a channel has a line, steady or wandering, at a frequency.
 fn has_line(found: &Value, channel: &str, frequency_hz: f64) -> bool {
     on(found, &["tone", "resonance"], channel)
         .iter()
@@ -68,8 +68,8 @@ fn a_desk_recordings_disturbances_are_what_the_diagnosis_names() {
         let ramps = on(&found, &["rate_ramp"], channel);
         assert!(ramps.len() == 1 && (number(&ramps[0], "R") / ramp - 1.0).abs() < 0.2, "{channel}: {ramps:?}");
     }
-    // The magnetometer's axes are all equal to their last values in 58 samples, and no less often to those of 20 before: they
-    // share noise, and nothing is sent twice.
+    // The magnetometer's axes all equal their last values in 58 samples, and equal those of 20 samples before no less
+    // often: they share noise, and no sample is sent twice.
     for channel in ["gyro_x", "accel_x", "mag_x"] {
         assert!(on(&found, &["held_samples"], channel).is_empty(), "{channel}: {found:#}");
     }
@@ -97,7 +97,8 @@ fn an_adis_recordings_disturbances_are_what_the_diagnosis_names() {
             let steps = on(&found, &["resolution"], &channel);
             assert!((number(&steps[0], "step") / step - 1.0).abs() < 1e-3, "{channel}: {steps:?}");
             assert!(!on(&found, &["low_pass", "moving_average"], &channel).is_empty(), "{channel}: {found:#}");
-            // Axes that share noise are equal to their last values together more often than by themselves: none is sent twice.
+            // Axes that share noise equal their last values together more often than separately: no sample is sent
+            // twice.
             assert!(on(&found, &["held_samples"], &channel).is_empty(), "{found:#}");
         }
         let channel = format!("accel_{axis}");
@@ -111,7 +112,8 @@ fn an_adis_recordings_disturbances_are_what_the_diagnosis_names() {
     }
 }
 
-/// The rows of a BROAD trial between two times: time, accelerometer, gyroscope, magnetometer, as many columns as asked for.
+/// Returns the rows of a BROAD trial between two times: time, accelerometer, gyroscope, magnetometer, as many columns
+/// as requested.
 fn broad(world: &World, file: &Path, name: &str, columns: usize, [from_s, to_s]: [f64; 2]) -> std::path::PathBuf {
     let mut text = String::new();
     flate2::read::GzDecoder::new(std::fs::File::open(file).unwrap()).read_to_string(&mut text).unwrap();
@@ -132,19 +134,19 @@ fn a_phones_motor_is_found_with_its_time_and_its_frequency() {
     let Some(shaken) = real_data("broad/26_disturbed_phone_vibration_A.csv.gz") else { return };
     let world = World::new();
     let quiet = broad(&world, &quiet, "quiet.csv", 7, [0.0, 33.79]);
-    // At rest, the last two seconds with the motor on.
+    // The sensor is at rest, with the motor on in the last two seconds.
     let found = against_plain(&world, &broad(&world, &shaken, "begin.csv", 7, [0.0, 47.4]), &quiet, &[]);
     for axis in ["x", "y", "z"] {
         let louder = on(&found, &["variance_change"], &format!("accel_{axis}"));
         let from = louder.iter().any(|of| (number(of, "from_s") - 45.48).abs() < 0.1 && number(of, "factor") > 10.0);
         assert!(from, "{axis}: {louder:?}");
     }
-    // A motor is a band, and is called white noise: what lies inside a loud stretch is not looked at. Something remains elsewhere, and
-    // nothing is sure beside it.
+    // The motor is a band, and is reported as white noise: a loud stretch is not examined inside. Something remains
+    // elsewhere, so that no cause is certain.
     assert!(found["remainder"]["share"].as_f64().is_some_and(|share| share > 0.0), "{found:#}");
     let sure = |cause: &Value| number(cause, "confidence") > 0.5 && cause["effect"] == "variance_change";
     assert!(!found["causes"].as_array().unwrap().iter().any(sure), "{found:#}");
-    // The motor on throughout.
+    // The motor is on throughout.
     let found = against_plain(&world, &broad(&world, &shaken, "on.csv", 7, [161.2, 164.75]), &quiet, &[]);
     for channel in ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y"] {
         let bands = on(&found, &["resonance", "tone"], channel);
@@ -153,7 +155,7 @@ fn a_phones_motor_is_found_with_its_time_and_its_frequency() {
     }
 }
 
-/// The rests' own magnitudes and Berlin's gravity: what the bias of the axis that points up has to be.
+/// The rests' own magnitudes and Berlin's gravity: they determine the bias of the axis that points up.
 const BERLIN_M_S2: f64 = 9.8128;
 
 #[test]
@@ -168,11 +170,11 @@ fn a_hands_slow_turn_tells_the_bias_that_the_rests_have_and_a_magnets_pass_is_na
     let rest = broad(&world, &turned, "rest.csv", 7, [1.0, 32.8]);
     let found = against_plain(&world, &broad(&world, &turned, "turned.csv", 10, [0.0, 1e9]), &rest, &[]);
     assert_eq!(named(&found)[0], "bias", "{found:#}");
-    // What the noise at rest has stands among the causes where its nats put it.
+    // The effects of the noise at rest are ranked among the causes by their nats.
     let causes = found["causes"].as_array().unwrap();
     let bias = causes.iter().find(|cause| cause["triad"] == "accel" && cause["effect"] == "bias").unwrap();
     let ends = &bias["uncertainty"]["accel"]["z"];
-    // At rest with z up |m| is 9.8897: 0.077 more, of which x and y have a thousandth.
+    // At rest with z up |m| is 9.8897 m/s²: 0.077 more, of which x and y have a thousandth.
     let rested = 9.8897 - BERLIN_M_S2;
     let (low, high) = (ends[0].as_f64().unwrap(), ends[1].as_f64().unwrap());
     assert!(low < rested && rested < high + 0.01 && high - low < 0.02, "{low} to {high} for {rested}");

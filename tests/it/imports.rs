@@ -1,4 +1,4 @@
-//! Imports through the daemon: who may, how they end, and what a user is told.
+//! Imports through the daemon: authorisation, outcomes, and the messages for the user.
 
 use crate::world::{Process, World, program};
 use rusqlite::types::Value;
@@ -9,7 +9,7 @@ use vn100_testkit::ros2;
 
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 
-/// A recording of so many samples of one channel at 40 Hz.
+/// Returns a recording with this number of samples of one channel at 40 Hz.
 fn recording(world: &World, name: &str, samples: usize) -> PathBuf {
     let file = world.path(name);
     let mut text = String::from("time_s,gyro_x_rad_s\n");
@@ -20,12 +20,12 @@ fn recording(world: &World, name: &str, samples: usize) -> PathBuf {
     file
 }
 
-/// Where the daemon of this world listens, as the configuration says it.
+/// Returns the configuration of the address on which this world's daemon listens.
 fn listening(world: &World) -> String {
     format!("[http]\nlisten = \"{}\"\n", world.url.trim_start_matches("http://"))
 }
 
-/// `vn100d import` with this configuration, beside the world's daemon.
+/// Returns `vn100d import` with this configuration, beside the world's daemon.
 fn importing(world: &World, configuration: &Path, arguments: &[&str]) -> Command {
     let mut command = program();
     command.args(["--data-dir", world.path("data").to_str().unwrap()]);
@@ -44,7 +44,7 @@ fn count(world: &World, sql: &str) -> i64 {
     }
 }
 
-/// The priority of the daemon's first thread whose name begins so, while there is one.
+/// Returns the priority of the daemon's first thread whose name begins with this, while there is one.
 fn priority(daemon: &Process, name: &str) -> Option<i64> {
     let threads = std::fs::read_dir(format!("/proc/{}/task", daemon.id())).ok()?;
     threads.flatten().find_map(|thread| {
@@ -59,13 +59,13 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Nothing of a recording lies beside the database any more.
+/// Checks that no file of a recording remains beside the database.
 fn nothing_aside(world: &World) -> Option<()> {
     let left = std::fs::read_dir(world.path("data")).unwrap().flatten();
     (left.filter(|entry| entry.file_name().to_string_lossy().starts_with(".import-")).count() == 0).then_some(())
 }
 
-/// Who configures a token wants it asked for, wherever the daemon listens; `vn100d import` has it from the configuration.
+/// A configured token is required wherever the daemon listens; `vn100d import` reads it from the configuration.
 #[test]
 fn a_configured_token_is_needed_on_loopback_too_and_import_brings_it() {
     let world = World::new();
@@ -88,21 +88,21 @@ fn a_configured_token_is_needed_on_loopback_too_and_import_brings_it() {
     assert_eq!(daemon.terminate(), Some(0));
 }
 
-/// How far an import has come when something happens to it.
+/// The progress of an import when an event interrupts it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Stage {
     Read,
     Written,
 }
 
-/// The daemon and an import through it that has come so far.
+/// Returns the daemon and an import through it that has reached this stage.
 fn halfway(world: &World, stage: Stage) -> (Process, Process) {
     let daemon = world.daemon(&listening(world), &[]);
     let file = recording(world, "long.csv", 3_000_000);
     let client = Process::start(&mut importing(world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]), false);
     let patience = Duration::from_secs(300);
-    // No job of a capture is in its way, and it in no capture's.
-    // As background jobs, which under a suite that is nicer itself stay as nice.
+    // No capture's job competes with the import, nor the import with a capture: it has the priority of background jobs,
+    // which stays the suite's own if that is lower.
     let background = || {
         let (import, jobs) = (priority(&daemon, "import")?, priority(&daemon, "jobs-")?);
         (import == jobs && import >= 10).then_some(())
@@ -116,7 +116,7 @@ fn halfway(world: &World, stage: Stage) -> (Process, Process) {
     (daemon, client)
 }
 
-/// Nothing is seen of it, and what was written goes.
+/// Checks that the import is not visible, and that its data is removed.
 fn nothing_of_it(world: &World, daemon: &Process) {
     assert_eq!(world.get("/v1/captures")["captures"], serde_json::json!([]));
     let gone =
@@ -125,7 +125,7 @@ fn nothing_of_it(world: &World, daemon: &Process) {
     world.until("its file is removed", Duration::from_secs(20), || nothing_aside(world), daemon);
 }
 
-/// Row A3 for imports: the daemon ends in time, whatever the import does, and nothing half made is ever seen.
+/// Row A3 for imports: the daemon ends in time, whatever the import does, and a partial import is never visible.
 #[test]
 fn a_termination_ends_an_import_in_time_and_leaves_nothing_of_it() {
     for stage in [Stage::Read, Stage::Written] {
@@ -143,8 +143,8 @@ fn a_termination_ends_an_import_in_time_and_leaves_nothing_of_it() {
     }
 }
 
-/// Ctrl-C at `vn100d import` means that nobody wants it any more; meanwhile a second one is told to wait, not that there is
-/// no daemon or no disk.
+/// Ctrl-C at `vn100d import` cancels the import. Meanwhile a second import must wait, and its message does not blame a
+/// missing daemon or a full disk.
 #[test]
 fn whoever_goes_away_calls_the_import_off_and_a_second_one_is_told_to_wait() {
     let world = World::new();
@@ -162,8 +162,8 @@ fn whoever_goes_away_calls_the_import_off_and_a_second_one_is_told_to_wait() {
     assert_eq!(daemon.terminate(), Some(0));
 }
 
-/// What cannot become a capture is refused with the same exit code and a sentence, with and without a daemon, and before
-/// anything is waited for.
+/// Files and names that are invalid for a capture are refused with the same exit code and message, with and without a
+/// daemon, and before any wait.
 #[test]
 fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() {
     let world = World::new();
@@ -214,7 +214,8 @@ fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() 
     assert_eq!(daemon.terminate(), Some(0));
 }
 
-/// What the user says of foreign columns and messages reaches the daemon, and is part of what makes a recording the same.
+/// The user's statements about foreign columns and messages reach the daemon, and identify the recording together with
+/// its content.
 #[test]
 fn foreign_columns_and_messages_are_told_to_the_daemon() {
     let world = World::new();
@@ -264,7 +265,7 @@ fn foreign_columns_and_messages_are_told_to_the_daemon() {
         let (second, said) = of(again);
         assert_eq!((&second[0]["capture"], &second[0]["new"]), (&report[0]["capture"], &false.into()), "{said}");
     }
-    // Without its package the type is another reading of it.
+    // Without its package the type is another reading of the file.
     let (other, said) = of(&[bag, "--message-definition", definition]);
     assert_eq!(other[0]["new"], true, "{said}");
     assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "GyroX(dps)=gyro_x_dps");

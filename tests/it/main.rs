@@ -1,4 +1,4 @@
-//! Integration tests: the built program, driven as a user drives it.
+//! Integration tests: they use the built program as a user does.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 

@@ -1,4 +1,4 @@
-//! One night in small: a sensor on a terminal, the daemon, a capture, curl.
+//! One short night: a sensor on a terminal, the daemon, a capture, curl.
 
 use crate::world::{World, vn100d};
 use serde_json::Value;
@@ -49,7 +49,7 @@ fn a_capture_of_the_default_output_is_complete_and_every_interface_shows_it() {
     let tau = allan["channels"]["accel_z"]["tau_s"].as_array().unwrap();
     assert_eq!(tau[0], 0.025);
 
-    // Any SQLite client reads it beside the daemon.
+    // Any SQLite client can read it beside the daemon.
     let rows = world.query("SELECT count(*), min(seq), max(seq), avg(accel_z), count(DISTINCT segment_id) FROM sample WHERE capture_id = 1");
     let text = format!("{rows:?}");
     assert!(text.contains("Integer(4000)") && text.contains("Integer(3999)"), "{text}");
@@ -58,7 +58,7 @@ fn a_capture_of_the_default_output_is_complete_and_every_interface_shows_it() {
     );
     assert_eq!(format!("{steps:?}"), "[[Integer(25000000), Integer(25000000)]]");
 
-    // A clean stop puts the sensor's output back: ASCII, as it was.
+    // A clean stop restores the sensor's output: ASCII, as before.
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
     let probe = vn100d(&["--json", "probe", "--device", world.port().to_str().unwrap()]);
     let found: Value =

@@ -1,9 +1,9 @@
-//! Odd records: what nobody meant to record gets past the checks of a diagnosis' input, and must not bring it down.
+//! Odd records: unintended data passes the checks of a diagnosis' input, and must not make it panic.
 //!
 //! Each is a case of the trial whose values, gaps, stamps or model were spoilt in several ways by a seed.
-//! `VN100D_ODD=2000` runs so many (10 unless it is set), `VN100D_ODD_SEED=N` repeats a run, `VN100D_ODD_FROM=500` leaves out those
-//! before.
-//! The records are short, because a diagnosis of a long one takes minutes.
+//! `VN100D_ODD=2000` sets the number of cases (10 unless it is set), `VN100D_ODD_SEED=N` repeats a run,
+//! `VN100D_ODD_FROM=500` skips the cases before. The records are short, because a diagnosis of a long one takes
+//! minutes.
 
 use imu_diagnosis::{Options, Recording, Reference};
 use imu_model::simulator::{Motion, SensorModel};
@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 /// The test prints a case that takes longer.
 const SLOW: std::time::Duration = std::time::Duration::from_secs(10);
 
-/// Samples of a record of a motion, and at most of one at rest.
+/// Number of samples of a record of a motion, and the maximum of one at rest.
 const MOVED_SAMPLES: usize = 2000;
 const STILL_SAMPLES: usize = 10_000;
 
@@ -109,7 +109,7 @@ fn spoil(values: &mut [f64], random: &mut ChaCha8Rng) -> &'static str {
     }
 }
 
-/// Keeps the first so many samples.
+/// Keeps this number of samples from the beginning.
 fn cut(recording: &mut Recording, keep: usize) {
     recording.channels.iter_mut().chain(&mut recording.sent).for_each(|(_, values)| values.truncate(keep));
     recording.missing.truncate(keep);
@@ -117,7 +117,7 @@ fn cut(recording: &mut Recording, keep: usize) {
     recording.temperature_c.iter_mut().for_each(|values| values.truncate(keep));
 }
 
-/// Makes samples missing, or takes stamps or temperature away.
+/// Makes samples missing, or removes stamps or temperature.
 fn tear(recording: &mut Recording, random: &mut ChaCha8Rng) -> &'static str {
     let length = recording.len();
     match random.random_range(0..5) {
@@ -152,7 +152,7 @@ fn tear(recording: &mut Recording, random: &mut ChaCha8Rng) -> &'static str {
     }
 }
 
-/// Changes what the model says, without making it none.
+/// Changes the model's statements, but keeps it valid.
 fn bend(model: &mut SensorModel, random: &mut ChaCha8Rng) {
     let mut text = serde_json::to_value(&*model).unwrap();
     for channel in text["channels"].as_object_mut().unwrap().values_mut() {
@@ -167,7 +167,7 @@ fn bend(model: &mut SensorModel, random: &mut ChaCha8Rng) {
     }
 }
 
-/// A record of a case with a motion, or without one, with its model.
+/// Returns a record of a case with a motion, or without one, with its model.
 fn make(
     seed: u64,
     number: usize,
@@ -193,13 +193,13 @@ fn make(
     (case.record(), case.model(), None)
 }
 
-/// What the cases are.
+/// The plans of the cases.
 struct Plans {
     still: Vec<Recipe>,
     moved: Vec<Vec<motion::kind::Wish>>,
 }
 
-/// The outcome of an odd case: what was done to it, and whether the diagnosis took it. A panic goes on.
+/// Returns the outcome of an odd case: the changes, and whether the diagnosis accepted it. A panic is passed on.
 fn odd(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     let mut random = ChaCha8Rng::seed_from_u64(seed ^ (number as u64) << 20);
     let (mut recording, mut model, rows) = make(seed, number, plans, &mut random);
@@ -247,7 +247,7 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
     let still = plan(seed, count, &Wanted::from_words(std::iter::empty()).unwrap());
     let moved = motion::plan(seed, count, std::iter::empty()).unwrap();
     let plans = Plans { still, moved };
-    // The first takes minutes: each push leaves it out.
+    // The first takes minutes: each push skips it.
     let first = u64::from(std::env::var_os("VN100D_ODD").is_none());
     let from = (number("VN100D_ODD_FROM", first) as usize).min(count);
     let (next, past, slowest) = (AtomicUsize::new(from), AtomicUsize::new(0), AtomicU64::new(0));

@@ -1,4 +1,5 @@
-//! The pages in a browser, as people use them: `tests/browser/pages.mjs` against the demonstration and a guarded daemon.
+//! The pages in a browser, as users see them: `tests/browser/pages.mjs` against the demonstration and a daemon with a
+//! token.
 
 use crate::world::{Process, World, program};
 use serde_json::Value;
@@ -6,10 +7,10 @@ use std::path::Path;
 use std::process::Command;
 use vn100_testkit::tool;
 
-/// In the configuration, and typed into the page.
+/// The token in the configuration, which is also typed into the page.
 const TOKEN: &str = "correct-horse-battery";
-/// What the script has to have seen hold, and how often at least: one that looks at nothing is no success. Pages are seen at
-/// two widths on light and on dark.
+/// The properties that the script must have checked, and the minimum number of checks: a script that checks nothing is
+/// no success. Pages are checked at two widths on light and on dark.
 const HELD: [(&str, u64); 16] = [
     ("accessible", 48),
     ("diagnosis", 1),
@@ -29,7 +30,7 @@ const HELD: [(&str, u64); 16] = [
     ("zoom", 2),
 ];
 
-/// Where the browser's driver is; `None`, said aloud, where that, the browser or what runs the script is missing.
+/// Returns `None`, with a note, if the browser, its driver or the script's runtime is missing.
 fn at_hand(root: &Path) -> Option<()> {
     let there = |names: &str| {
         let found = Command::new("sh").args(["-c", &format!("command -v {names}")]).output().unwrap();
@@ -57,7 +58,7 @@ fn people_go_from_the_first_page_to_the_diagnosis_and_every_page_is_sound() {
     let guarded = world.daemon(&format!("[http]\ntoken = \"{TOKEN}\"\n"), &[]);
     let streaming = || (world.get("/v1/status")["sensor"]["state"] == "streaming").then_some(());
     world.until("the sensor sends", std::time::Duration::from_secs(30), streaming, &guarded);
-    // Slow enough for the first page to be looked at while it records. Its folder goes with the test's.
+    // Slow enough for the first page to be checked while it records. Its folder is removed with the test's.
     let mut demo = program();
     demo.args(["demo", "--listen", "127.0.0.1:0", "--speed", "600"]).env("TMPDIR", world.folder.path());
     let mut demo = Process::start(&mut demo, true);

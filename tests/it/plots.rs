@@ -1,4 +1,4 @@
-//! Plots through the daemon: every picture of a capture, and what is said where there is none.
+//! Plots through the daemon: every picture of a capture, and the message if there is none.
 
 use crate::world::{World, vn100d};
 use std::time::Duration;
@@ -38,7 +38,7 @@ fn every_plot_of_a_capture_is_drawn_and_what_is_not_there_is_said() {
         svg
     };
     let curves = |svg: &str, class: &str| svg.matches(&format!("<path class=\"line {class}\" d=\"M")).count();
-    // Each curve once, and once more in the key.
+    // Each curve occurs once, and once more in the key.
     let triad = drawn("allan-gyro");
     assert_eq!(["x", "y", "z"].map(|axis| curves(&triad, axis)), [2, 2, 2], "{triad}");
     let one = drawn("allan-gyro_x");

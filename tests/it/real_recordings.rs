@@ -1,6 +1,7 @@
-//! The table of docs/recordings.md: every real recording, and what the program finds in it by itself.
+//! The table of docs/recordings.md: every real recording, with the program's findings.
 //!
-//! Where the recordings are at hand the page has to say what is found now, to the letter; `VN100D_BLESS=1` writes it.
+//! If the recordings are available, the page must agree with the present findings to the letter; `VN100D_BLESS=1`
+//! writes it.
 
 use imu_files::recording::{LoadedRecording, Options, load_columns};
 use std::fmt::Write as _;
@@ -8,7 +9,7 @@ use std::path::Path;
 use vn100_testkit::real_data;
 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/recordings.md");
-/// What the test writes stands between these two lines of the page.
+/// The test's output stands between these two lines of the page.
 const BEGIN: &str = "<!-- found by the program: cargo test --test it real_recordings -->\n";
 const END: &str = "<!-- end of what the program found -->\n";
 /// Recordings, and the rate of those without stamps whose rate is not the sensor's own.
@@ -119,7 +120,7 @@ fn row(found: &LoadedRecording, told_hz: Option<f64>) -> String {
     format!("{} | {} Hz{told} | {rejected} | {missing}", found.samples, shown_rate(info.rate_hz))
 }
 
-/// As `import` prints it, without the last digits, which are jitter.
+/// Returns the rate as `import` prints it, without the last digits, which are jitter.
 fn shown_rate(rate_hz: f64) -> String {
     let text = format!("{rate_hz:.2}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
@@ -131,7 +132,7 @@ fn every_recording_there_is_is_in_the_table() {
     for entry in folders(&folder) {
         let name = entry.strip_prefix(&folder).unwrap().display().to_string();
         let listed = RECORDINGS.iter().any(|(listed, _)| *listed == name);
-        // Curves, deviations and references are no recordings: one curve of each kind shows how it is refused.
+        // Curves, deviations and references are not recordings: one curve of each kind shows how it is refused.
         let is_reference = [".optical.", ".vicon.", ".encoder.", ".json"].iter().any(|mark| name.contains(mark));
         let is_curve = name.starts_with("allan-curves/") || name.contains("oadev");
         assert!(listed || is_reference || is_curve, "{name} is not in the table");

@@ -1,4 +1,4 @@
-//! Recordings that others made: bags whose every value is known, damaged ones, and the real ones.
+//! Recordings from other sources: bags whose every value is known, damaged ones, and real ones.
 
 use crate::world::{World, vn100d};
 use imu_core::sample::{Channel, DiscardCause, GapCause};
@@ -26,13 +26,14 @@ fn stamp_ns(index: u64) -> u64 {
     MARCH_2024_NS + index * PERIOD_NS
 }
 
-/// Records of a driver's topic: the raw line says gyro x = index µrad/s, the message's own numbers say 1 rad/s.
+/// Returns records of a driver's topic: in the raw line gyro x is index µrad/s, in the message's own numbers it is 1
+/// rad/s.
 fn driver_records(range: std::ops::Range<u64>) -> Vec<u8> {
     let mut records = bag::connection(3, "/imu", bag::DRIVER);
     for index in range {
         let raw = bag::raw_line([1e-6 * index as f64, 0.0, 0.0], ACCEL);
         let data = bag::driver(stamp_ns(index), &raw, [1.0; 3], [2.0; 3], [3.0; 3]);
-        // Received in pairs: two at once, then none.
+        // The messages are received in pairs: two at once, then none.
         records.extend(bag::message(3, stamp_ns(index / 2 * 2) + 90_000 * (index % 2) + 40_000_000, &data));
     }
     records
@@ -233,7 +234,7 @@ fn the_smoother_of_two_stamps_counts_wherever_it_stands_and_a_line_number_is_non
         [([&smooth as Stamp<'_>, &rough], 1), ([&rough, &smooth], 2), ([&smooth, &smooth], 2), ([&number, &smooth], 2)]
     {
         let line = |index| format!("{}\t{}\t{}\n", stamps[0](index), stamps[1](index), bag::raw_line([0.1; 3], ACCEL));
-        // The first line is cut: what is left of its stamps neither decides for the others nor makes a gap.
+        // The first line is cut: the rest of its stamps must neither affect the others nor make a gap.
         let content: String = std::iter::once(line(0)[10..].to_owned()).chain((1..200).map(line)).collect();
         std::fs::write(&file, content).unwrap();
         let loaded = load_columns(&file, Options::default()).unwrap();
@@ -268,8 +269,8 @@ fn thousands_of_segments_are_imported_shown_and_exact() {
     assert!(text.contains("9999 gaps by source: 9999 missing"), "{text}");
 }
 
-/// The raw text of the cart: driver stamps in ns and whether each line passes its checksum, read here by other means
-/// than the program's.
+/// Returns the raw text of the cart: driver stamps in ns and whether each line passes its checksum, read here without
+/// the program.
 fn cart_lines(file: &Path) -> Vec<(i64, bool)> {
     let mut text = String::new();
     let packed = std::fs::File::open(file).unwrap();
@@ -315,7 +316,7 @@ fn the_real_cart_is_imported_with_every_irregular_step_accounted_for() {
     };
     assert_eq!(one("SELECT count(*) FROM sample"), 3_875);
     assert_eq!(one("SELECT samples FROM capture"), 3_875);
-    // The identity, from the stamps alone: samples and missing ones fill the time from the first stamp to the last.
+    // The identity, from the stamps alone: received and missing samples fill the time from the first stamp to the last.
     let (_, shown) = run(&["show", "latest", "--json"]);
     let shown: serde_json::Value = serde_json::from_str(&shown).unwrap();
     let good: Vec<i64> = lines.iter().filter(|(_, good)| *good).map(|(stamp_ns, _)| *stamp_ns).collect();
@@ -323,7 +324,7 @@ fn the_real_cart_is_imported_with_every_irregular_step_accounted_for() {
     let periods = span_s * shown["rate_hz"].as_f64().unwrap() + 1.0;
     assert!((one("SELECT samples + missing FROM capture") as f64 - periods).abs() < 2.0, "{periods}");
     assert_eq!(one("SELECT sum(missing) FROM gap"), one("SELECT missing FROM capture"));
-    // Of the long steps many are made up for by the next ones: nothing is missing there.
+    // Many of the long steps are compensated by the next ones: nothing is missing there.
     assert!((900..1_411).contains(&one("SELECT count(*) FROM gap WHERE cause = 'source'")));
     assert_eq!(one("SELECT sum(missing) FROM gap WHERE cause = 'checksum'"), bad);
     // The longest step is of 1.298 s; a gap reaches over half a period to both sides.
@@ -340,7 +341,7 @@ fn the_real_cart_is_imported_with_every_irregular_step_accounted_for() {
     assert_eq!(world.query(numbers)[0][0], rusqlite::types::Value::Text("820,1611,2863,3015,3165".to_owned()));
     let longest = "SELECT max(length(json_extract(detail, '$.text'))) FROM event WHERE kind = 'rejected'";
     assert!((100..=256).contains(&one(longest)));
-    // Every sample stands at the stamp of its line.
+    // Every sample has the time of its line's stamp.
     let stamps: Vec<i64> = lines.iter().filter(|(_, good)| *good).map(|(stamp_ns, _)| *stamp_ns).collect();
     let stored = world.query("SELECT host_utc_ns FROM sample ORDER BY seq");
     assert!(stored.iter().zip(&stamps).all(|(row, stamp)| row[0] == rusqlite::types::Value::Integer(*stamp)));
@@ -363,10 +364,11 @@ fn the_real_cart_as_a_bag_gives_the_samples_of_its_text() {
     for (bag, text) in from_bag.columns.iter().zip(&from_text.columns) {
         assert!(bag.channel == text.channel && bag.values == text.values, "{}", bag.channel);
     }
-    // Who wrote the text rounded some stamps up by a nanosecond.
+    // The author of the text rounded some stamps up by a nanosecond.
     assert!(from_bag.info.started_utc_ns.abs_diff(from_text.info.started_utc_ns) <= 1);
     assert!((from_bag.info.rate_hz / from_text.info.rate_hz - 1.0).abs() < 1e-3);
-    // Where a step is of two periods or one late stamp, a nanosecond may decide; how many are missing it does not.
+    // If a step is either two periods or one late stamp, a nanosecond may decide, but the number of missing samples
+    // changes little.
     assert!(from_bag.missing.abs_diff(from_text.missing) <= 2, "{} and {}", from_bag.missing, from_text.missing);
     assert!(from_bag.gaps.len().abs_diff(from_text.gaps.len()) <= 20);
     let rejected = |loaded: &LoadedRecording| -> Vec<(u64, DiscardCause)> {
@@ -387,7 +389,7 @@ fn the_real_rotation_bag_has_paired_receptions_and_smooth_stamps() {
     assert!(values(&loaded, Channel::GyroZ).iter().all(|value| value.abs() < 35.0));
 }
 
-/// White noise of the same generator as a recording, from its `from`-th sample on.
+/// Writes white noise of the same generator as a recording, from its `from`-th sample on.
 fn white_csv(path: &Path, header: &str, period_s: f64, from: u64, count: u64) {
     let mut text = format!("{header}\n");
     for index in 0..count {

@@ -1,4 +1,4 @@
-//! `plot` and `report` without a daemon and beside one: every picture as a file, and one page that needs nothing else.
+//! `plot` and `report` without a daemon and beside one: every picture as a file, and one standalone page.
 
 use crate::export::Place;
 use crate::world::{World, vn100d};
@@ -11,7 +11,7 @@ const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "VN-100 unit 
     "gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}, "gyro_y": {"N": 1e-4}, "gyro_z": {"N": 1e-4}, "temperature": {"N": 0.01, "bias": 30},
     "accel_z": {"N": 0.002, "bias": -9.8, "effects": [{"effect": "tone", "frequency_hz": 13.38, "amplitude": 0.002}]}}}"#;
 
-/// A folder whose database holds ten minutes under a name that wants to be markup.
+/// Returns a folder whose database holds ten minutes under a name that looks like markup.
 fn place() -> Place {
     let place = Place::new();
     std::fs::write(place.path("model.json"), MODEL).unwrap();
@@ -40,7 +40,7 @@ fn refused(place: &Place, code: i32, arguments: &[&str], why: &str) {
     assert!(!said(&output).contains("panicked"), "{}", said(&output));
 }
 
-/// Width and height that a PNG says it has.
+/// Returns width and height from a PNG's header.
 fn pixels(png: &[u8]) -> [u32; 2] {
     assert_eq!(&png[..8], b"\x89PNG\r\n\x1a\n");
     [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()))
@@ -74,7 +74,7 @@ fn every_plot_of_a_capture_is_a_file_as_svg_and_as_png() {
     let png = std::fs::read(place.path("a.png")).unwrap();
     assert_eq!(pixels(&png), [1680, 1080]);
     assert_eq!(told, serde_json::json!({"plot": "allan-gyro", "capture": 1, "out": "a.png", "bytes": png.len()}));
-    // A part of the time, and on standard output.
+    // A part of the time, on standard output.
     let part = place.done(&["plot", "latest", "timeseries-gyro_x", "--from", "60", "--to", "62.5", "--out", "-"]);
     assert!(part.contains(">61</text>") && part.contains("time in s") && !part.contains(">100</text>"), "{part}");
 }
@@ -109,7 +109,7 @@ fn a_report_has_everything_in_it_and_nothing_from_elsewhere() {
         assert!(page.contains(&format!("<h2>{heading}")), "{heading}");
     }
     assert!(page.contains("vn100d-sensor-model-1"), "the configuration is not there");
-    // The same numbers as `noise` tells, from the samples again.
+    // The numbers must be those of `noise`, computed again from the samples.
     let noise: Value = serde_json::from_str(&place.done(&["noise", "latest", "--json"])).unwrap();
     let mut found = 0;
     let table = page.split("<h2>Noise parameters").nth(1).unwrap();
@@ -126,12 +126,12 @@ fn a_report_has_everything_in_it_and_nothing_from_elsewhere() {
         }
     }
     assert!(found >= 8, "{found}");
-    // As a reader of the database it is the same again.
+    // The page from the database must be the same again.
     place.done(&["report", "latest", "--out", "again.html"]);
     assert!(place.text("again.html") == page, "two reports of one capture differ");
 }
 
-/// The numbers of a table's row, as a page writes them: `1.2·10⁻⁴`.
+/// Returns the numbers of a table's row, as a page writes them: `1.2·10⁻⁴`.
 fn numbers(row: &str) -> Vec<f64> {
     let text = row.replace("&nbsp;", " ");
     let words = text.split(|c: char| c.is_whitespace() || matches!(c, '<' | '>'));
@@ -179,7 +179,7 @@ fn a_recordings_path_takes_the_place_of_a_capture_and_leaves_no_database() {
     assert!(place.text("a.svg").starts_with("<svg"));
     assert_eq!(std::fs::read_dir(&temporary).unwrap().count(), 0, "something stayed behind");
     assert!(!elsewhere.exists());
-    // A row that is none is rejected data: done, and said.
+    // A row that is no sample is rejected: the report is made, with a remark.
     let mut text = place.text("desk night.csv");
     text.push_str("600.5,what is this\n");
     std::fs::write(place.path("odd.csv"), text).unwrap();
@@ -191,7 +191,7 @@ fn a_recordings_path_takes_the_place_of_a_capture_and_leaves_no_database() {
         let output = run(&arguments);
         assert_eq!(output.status.code(), Some(3), "{arguments:?}: {}", said(&output));
     }
-    // Rows without stamps have the rate that is told.
+    // Rows without stamps have the stated rate.
     std::fs::write(place.path("bare.csv"), "gyro_x_rad_s\n".to_owned() + &"0.001\n0.002\n".repeat(200)).unwrap();
     let output = run(&["plot", "bare.csv", "timeseries-gyro_x", "--rate", "100", "--out", "bare.svg"]);
     assert_eq!(output.status.code(), Some(0), "{}", said(&output));
@@ -232,7 +232,7 @@ fn what_is_not_there_is_refused_and_no_file_is_made() {
     place.done(&["plot", "latest", "gaps", "--out", "a.svg", "--force"]);
 }
 
-/// A few samples have no noise to tell of: the page says so and has the rest.
+/// A few samples do not show any noise: the page states that and has the other sections.
 #[test]
 fn a_report_of_little_says_what_is_lacking() {
     let place = Place::new();
@@ -253,7 +253,7 @@ fn a_capture_that_runs_is_drawn_beside_the_daemon_that_writes_it() {
     let data = data.parent().unwrap().to_str().unwrap();
     let run = |arguments: &[&str]| {
         let output = vn100d(&[&["--data-dir", data], arguments].concat());
-        // Bytes that came before the first frame may have been rejected.
+        // Bytes before the first frame may have been rejected.
         assert!(matches!(output.status.code(), Some(0 | 3)), "{arguments:?}: {}", said(&output));
     };
     run(&["report", "latest", "--out", page.to_str().unwrap()]);
@@ -265,7 +265,7 @@ fn a_capture_that_runs_is_drawn_beside_the_daemon_that_writes_it() {
     let plot = world.path("a.png");
     run(&["plot", "latest", "allan-gyro", "--out", plot.to_str().unwrap()]);
     assert_eq!(pixels(&std::fs::read(plot).unwrap()), [1680, 1080]);
-    // The writer goes on.
+    // The writer continues.
     let then = samples();
     world.until("more samples", PATIENCE, || Some(()).filter(|()| samples() > then), &daemon);
     drop(emulator);

@@ -13,7 +13,7 @@ fn after_a_kill_the_same_capture_goes_on_with_the_gap_counted() {
     let some = || world.try_get("/v1/status").filter(|status| status["capture"]["committed"].as_u64() > Some(80));
     let before = world.until("samples", START, some, &daemon);
     daemon.kill();
-    // Long enough that samples are missing however fast it is back.
+    // Long enough that samples are missing however fast the daemon restarts.
     std::thread::sleep(Duration::from_millis(500));
     let daemon = world.daemon("", &["--capture", "8s"]);
     let ended = || world.try_get("/v1/captures/latest").filter(|capture| capture["state"] == "complete");

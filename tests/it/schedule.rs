@@ -1,11 +1,11 @@
-//! The schedule: a night begins by itself, once, whatever is restarted, and waits for another capture.
+//! The schedule: a night begins by itself, once, despite restarts, and waits for another capture.
 
 use crate::world::{Process, World, program};
 use chrono::{DateTime, Days, Duration as Span, NaiveDateTime, Utc};
 use serde_json::Value;
 use std::time::Duration;
 
-/// Five and a half hours ahead of UTC, by rules that need no zone data.
+/// A zone five and a half hours ahead of UTC, by rules that need no zone data.
 const ZONE: (&str, i64) = ("TST-5:30", 330);
 
 /// A daemon may wait until the machine has run for five minutes.
@@ -14,7 +14,7 @@ fn patience() -> Duration {
     Duration::from_secs(20 + 300_u64.saturating_sub(up_s))
 }
 
-/// A schedule whose hour was a minute or two ago, and that hour in local time.
+/// Returns a schedule whose hour was a minute or two ago, and that hour in local time.
 fn begun(duration: &str) -> (String, NaiveDateTime) {
     let local = Utc::now().naive_utc() + Span::minutes(ZONE.1 - 1);
     let at = local.format("%H:%M").to_string();
@@ -32,7 +32,7 @@ fn name(evening: NaiveDateTime) -> String {
     format!("evening-{}", evening.format("%Y-%m-%d"))
 }
 
-/// Waits until the status says that the next night is tomorrow's and that none waits.
+/// Waits until the status shows that the next night is tomorrow's and that none waits.
 fn until_tomorrow(world: &World, evening: NaiveDateTime, daemon: &Process) -> Value {
     let tomorrow = evening.checked_add_days(Days::new(1)).unwrap();
     let planned = || world.try_get("/v1/status").filter(|status| status["schedule"]["name"] == name(tomorrow));
@@ -62,12 +62,12 @@ fn a_night_whose_hour_has_passed_begins_once_whatever_is_restarted() {
     let status = world.until("samples", Duration::from_secs(20), some, &running);
     assert_eq!(status["capture"]["name"], name(evening));
     assert!(running.log().contains("the night's capture begins"), "{}", running.log());
-    // A power cut: the same capture goes on.
+    // After a power cut the same capture continues.
     running.kill();
     let mut running = daemon(&world, &configuration, &[]);
     until_tomorrow(&world, evening, &running);
     assert_eq!(captures(&world), [(name(evening), "capturing".to_owned())]);
-    // Who stops it has stopped it for this night, over a restart too.
+    // A user who stops it stops it for this night, also after a restart.
     assert_eq!(world.request("POST", &format!("/v1/captures/{}/stop", name(evening)), "").unwrap().0, 200);
     assert_eq!(running.terminate(), Some(0));
     let mut running = daemon(&world, &configuration, &[]);
@@ -77,7 +77,7 @@ fn a_night_whose_hour_has_passed_begins_once_whatever_is_restarted() {
     assert_eq!(running.terminate(), Some(0));
 }
 
-/// A minute of this daemon is a second; no sensor is needed for a capture to be in the way.
+/// A minute of this daemon takes a second; a capture without a sensor is enough to delay a night.
 #[test]
 fn a_night_waits_for_another_capture_and_begins_when_that_has_ended() {
     let world = World::new();
@@ -97,7 +97,7 @@ fn a_night_waits_for_another_capture_and_begins_when_that_has_ended() {
     assert_eq!(running.terminate(), Some(0));
 }
 
-/// An hour of this daemon is less than four seconds: the night passes while another capture runs.
+/// An hour of this daemon takes less than four seconds: the night passes while another capture runs.
 #[test]
 fn a_night_that_another_capture_takes_is_told_of() {
     let world = World::new();

@@ -1,12 +1,12 @@
-//! Sensor models and their simulator, from the command line: what is simulated is found again, motions are followed, what is
-//! wrong is refused; and what a plain N-B-K model of a real record lacks.
+//! Sensor models and their simulator, from the command line: simulated parameters are found again, motions are
+//! followed, invalid input is refused, and a plain N-B-K model of a real record lacks effects.
 
 use crate::world::vn100d;
 use serde_json::{Value, json};
 use std::path::Path;
 use vn100_testkit::real_data;
 
-/// Writes a model; answers its path.
+/// Writes a model; returns its path.
 fn model(folder: &Path, channels: Value, more: Value) -> String {
     let mut model = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": 40, "channels": channels});
     for (key, value) in more.as_object().unwrap() {
@@ -35,7 +35,7 @@ fn refused(arguments: &[&str]) -> (Option<i32>, String) {
     (ended.status.code(), said)
 }
 
-/// The number of an effect's parameter in a fitted model.
+/// Returns the number of an effect's parameter in a fitted model.
 fn parameter(model: &Value, channel: &str, effect: &str, key: &str) -> f64 {
     let effects = model["channels"][channel]["effects"].as_array().unwrap();
     let found = effects.iter().find(|of| of["effect"] == effect);
@@ -72,7 +72,7 @@ fn what_is_simulated_is_what_a_fit_finds() {
     for (channel, truth) in channels.as_object().unwrap().iter().filter(|(channel, _)| *channel != "temperature") {
         for key in ["N", "B", "K"] {
             let truth = truth[key].as_f64().unwrap_or(0.0);
-            // Rounding to 0.001 adds a step's twelfth squared per sample: 0.001²/12/40 to N².
+            // Rounding to 0.001 adds a twelfth of the squared step per sample: 0.001²/12/40 to N².
             let truth =
                 if channel == "accel_z" && key == "N" { f64::hypot(truth, 0.001 / 480f64.sqrt()) } else { truth };
             let about = &found["channels"][channel]["uncertainty"][key];
@@ -87,7 +87,7 @@ fn what_is_simulated_is_what_a_fit_finds() {
                     held += usize::from(truth < limit);
                     failed.extend((truth >= limit).then(|| format!("{channel} {key}: {truth} < {limit}")));
                 }
-                // A Gauss–Markov process beside a walk may leave nothing to say of one of them.
+                // A Gauss–Markov process beside a walk may leave one of them undetermined.
                 (None, None) => assert_eq!(truth, 0.0, "{channel} {key}: {about}"),
             }
         }
@@ -108,21 +108,21 @@ fn what_is_simulated_is_what_a_fit_finds() {
         let value = parameter(&found, channel, effect, key);
         assert!((value / truth - 1.0).abs() < share, "{channel} {effect} {key}: {value}, simulated {truth}");
     }
-    // A narrow band may come as a tone and what is beside it: together they have its power.
+    // A narrow band may be found as a tone and a band beside it: together they have its power.
     let of_band = found["channels"]["mag_z"]["effects"].as_array().unwrap();
     let square = |of: &Value, key: &str| of[key].as_f64().map_or(0.0, |value| value * value);
     let power: f64 = of_band.iter().map(|of| 0.5 * square(of, "amplitude") + square(of, "sigma")).sum();
     assert!((power / 1e-6 - 1.0).abs() < 0.2, "{of_band:?}");
     assert!(of_band.iter().all(|of| (of["frequency_hz"].as_f64().unwrap() / 9.0 - 1.0).abs() < 0.05), "{of_band:?}");
-    // What effects add to the level on average is not in the bias as well.
+    // The bias does not include the effects' mean contribution to the level.
     for (channel, level, allowed) in
         [("accel_z", -9.8, 1e-4), ("gyro_y", 0.0, 3e-5), ("gyro_z", 0.0, 1e-3), ("mag_y", 0.0, 1e-4)]
     {
         let bias = found["channels"][channel]["bias"].as_f64().unwrap();
         assert!((bias - level).abs() < allowed, "{channel}: {bias}");
     }
-    // Effects are fitted where they are asked for, and a model can be simulated again as it is.
-    // By itself N, B and K contradict the bias that follows the temperature: that is written only if it is asked for.
+    // Effects are fitted if requested, and the fitted model can be simulated unchanged. N, B and K alone contradict the
+    // bias that follows the temperature: such a model is written only with --force.
     let plain = json_of(&["model", "fit", &csv, "--force"]);
     assert!(plain["provenance"]["not_usable"].as_str().is_some_and(|why| why.contains("gyro_z")), "{plain}");
     assert!(plain["channels"].as_object().unwrap().values().all(|of| of.get("effects").is_none()), "{plain}");
@@ -156,7 +156,7 @@ fn a_capture_is_made_marked_as_simulated_with_every_lost_sample_accounted_for() 
     let data = path("data");
     let simulate = ["simulate", "--model", &file, "--duration", "10min", "--seed", "4"];
     let made = json_of(&[&["--json", "--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
-    // What is lost before the first or after the last sample is not missing between any.
+    // Samples lost before the first or after the last one do not count as missing.
     let all = made["samples"].as_u64().unwrap() + made["missing"].as_u64().unwrap();
     assert!((23_990..=24_000).contains(&all), "{made}");
     let missing = made["missing"].as_u64().unwrap();
@@ -166,7 +166,7 @@ fn a_capture_is_made_marked_as_simulated_with_every_lost_sample_accounted_for() 
     assert_eq!((&capture["samples"], &capture["missing"]), (&made["samples"], &made["missing"]));
     assert_eq!(capture["configuration"]["seed"], 4);
     done(&["check", &path("data/vn100d.db")]);
-    // The same samples as in a file, and the same name not twice.
+    // The samples are those of the file, and a name cannot be used twice.
     let csv = path("sim.csv");
     done(&[&simulate[..], &["--out", &csv]].concat());
     let parameters = |arguments: &[&str]| json_of(arguments)["channels"]["gyro_x"]["N"]["value"].as_f64().unwrap();
@@ -215,10 +215,10 @@ fn a_motion_is_followed_and_read_back_from_its_file() {
             for axis in 0..3 {
                 let (gyro, accel) = (motion[1 + axis], motion[4 + axis]);
                 let expected = if axis == 0 { 1.01 * gyro } else { gyro };
-                // A mean of four samples of 1/800 s lags by 1.9 ms; the table changes by 1.75 rad/s².
+                // The mean of four samples of 1/800 s lags by 1.9 ms; the table changes by 1.75 rad/s².
                 assert!((table[4 + axis] - expected).abs() < 0.01, "{table:?} {motion:?}");
                 assert!((table[1 + axis] - accel).abs() < 0.1, "{table:?} {motion:?}");
-                // Between two rows of a file the motion is a straight line.
+                // Between two rows of a file the motion is linear.
                 assert!((table[4 + axis] - file[4 + axis]).abs() < 0.01, "{table:?} {file:?}");
                 fastest = fastest.max(gyro.abs());
             }
@@ -318,7 +318,7 @@ fn nothing_is_written_over_or_left_behind() {
         assert!(said.contains(words) && !said.contains(".vn100d-"), "{words:?} is not in {said}");
     }
     done(&["simulate", "--model", &file, "--duration", "1min", "--out", &motion]);
-    // A fit does not take its own record away.
+    // A fit must not overwrite its own record.
     for (arguments, words) in [
         (vec!["--out", &kept], "exists already"),
         (vec!["--force", "--out", &motion], "is read"),
@@ -333,7 +333,7 @@ fn nothing_is_written_over_or_left_behind() {
     assert_eq!(names, ["kept.csv", "model.json", "motion.csv"]);
 }
 
-/// What the plain model of a real record lacks is there to be named, and some of it is, where it is asked for.
+/// The plain model of a real record lacks its lines, knocks, creep and resolution; a fit adds some of them if requested.
 #[test]
 fn a_plain_model_of_the_desk_recording_lacks_its_lines_knocks_creep_and_resolution() {
     let Some(desk) = real_data("vn100-desk/live_capture.txt.gz") else { return };
@@ -347,7 +347,7 @@ fn a_plain_model_of_the_desk_recording_lacks_its_lines_knocks_creep_and_resoluti
     let noise_of = |file: &str| json_of(&["--json", "noise", file]);
     let real = noise_of(&desk);
     let (plain, rich) = (path("plain.json"), path("rich.json"));
-    // The vibration on accel z contradicts N, B and K.
+    // The vibration on accel z contradicts N, B and K, so that the fit needs --force.
     done(&["model", "fit", &desk, "--out", &plain, "--force"]);
     done(&["model", "fit", &desk, "--effects", "all", "--out", &rich]);
     let (plain_csv, rich_csv) = (path("plain.csv"), path("rich.csv"));
@@ -368,21 +368,22 @@ fn a_plain_model_of_the_desk_recording_lacks_its_lines_knocks_creep_and_resoluti
         "{:?}",
         lines(&rich_noise, "gyro_x")
     );
-    // One LSB of the text is 0.001 m/s². The lines that are not looked for remain, which needs --force.
+    // One LSB of the text is 0.001 m/s². The lines that are not searched for remain, so that the fit needs --force.
     let step = |file: &str| {
         let fitted = json_of(&["model", "fit", file, "--effects", "resolution", "--force"]);
         fitted["channels"]["accel_x"]["effects"][0]["step"].as_f64()
     };
     assert_eq!(step(&desk).map(|step| (step * 1e6).round()), Some(1000.0));
     assert_eq!((step(&plain_csv), step(&rich_csv).map(|step| (step * 1e6).round())), (None, Some(1000.0)));
-    // The white level is the real one's.
+    // The white level is that of the real record.
     for channel in ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z"] {
         let n = |noise: &Value| noise["channels"][channel]["N"]["value"].as_f64().unwrap();
         assert!((n(&plain_noise) / n(&real) - 1.0).abs() < 0.05, "{channel}: {} {}", n(&plain_noise), n(&real));
     }
 }
 
-/// A record behind a filter with noise behind that, its model, a record of the model: the same N, the same filter.
+/// A record behind a filter, with noise behind the filter, its model, and a record of the model: N and the filter stay
+/// the same.
 #[test]
 fn a_filter_of_a_record_is_in_its_model() {
     let folder = tempfile::tempdir().unwrap();
@@ -412,19 +413,19 @@ fn a_filter_of_a_record_is_in_its_model() {
         let value = |noise: &Value| of(noise)["bandwidth"]["value"].as_f64().unwrap_or(1.0);
         assert!((value(&one) / value(&other) - 1.0).abs() < 0.05, "{channel}: {} {}", value(&one), value(&other));
     }
-    // Against its own model a record shows nothing.
+    // A record shows no gap against its own model.
     let found = json_of(&["--json", "diagnose", "--real", &second, "--sim", &fitted]);
     assert!(
         found["causes"].as_array().unwrap().is_empty() && found["parameters"].as_array().unwrap().is_empty(),
         "{found}"
     );
-    // The file is one thing, what should not be used another.
+    // --force does not replace a file.
     let (code, said) = refused(&["model", "fit", &first, "--out", &fitted, "--force"]);
     assert!(code == Some(73) && said.contains("say --overwrite to replace it"), "{said}");
     done(&["model", "fit", &first, "--out", &fitted, "--overwrite"]);
 }
 
-/// Lines, a band, shared noise and noise behind a filter: what `diagnose` says of N is what `noise` says, and the plateau of the
+/// Lines, a band, shared noise and noise behind a filter: N of `diagnose` is that of `noise`, and the plateau of the
 /// truth.
 #[test]
 fn a_diagnosis_has_the_n_of_the_noise() {
@@ -466,7 +467,8 @@ fn raw_counts_are_no_noise_of_a_sensor() {
     assert!(code == Some(1) && said.contains("raw counts? give the scale"), "{said}");
     let noise = json_of(&["--json", "noise", path]);
     assert_eq!(noise["channels"]["gyro_x"]["usable"], false, "{noise}");
-    // As a register has them at rest: the gyroscope's counts could be rad/s, the upright axis could be no acceleration.
+    // Counts as in a register at rest: the gyroscope's counts could be rad/s, the upright axis could be no
+    // acceleration.
     let count = |i: u32, level: f64, wide: u32| level + f64::from(i * i % 97 % (2 * wide)) - f64::from(wide);
     let rows = (0..4000).map(|i| {
         format!("{},{},{},{}\n", f64::from(i) / 100.0, count(i, -30.0, 20), count(i, 50.0, 30), count(i, 16_384.0, 40))
@@ -482,7 +484,7 @@ fn raw_counts_are_no_noise_of_a_sensor() {
     assert_eq!(noise["at_rest_s"], serde_json::Value::Null);
     let (code, said) = refused(&["noise", path, "--format", "kalibr"]);
     assert!(code == Some(1) && said.contains("raw counts? give the scale") && !said.contains("at rest"), "{said}");
-    // JSON has the reason in it, whatever format stands beside.
+    // JSON has the reason in it, whatever format is requested.
     assert_eq!(json_of(&["--json", "noise", path, "--format", "kalibr"])["channels"]["accel_z"]["usable"], false);
     let said = String::from_utf8(vn100d(&["noise", path, "--format", "kalibr", "--rate", "400"]).stderr).unwrap();
     assert!(said.contains("--rate 400 overrides the stamps, which lie on a grid of 100.0 Hz"), "{said}");

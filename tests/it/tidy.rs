@@ -1,8 +1,9 @@
-//! Keeps the house in order: the imports that `docs/architecture.md` allows, and a few habits.
+//! Checks the imports that `docs/architecture.md` allows, and a few conventions.
 
 use std::path::{Path, PathBuf};
 
-/// Room of the root package, and the rooms and crates it may use besides itself. What a crate may use stands in its `Cargo.toml`.
+/// A module of the root package, and the modules and crates that it may use. The allowed crates of a crate are in its
+/// `Cargo.toml`.
 const MAY_USE: [(&str, &[&str]); 16] = [
     ("clock", &[]),
     ("process", &[]),
@@ -37,12 +38,12 @@ const MAY_USE: [(&str, &[&str]); 16] = [
         ],
     ),
 ];
-/// Rooms that may use all others.
+/// Modules that may use all others.
 const ALL: [&str; 4] = ["daemon", "cli", "lib", "main"];
 /// The crates beside the root package.
 const CRATES: [&str; 8] =
     ["imu_core", "imu_noise", "imu_model", "imu_diagnosis", "imu_files", "imu_trial", "vn100_proto", "vn100_testkit"];
-/// What a part of a crate may not use, although the crate may.
+/// Items that a part of a crate may not use, although the crate may.
 const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-core/units", &["crate::sample", "crate::ros_messages"]),
     ("imu-core/sample", &["crate::ros_messages"]),
@@ -51,14 +52,14 @@ const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-model/simulator", &["crate::motion"]),
     ("imu-files/recording", &["crate::export", "imu_noise", "imu_model"]),
     ("imu-files/export", &["crate::recording", "vn100_proto"]),
-    // The trial has other forms than those that are fitted.
+    // The trial has other parametrisations than the fitted ones.
     ("imu-trial", &["imu_model::effects", "imu_model::motion", ".spec()"]),
-    // Pages take rows and results, and read none themselves.
+    // Pages take rows and results, and do not read the database.
     ("page", &["Reader", "Store,", "Store}", "Jobs,", "Jobs}", "jobs::direct"]),
     ("imu-noise", &["crate::datasheet"]),
     ("imu-diagnosis", &["crate::model_fit"]),
 ];
-/// Rooms and crates that take bytes, numbers, time and randomness as arguments.
+/// Modules and crates that take bytes, numbers, time and randomness as arguments.
 const PURE: [&str; 10] = [
     "imu-core",
     "imu-noise",
@@ -71,7 +72,7 @@ const PURE: [&str; 10] = [
     "retention",
     "schedule",
 ];
-/// Files of shells that are pure all the same.
+/// Files of shells that are pure nevertheless.
 const PURE_FILES: &[&str] = &[
     "capture/host_watch.rs",
     "capture/session.rs",
@@ -128,7 +129,8 @@ const IMPURE: [&str; 11] = [
 ];
 const LINES_MAX: usize = 700;
 
-/// Sources of the root package as `room/file.rs`, those of the crates as `crate/file.rs`; without files of tests.
+/// Returns the sources of the root package as `module/file.rs`, and those of the crates as `crate/file.rs`, without
+/// files of tests.
 fn sources() -> Vec<(String, String)> {
     fn walk(folder: &Path, found: &mut Vec<PathBuf>) {
         for entry in std::fs::read_dir(folder).unwrap().flatten() {
@@ -159,7 +161,7 @@ fn room(file: &str) -> &str {
     file.split('/').next().unwrap().trim_end_matches(".rs")
 }
 
-/// Whether a file holds nothing but tests: its parent declares it behind `#[cfg(test)]`.
+/// Returns whether a file contains only tests: its parent declares it behind `#[cfg(test)]`.
 fn is_tests(file: &str, sources: &[(String, String)]) -> bool {
     let path = Path::new(file);
     let name = path.file_stem().unwrap().to_string_lossy().into_owned();
@@ -170,7 +172,7 @@ fn is_tests(file: &str, sources: &[(String, String)]) -> bool {
     sources.iter().any(|(other, text)| parents.contains(&PathBuf::from(other)) && text.contains(&declared))
 }
 
-/// The part of a file before its tests, without comments.
+/// Returns the part of a file before its tests, without comments.
 fn code(text: &str) -> String {
     let end = text.find("#[cfg(test)]\nmod tests {").unwrap_or(text.len());
     text[..end].lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
@@ -207,12 +209,12 @@ fn rooms_import_only_what_the_map_allows() {
     assert!(wrong.is_empty(), "forbidden imports:\n{}", wrong.join("\n"));
 }
 
-/// Whether a file belongs to a crate, or to a part of one.
+/// Returns whether a file belongs to a crate, or to a part of one.
 fn is_part(file: &str, part: &str) -> bool {
     file.strip_prefix(part).is_some_and(|rest| rest.starts_with(['/', '.']))
 }
 
-/// The table of crates in docs/architecture.md against their manifests.
+/// Compares the table of crates in docs/architecture.md with their manifests.
 #[test]
 fn the_table_of_crates_is_that_of_their_manifests() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -255,7 +257,7 @@ fn pure_rooms_do_no_input_output_and_read_no_clock() {
     for (file, text) in sources() {
         let is_pure = PURE.contains(&room(&file)) || PURE_FILES.contains(&file.as_str());
         if is_pure || is_part(&file, "imu-files/export") {
-            // Threads that end before the call does leave it pure.
+            // A call stays pure if its threads end before it does.
             let code = code(&text).replace("std::thread::scope", "");
             wrong.extend(IMPURE.iter().filter(|word| code.contains(**word)).map(|word| format!("{file} says {word}")));
         }
@@ -263,7 +265,7 @@ fn pure_rooms_do_no_input_output_and_read_no_clock() {
     assert!(wrong.is_empty(), "not pure:\n{}", wrong.join("\n"));
 }
 
-/// The one file beside the store that reads SQLite: others' bags.
+/// The one file outside the store that reads SQLite: bags of other programs.
 const OTHERS_DATABASES: (&str, &str) = ("rusqlite::", "imu-files/recording/ros/db3.rs");
 
 #[test]

@@ -1,5 +1,5 @@
-//! The blind check of the diagnosis, from the command line: order, seals, thresholds, recordings. How well the diagnosis does is measured by
-//! longer trials (`docs/validation.md`); this short one fails where it no longer works.
+//! The blind check of the diagnosis, from the command line: order, seals, thresholds, recordings. Longer trials measure
+//! its quality (`docs/validation.md`); this short one fails if it no longer works.
 
 use crate::world::vn100d;
 use serde_json::Value;
@@ -40,8 +40,8 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     assert!(std::fs::read_to_string(&page).unwrap().contains("Trial of the diagnosis"));
 }
 
-/// Fails if the engine gets clearly worse in the wide ranges: bounds are what it reached when the ranges were widened, less what
-/// chance makes of 48 cases. Some twenty seconds of one processor.
+/// Fails if the engine gets clearly worse in the wide ranges: bounds are its results when the ranges were widened, less
+/// the scatter of 48 cases. It takes some twenty seconds of one processor.
 #[test]
 fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
     let least =
@@ -67,7 +67,7 @@ fn a_short_trial_reaches_what_the_diagnosis_is_known_to() {
     assert!(error.is_some_and(|error| error < 0.35), "{}", score["calibration"]);
 }
 
-/// A recording of two channels that has a line and a resolution of its own.
+/// Returns a recording of two channels that already has a line and a resolution.
 fn recording(folder: &Path) -> String {
     let model = r#"{ "format": "vn100d-sensor-model-1", "name": "desk", "rate_hz": 40, "channels": {
         "accel_y": { "N": 0.002, "B": 4e-4, "K": 2e-5, "bias": 0.1, "effects": [
@@ -92,14 +92,14 @@ fn effects_on_a_recording_are_found_and_its_own_are_no_false_alarms() {
     let said = String::from_utf8_lossy(&ended.stderr).into_owned();
     assert_eq!(ended.status.code(), Some(0), "{said}");
     let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
-    // 48,000 samples are three stretches.
+    // 48,000 samples make three stretches.
     assert_eq!((&score["on"]["stretches"], &score["on"]["recording"]), (&3.into(), &desk.into()));
     assert_eq!((&score["cases"], &score["rates"]["refused"]["count"]), (&8.into(), &0.into()), "{score}");
     let keys: Vec<imu_trial::Key> = serde_json::from_slice(&std::fs::read(out.join("key.json")).unwrap()).unwrap();
     for key in &keys {
         assert_eq!((key.samples, key.channels.len()), (16_000, 2));
         for effect in &key.effects {
-            // The line of accel_y could not be told from another.
+            // The line of accel_y could not be distinguished from another.
             assert!(effect.kind != imu_trial::Kind::Tone || effect.channels == ["accel_z"], "{key:?}");
         }
         assert!(out.join(format!("reports/{:05}-own.json", key.case)).exists());
@@ -109,7 +109,7 @@ fn effects_on_a_recording_are_found_and_its_own_are_no_false_alarms() {
     assert!(score["rates"]["right_first"]["share"].as_f64() >= Some(0.7), "{score}");
 }
 
-/// On what a VN-100 on a desk sent: five minutes in a release build.
+/// A trial on the data of a VN-100 on a desk: five minutes in a release build.
 #[test]
 #[ignore = "diagnoses the recording and cases of it: cargo test --release --test it trial_on_a_desk -- --ignored"]
 fn a_trial_on_a_desk_recording_finds_what_is_imposed() {
@@ -136,7 +136,7 @@ fn a_recording_that_is_too_short_is_refused() {
     assert!(said.contains("500 samples") && said.contains("10000"), "{said}");
 }
 
-/// What was found is tried on a second record and on what the corrected model makes.
+/// The findings are tested on a second record and on the output of the corrected model.
 #[test]
 fn what_is_found_is_tried_again() {
     let folder = tempfile::tempdir().unwrap();

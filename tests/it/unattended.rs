@@ -1,4 +1,4 @@
-//! Unattended: somebody is told, old captures go as was announced, and neither costs a sample.
+//! Unattended operation: notifications arrive, old captures are deleted as announced, and neither costs a sample.
 
 use crate::world::{World, program, vn100d};
 use serde_json::Value;
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 const START: Duration = Duration::from_secs(20);
 
-/// A receiver that is away for its first `refused` requests, and what it was sent after that.
+/// Returns a receiver that fails its first `refused` requests, and the messages that it received after that.
 fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/topic", listener.local_addr().unwrap());
@@ -38,8 +38,8 @@ fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
     (url, heard)
 }
 
-/// A sensor unplugged and back: the gap's end, the loss and the capture's completion arrive at a URL that was away at
-/// first, while a program that hangs is killed again and again; nothing of it costs a sample or an answer.
+/// A sensor unplugged and back: the gap's end, the loss and the capture's completion arrive at a URL that failed at
+/// first, while a program that hangs is killed repeatedly; this costs no sample and no answer.
 #[test]
 fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
     let world = World::new();
@@ -92,9 +92,9 @@ fn captures(world: &World) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Three recordings of 1.45 MiB where 2 MiB may be kept: the oldest is pinned and stays, the others are announced a day
-/// ahead, survive a restart as announced, and go once their notice is over; the rows go with them, and the capture that runs
-/// meanwhile misses nothing.
+/// Three recordings of 1.45 MiB exceed a limit of 2 MiB: the oldest is pinned and stays. The others are announced a day
+/// ahead, survive a restart as announced, and are deleted with their rows once their notice is over. The capture that
+/// runs meanwhile loses nothing.
 #[test]
 fn the_oldest_captures_go_as_was_announced_and_pinned_or_running_ones_stay() {
     let world = World::new();
@@ -120,7 +120,7 @@ fn the_oldest_captures_go_as_was_announced_and_pinned_or_running_ones_stay() {
     assert!(daemon.log().contains("it will be deleted unless it is pinned"), "{}", daemon.log());
     assert!(captures(&world).contains("will be deleted on"));
     assert_eq!(world.get("/v1/captures/one")["delete_at"], at);
-    // Pinned: at once out of the plan, and at the next look another one is in it.
+    // A pinned capture leaves the plan at once, and at the next look another one is planned.
     let (code, pinned) = world.request("POST", "/v1/captures/one/pin", "").unwrap();
     assert_eq!(code, 200, "{pinned}");
     let pinned: Value = serde_json::from_str(&pinned).unwrap();
@@ -128,20 +128,20 @@ fn the_oldest_captures_go_as_was_announced_and_pinned_or_running_ones_stay() {
     assert_eq!(world.request("DELETE", "/v1/captures/one", "").unwrap().0, 409);
     assert_eq!(daemon.terminate(), Some(0));
 
-    // A restart: what was announced still is, for the same time.
+    // After a restart the announcement still holds, for the same time.
     let mut daemon = world.daemon(&limits("24h"), &[]);
     world.until("the new plan", START, || planned(2)(), &daemon);
     assert_eq!(world.get("/v1/captures/one")["delete_at"], Value::Null);
     assert!(world.get("/v1/captures/two")["delete_at"].is_string());
     assert!(world.get("/v1/captures/three")["delete_at"].is_string());
-    // Unpinned it is the oldest again; the youngest may then stay.
+    // Unpinned it is the oldest again, and the youngest may stay.
     let (code, _) = world.request("POST", "/v1/captures/one/pin", "{\"pinned\": false}").unwrap();
     assert_eq!(code, 200);
     assert_eq!(world.request("POST", "/v1/captures/one/pin", "{\"pinned\": true}").unwrap().0, 200);
     assert_eq!(daemon.terminate(), Some(0));
     assert_eq!(format!("{:?}", world.query("SELECT count(*) FROM capture")), "[[Integer(3)]]", "nothing went early");
 
-    // Without limits the announcements are taken back.
+    // Without limits the announcements are withdrawn.
     let mut daemon = world.daemon("", &[]);
     let none = "SELECT count(*) FROM capture WHERE delete_at_utc_ns IS NOT NULL OR deletion_said_utc_ns IS NOT NULL";
     let taken_back = || (format!("{:?}", world.query(none)) == "[[Integer(0)]]").then_some(());
@@ -207,7 +207,7 @@ fn completions_and_manual_pages_are_made_of_the_arguments() {
     let (_, commands) = help.split_once("Commands:").unwrap();
     let (commands, _) = commands.split_once("Options:").unwrap();
     let shown = commands.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   ")).count();
-    // All but `help`, and the page of the program itself.
+    // All commands but `help`, and the page of the program itself.
     assert_eq!(count, shown, "{commands}");
     assert_eq!(vn100d(&["generate", "poetry", "x"]).status.code(), Some(2));
 }

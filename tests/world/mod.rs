@@ -1,4 +1,4 @@
-//! The world of a test: an emulated sensor and the built daemon in folders of their own.
+//! The world of a test: an emulated sensor and the built daemon in separate folders.
 
 #![allow(dead_code, reason = "each test binary uses its part")]
 
@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-/// The built program.
+/// Returns the built program.
 pub fn program() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_vn100d"));
     for name in ["VN100D_DATA_DIR", "VN100D_CONFIG", "STATE_DIRECTORY", "NOTIFY_SOCKET", "RUST_LOG"] {
@@ -24,10 +24,11 @@ pub fn vn100d(arguments: &[&str]) -> Output {
 /// A running child that does not outlive its test.
 pub struct Process {
     child: Child,
-    /// What it printed on standard error so far is collected by a thread.
+    /// Its messages on standard error so far, collected by a thread.
     log: std::sync::Arc<std::sync::Mutex<String>>,
     pub first_line: String,
-    /// Goes with the process: a name left behind would soon lead to the terminal of another test's sensor.
+    /// The link, which is removed with the process: otherwise it would soon lead to the terminal of another test's
+    /// sensor.
     link: Option<PathBuf>,
 }
 
@@ -67,7 +68,7 @@ impl Process {
         self.child.id()
     }
 
-    /// Says a line on its standard input: a fault, to an emulator that was started with `--faults -`.
+    /// Writes a line to its standard input: a fault, for an emulator that was started with `--faults -`.
     pub fn say(&mut self, line: &str) {
         let input = self.child.stdin.as_mut().unwrap();
         writeln!(input, "{line}").unwrap();
@@ -81,7 +82,7 @@ impl Process {
         self.wait(Duration::from_secs(15))
     }
 
-    /// Ends it as a power cut would.
+    /// Ends it as a power loss would.
     pub fn kill(&mut self) {
         self.unlink();
         let _ = self.child.kill();
@@ -105,7 +106,7 @@ impl Process {
         self.ended(patience).code()
     }
 
-    /// How it ended, by itself or by a signal.
+    /// Waits for its end, by itself or by a signal; returns its exit status.
     pub fn ended(&mut self, patience: Duration) -> std::process::ExitStatus {
         let deadline = Instant::now() + patience;
         while Instant::now() < deadline {
@@ -152,7 +153,7 @@ impl World {
         self.path("data").join("vn100d.db")
     }
 
-    /// An emulated sensor behind [`World::port`].
+    /// Returns an emulated sensor behind [`World::port`].
     pub fn emulate(&self, arguments: &[&str]) -> Process {
         let mut command = program();
         command.arg("emulate").arg("--link").arg(self.port()).args(arguments);
@@ -162,24 +163,24 @@ impl World {
         process
     }
 
-    /// The daemon on that port with this configuration; returns once its HTTP interface answers.
+    /// Starts the daemon on that port with this configuration; returns once its HTTP interface answers.
     pub fn daemon(&self, configuration: &str, arguments: &[&str]) -> Process {
         self.daemon_on(self.port().to_str().unwrap(), configuration, arguments)
     }
 
-    /// The same, on another port or pattern.
+    /// Starts the daemon as [`Self::daemon`] does, on another port or pattern.
     pub fn daemon_on(&self, device: &str, configuration: &str, arguments: &[&str]) -> Process {
         self.daemon_of(program(), device, configuration, arguments)
     }
 
-    /// The same, begun by this command.
+    /// Starts the daemon as [`Self::daemon_on`] does, through this command.
     pub fn daemon_of(&self, command: Command, device: &str, configuration: &str, arguments: &[&str]) -> Process {
         let process = self.start_daemon(command, device, configuration, arguments);
         self.until("the daemon answers", Duration::from_secs(20), || self.try_get("/healthz").map(|_| ()), &process);
         process
     }
 
-    /// The same, without waiting for anything.
+    /// Starts the daemon as [`Self::daemon_of`] does, without waiting for an answer.
     pub fn start_daemon(&self, mut command: Command, device: &str, configuration: &str, arguments: &[&str]) -> Process {
         let config = self.path("vn100d.toml");
         std::fs::write(&config, configuration).unwrap();
@@ -199,7 +200,7 @@ impl World {
         self.try_get(route).unwrap_or_else(|| panic!("GET {route}: {:?}", self.request("GET", route, "")))
     }
 
-    /// Status and body of a request; `None` where nobody answers.
+    /// Returns status and body of a request; `None` if nothing answers.
     pub fn request(&self, method: &str, route: &str, body: &str) -> Option<(u16, String)> {
         let agent: ureq::Agent = ureq::Agent::config_builder()
             .http_status_as_error(false)
@@ -218,7 +219,7 @@ impl World {
         Some((status, answer.body_mut().read_to_string().ok()?))
     }
 
-    /// Waits until `condition` gives something.
+    /// Waits until `condition` returns a value; returns the value.
     pub fn until<T>(
         &self,
         what: &str,
@@ -239,7 +240,7 @@ impl World {
         }
     }
 
-    /// Rows of a query, as any SQLite client sees them.
+    /// Returns the rows of a query, as any SQLite client sees them.
     pub fn query(&self, sql: &str) -> Vec<Vec<rusqlite::types::Value>> {
         let connection =
             rusqlite::Connection::open_with_flags(self.database(), rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY).unwrap();

@@ -1,4 +1,4 @@
-//! Units, samples and records of an inertial sensor: the types that every other crate here speaks.
+//! Units, samples and records of an inertial sensor: the types that all other crates here share.
 //!
 //! Nothing here reads a file or a clock.
 

@@ -1,11 +1,10 @@
-//! Definitions of ROS 2's standard messages: for bags that lack them (before Iron), and for bags that are written.
-//! Pure.
+//! Definitions of ROS 2's standard messages, for bags that lack them (before Iron) and for bags that are written. Pure.
 //!
 //! The layouts are those of `std_msgs`, `builtin_interfaces`, `geometry_msgs` and `sensor_msgs` from ROS 2 Humble to
 //! Jazzy, without their comments, and of a message that drivers of the VN-100 use (`imu_msg/IMUmsg`). A ROS 1 bag
 //! always contains its own.
 
-/// Types and their fields, a line for each.
+/// Types and their fields, one line each.
 const STANDARD: [(&str, &str); 10] = [
     ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n"),
     ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n"),
@@ -30,15 +29,15 @@ const STANDARD: [(&str, &str); 10] = [
     ),
 ];
 
-/// The separator of two definitions in a schema.
+/// The separator between two definitions in a schema.
 const SEPARATOR: &str = "================================================================================\nMSG: ";
 
-/// The fields of the type `package/Name`, if it is one of these.
+/// Returns the fields of the type `package/Name`, if it is one of these.
 pub fn fields_of(name: &str) -> Option<&'static str> {
     STANDARD.iter().find(|(known, _)| *known == name).map(|(_, fields)| *fields)
 }
 
-/// A message's own fields, then the definitions of its parts, in the form of an MCAP schema (`ros2msg`).
+/// Returns a message's own fields, then the definitions of its parts, in the form of an MCAP schema (`ros2msg`).
 pub fn schema(fields: &str) -> String {
     let mut parts = Vec::new();
     collect(fields, &mut parts);

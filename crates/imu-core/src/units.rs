@@ -1,7 +1,7 @@
 //! Units and conversions: the meaning of numbers, in one place.
 //!
 //! Inside the program every quantity has the unit that a VN-100 sends (rad/s, m/s², gauss, degrees, °C, kPa); times are
-//! integer nanoseconds. Other units in common use (°/h, mg…) exist only at the edges.
+//! integer nanoseconds. Other units in common use (°/h, mg…) exist only in input and output.
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ pub const NANOS_PER_SECOND: u64 = 1_000_000_000;
 /// Internal sampling rate of the VN-100's IMU in Hz (user manual UM001 rev 2.45, register 75: rate = 800 Hz / divisor).
 pub const IMU_RATE_HZ: f64 = 800.0;
 
-/// The dimension of a quantity. Quantities of different dimensions cannot be compared: that is its purpose.
+/// The dimension of a quantity. Its purpose is that quantities of different dimensions cannot be compared.
 pub trait Dimension: Copy + std::fmt::Debug + PartialOrd {
     /// The unit of stored values: the one that a VN-100 sends.
     const UNIT: &'static str;
@@ -62,70 +62,70 @@ pub struct Quantity<D: Dimension> {
 pub struct Density<D: Dimension>(Quantity<D>);
 
 impl<D: Dimension> Quantity<D> {
-    /// A value in the unit that `D` is held in.
+    /// Returns a value in the unit that `D` is held in.
     pub const fn held(value: f64) -> Self {
         Self { value, dimension: std::marker::PhantomData }
     }
-    /// The value in the unit that `D` is held in.
+    /// Returns the value in the unit that `D` is held in.
     pub fn value(self) -> f64 {
         self.value
     }
-    /// This size per root hertz.
+    /// Returns this size per root hertz.
     pub fn per_root_hertz(self) -> Density<D> {
         Density(self)
     }
-    /// The size times a number.
+    /// Returns the size times a number.
     pub fn times(self, factor: f64) -> Self {
         Self::held(self.value * factor)
     }
 }
 
 impl<D: Dimension> Density<D> {
-    /// The value in the unit that `D` is held in, per root hertz.
+    /// Returns the value in the unit that `D` is held in, per root hertz.
     pub fn value(self) -> f64 {
         self.0.value
     }
-    /// The density times a number.
+    /// Returns the density times a number.
     pub fn times(self, factor: f64) -> Self {
         Self(self.0.times(factor))
     }
 }
 
 impl Quantity<AngularRate> {
-    /// Degrees per second.
+    /// Creates a rate from degrees per second.
     pub fn deg_per_s(value: f64) -> Self {
         Self::held(value * RAD_PER_DEG)
     }
-    /// Degrees per hour.
+    /// Creates a rate from degrees per hour.
     pub fn deg_per_h(value: f64) -> Self {
         Self::deg_per_s(value / SECONDS_PER_HOUR)
     }
 }
 
 impl Quantity<Acceleration> {
-    /// Thousandths of standard gravity.
+    /// Creates an acceleration from thousandths of standard gravity.
     pub fn mg(value: f64) -> Self {
         Self::held(value * 1e-3 * STANDARD_GRAVITY_M_S2)
     }
 }
 
 impl Quantity<MagneticField> {
-    /// Millionths of a gauss.
+    /// Creates a field from millionths of a gauss.
     pub fn microgauss(value: f64) -> Self {
         Self::held(value * 1e-6)
     }
 }
 
-/// The period of `rate_hz` in nanoseconds (not rounded).
+/// Returns the period of `rate_hz` in nanoseconds (not rounded).
 pub fn period_ns(rate_hz: f64) -> f64 {
     NANOS_PER_SECOND as f64 / rate_hz
 }
 
-/// The refusal of a duration.
+/// The error of a text that is not a duration.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{found}` is not a duration: expected a number with a unit, such as 5h, 90m, 30s or 500ms")]
 pub struct DurationError {
-    /// The text as it was given.
+    /// The given text.
     pub found: String,
 }
 
@@ -160,9 +160,9 @@ pub fn parse_duration(text: &str) -> Result<Duration, DurationError> {
     Ok(Duration::new(seconds, (total_ns % u128::from(NANOS_PER_SECOND)) as u32))
 }
 
-/// A decimal number times a unit, exactly, rounded to a whole; `None` if it is no number or does not fit.
+/// Returns a decimal number times a unit, exactly, rounded to an integer; `None` if it is not a number or does not fit.
 fn times(number: &str, unit: u128) -> Option<u128> {
-    /// Digits behind the point that can matter: a unit has at most fourteen.
+    /// Maximum number of relevant digits behind the point: a unit has at most fourteen.
     const FRACTION_DIGITS: usize = 18;
     let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
     if whole.is_empty() && fraction.is_empty() || fraction.contains('.') {
@@ -175,7 +175,7 @@ fn times(number: &str, unit: u128) -> Option<u128> {
     whole.checked_mul(unit)?.checked_add((parts * unit + scale / 2) / scale)
 }
 
-/// Writes a duration in the form that [`parse_duration`] reads, in the largest units that lose nothing: `5h`, `1h30m`,
+/// Writes a duration in the form that [`parse_duration`] reads, in the largest units that are exact: `5h`, `1h30m`,
 /// `754.45s`.
 pub fn format_duration(duration: Duration) -> String {
     let total_ms = duration.as_millis();

@@ -11,7 +11,7 @@ use imu_model::simulator::{ChannelModel, SensorModel};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Standard error of ln of a level, with no belief about it.
+/// Returns the standard error of ln of a level, without a prior on it.
 fn spread(of: &Findings, level: usize) -> Option<f64> {
     let variance = of.fitted.covariance.as_ref().map(|covariance| covariance[(level, level)])?;
     (variance.is_finite() && variance > 0.0).then(|| variance.sqrt())
@@ -27,8 +27,8 @@ fn without_shared(channel: &mut ChannelModel, sigma: f64, internal_hz: f64) {
     }
 }
 
-/// The model with the effects that were found. On channels on which something `remains`, the model also receives the density of
-/// what remains, as far as that density is louder than the model's.
+/// Returns the model with the effects that were found. On channels on which something `remains`, the model also
+/// receives the density of this remainder, as far as that density is louder than the model's.
 pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remains: &BTreeSet<Channel>) -> SensorModel {
     let mut model = sim.clone();
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
@@ -78,10 +78,10 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
             let density = of.nameless.iter().map(|(hz, density)| (*hz, density * square)).collect();
             channel.push_effect(Arc::new(SpectralNoise { density, level: Vec::new() }), &[]);
         }
-        // Removes the effects that the model states wrongly, the last first, so that places stay valid.
+        // Removes the effects that the model states wrongly, from last to first, so that places stay valid.
         let gone: BTreeSet<usize> = own().filter_map(|one| Some(one.declared.as_ref()?.0)).collect();
         gone.into_iter().rev().for_each(|place| drop(channel.remove_effect(place)));
-        // Limits and the values that are sent lie where they do, and what shifts the level shifts it from somewhere.
+        // Limits and transmitted values stay where they are; an effect that shifts the level needs the level before it.
         let stages = || channel.effects.iter().map(|effect| effect.stage());
         let limited = stages().any(|stage| stage == Stage::Saturation);
         let shifted = stages().any(|stage| matches!(stage, Stage::Bias | Stage::Resolution));
@@ -92,7 +92,8 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
     model
 }
 
-/// The mean of a ramp beside the course that stands for it, U: the ramp begins at 0, the course's mean is 0.
+/// Returns the mean of a ramp relative to the course that stands for it, U. The ramp begins at 0, the course's mean is
+/// 0.
 fn before_ramp(of: &Findings) -> f64 {
     let ramps = of.explanation.courses.iter().filter(|(course, _)| *course == Course::Ramp);
     0.5 * of.prepared.scale * ramps.map(|(_, factor)| factor).sum::<f64>()

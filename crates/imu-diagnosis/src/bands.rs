@@ -1,4 +1,4 @@
-//! Bands: the frequencies in which what was found gains likelihood.
+//! Bands: the frequencies at which a found effect gains likelihood.
 
 use super::course::Course;
 use super::evidence::Kind;
@@ -12,15 +12,15 @@ use std::collections::BTreeMap;
 /// A band in which the effect raises the likelihood of a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Band {
-    /// Its ends.
+    /// The ends of the band.
     pub(super) hz: [f64; 2],
-    /// Nats gained in it.
+    /// Nats gained in the band.
     pub(super) nats: f64,
     /// Whether the series is louder in the band than without the effect.
     pub(super) is_louder: bool,
 }
 
-/// The bands of what was found on a channel.
+/// The bands of the effects found on a channel.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Bands {
     /// The bands of spectral effects and of courses of the level.
@@ -33,8 +33,8 @@ pub(super) struct Bands {
 const HELD: f64 = 0.9;
 
 impl Bands {
-    /// The bands of an explained series. `declared`: the model's courses; `held`: the law fitted with N, B or K held at the
-    /// model's value; `free`: with none held.
+    /// Returns the bands of an explained series. `declared`: the model's courses; `held`: the law fitted with N, B or K
+    /// held at the model's value; `free`: with none held.
     pub(super) fn of(
         series: &Series<'_>,
         steps: &[Step],
@@ -43,7 +43,7 @@ impl Bands {
         held: &[Fitted; 3],
     ) -> Self {
         let terms = &series.explanation.law.terms;
-        // The gain of an effect, with everything else unchanged.
+        // The gain of an effect, all else unchanged.
         let whole = &series.fitted.logarithms;
         let of_term = |place: usize| {
             let mut law = series.explanation.law.clone();
@@ -79,7 +79,8 @@ impl Bands {
     }
 }
 
-/// The shortest band with most of what one spectrum gains over another, their logarithms, of those in which it gains at all.
+/// Returns the shortest band with most of what one spectrum gains over another in total likelihood. Both are given as
+/// logarithms; only bands that gain count.
 fn likelier(series: &Series<'_>, with: &[f64], without: &[f64]) -> Option<Band> {
     let counts = series.data().worth;
     let edges = series.grid.edges();
@@ -99,7 +100,7 @@ fn likelier(series: &Series<'_>, with: &[f64], without: &[f64]) -> Option<Band> 
     })
 }
 
-/// The band from 0 that holds most of the energy, over the law, of courses of the level.
+/// Returns the band from 0 that holds most of the energy of the level's courses relative to the law.
 fn slowest<'a>(series: &Series<'_>, own: impl Iterator<Item = &'a (Course, f64)>) -> Option<Band> {
     let mut sum = vec![0.0; super::course::Courses::KEPT.min(series.len())];
     for (course, factor) in own {
@@ -116,12 +117,12 @@ fn slowest<'a>(series: &Series<'_>, own: impl Iterator<Item = &'a (Course, f64)>
     Some(Band { hz: [0.0, hz(series, to + 1)], nats: held, is_louder: true })
 }
 
-/// The frequency of a coefficient of the transform.
+/// Returns the frequency of a coefficient of the transform.
 fn hz(series: &Series<'_>, coefficient: usize) -> f64 {
     coefficient as f64 * series.setting().rate_hz / (2.0 * series.len() as f64)
 }
 
-/// The fewest neighbours with a part of the largest sum that neighbours have; none if all lose.
+/// Returns the shortest run of neighbours with a given part of the largest sum of a run. `None` if all lose.
 fn shortest_with(gains: &[f64], part: f64) -> Option<[usize; 2]> {
     let (mut best, mut span) = (0.0, None);
     let (mut sum, mut start) = (0.0, 0);
@@ -135,7 +136,7 @@ fn shortest_with(gains: &[f64], part: f64) -> Option<[usize; 2]> {
         }
     }
     let [first, last] = span?;
-    // From the ends of the best run as long as enough is left.
+    // Moves the ends of the best run inwards as long as enough remains.
     let (mut from, mut to, mut left) = (first, last, best);
     loop {
         let (low, high) = (gains[from], gains[to - 1]);

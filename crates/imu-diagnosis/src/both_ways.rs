@@ -17,7 +17,7 @@ fn brief(causes: &[Cause]) -> Vec<(&'static str, Sense, String)> {
     causes.iter().map(|of| (of.effect.name(), of.sense, of.channels.join(","))).collect()
 }
 
-/// The corrected model explains the record: it lacks no effect and has no surplus effect.
+/// Returns whether the corrected model explains the record: it lacks no effect and has no surplus effect.
 fn is_mended(outcome: &Outcome, sensor: Option<&Value>, seed: u64) -> bool {
     let again = recording(&model(sensor), seed, SAMPLES);
     let found = diagnose(&again, &outcome.augmented, &Options::default()).unwrap().diagnosis;
@@ -119,7 +119,8 @@ fn a_tone_at_another_frequency_is_the_models_elsewhere() {
     }
 }
 
-/// Effects of the level, of the variance, of single samples and of stamps, and one parameter with another value of it.
+/// Effects of the level, of the variance, of single samples and of stamps, each with one parameter and another value
+/// for it.
 fn further() -> Vec<(Value, &'static str, Value)> {
     vec![
         (json!({"effect": "rate_ramp", "R": 3e-5}), "R", json!(9e-5)),
@@ -180,7 +181,7 @@ fn what_else_the_sensor_has_otherwise_is_a_size() {
         let mut effect = declared.clone();
         effect[parameter] = value.clone();
         let name = effect["effect"].as_str().unwrap();
-        // The sensor has more of the effect than the model states, and less.
+        // The sensor has more of the effect than the model states, then less.
         for (own, stated) in [(&effect, &declared), (&declared, &effect)] {
             let outcome = compared(Some(own), Some(stated), seed);
             let found = &outcome.diagnosis;
@@ -223,7 +224,7 @@ fn what_is_too_much_leaves_n_and_the_level_alone() {
     let warm = json!({"effect": "temperature_bias", "per_c": 0.05, "reference_c": 10.0});
     let found = compared(Some(&warm), Some(&warm), 303).diagnosis;
     assert!(found.offsets.is_empty() && found.causes.is_empty(), "{found:#?}");
-    // A stretch that the model has louder, so that it is left out, counts in the gap.
+    // A stretch that is left out because the model makes it louder counts in the gap.
     let louder = json!({"effect": "variance_change", "from_s": 500, "to_s": 700, "factor": 3.0});
     let gap = compared(None, Some(&louder), 304).diagnosis.discrepancy;
     assert!(gap.before > 0.03 && gap.closed.is_some_and(|closed| (0.9..1.1).contains(&closed)), "{gap:#?}");
@@ -269,7 +270,7 @@ fn a_model_of_thousands_of_steps_and_bands_decides_neither_time_nor_memory() {
     assert!(found.causes.is_empty(), "{:#?}", found.causes);
 }
 
-/// A level that follows the temperature other than along a line is the model's own as well, with its mean.
+/// The model's own effects include a level that follows the temperature other than along a line, with its mean.
 #[test]
 fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
     for (further, seed) in [("per_c2", 61), ("play_c", 62), ("per_c_per_s", 63)] {
@@ -298,7 +299,7 @@ fn a_models_own_curve_play_and_rate_of_temperature_are_no_gap() {
     }
 }
 
-/// A burst of the model may be as long as a change of variance, and a filter of the model hardly show in the record.
+/// A burst of the model may be as long as a change of variance. A filter of the model may hardly show in the record.
 #[test]
 fn what_is_of_another_size_is_no_further_cause() {
     let bursts =

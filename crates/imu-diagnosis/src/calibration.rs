@@ -15,7 +15,7 @@ use imu_model::simulator::{ChannelModel, SensorModel};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
 
-/// Records that a calibration makes.
+/// Records in a calibration.
 pub const RECORDS: usize = 300;
 
 /// The model that is imitated.
@@ -33,7 +33,7 @@ pub struct Nulls {
     pub seed: u64,
 }
 
-/// The result of chance for one pair of channels.
+/// The chance findings on one pair of channels.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Chance {
     /// Gains, nats.
@@ -43,7 +43,7 @@ pub struct Chance {
 }
 
 impl Nulls {
-    /// Of a recording and the model that it is compared with.
+    /// Returns the nulls for a recording and the model that it is compared with.
     pub fn of(real: &Recording, sim: &SensorModel) -> Self {
         let levels = sim.channels.iter().filter(|(channel, _)| **channel != Channel::Temperature);
         Self {
@@ -55,7 +55,8 @@ impl Nulls {
         }
     }
 
-    /// The `index`th record of two channels, and a model whose N, B and K are off by up to 5, 25 and 40 %, as models are.
+    /// Returns the `index`th record of two channels, and a model whose N, B and K are off by up to 5, 25 and 40 %, as
+    /// models are.
     fn record(&self, index: usize) -> (Recording, SensorModel) {
         let mut model = SensorModel { rate_hz: self.rate_hz, ..SensorModel::default() };
         let mut real = Recording {
@@ -85,7 +86,7 @@ impl Nulls {
         (real, model)
     }
 
-    /// The result of chance for the `index`th record.
+    /// Returns the chance findings for the `index`th record.
     ///
     /// # Errors
     /// [`DiagnosisError`] for a length or for levels that the diagnosis cannot handle.
@@ -103,7 +104,7 @@ impl Nulls {
             let setting = ready.setting(prepared, &base);
             let start = Explanation::noise(prepared.declared.clone());
             let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), start);
-            // A candidate that is not examined has a gain of 0.
+            // The gain of a kind that is not examined is 0.
             let mut gains: BTreeMap<Kind, f64> = Kind::ALL.into_iter().map(|kind| (kind, 0.0)).collect();
             for candidate in evidence::all_and_conditional(&mut series) {
                 gains.insert(candidate.kind, candidate.gain);
@@ -121,10 +122,10 @@ impl Nulls {
         Ok(found)
     }
 
-    /// The tails of so many records, as [`Nulls::chances`].
+    /// Returns the tails of this many records, as [`Nulls::chances`] does.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Nulls::chances`].
     pub fn tails(
         &self,
         records: usize,
@@ -134,8 +135,8 @@ impl Nulls {
         Ok(self.chances(records, workers, each)?.map(|all| tails(&all, self.samples)))
     }
 
-    /// The tails of chance in so many records. `each` receives the number of records that are done and returns whether
-    /// to continue.
+    /// Returns the tails of chance in this many records. `each` receives the number of finished records and returns
+    /// whether to continue.
     ///
     /// # Errors
     /// [`DiagnosisError`] of a record; `Ok(None)` if the calibration was stopped.
@@ -169,8 +170,8 @@ impl Nulls {
     }
 }
 
-/// The tails of the chance values. A statistic without information (its value is always 0) takes its tail from the
-/// shipped table.
+/// Returns the tails of the chance values. A statistic without information (its value is always 0) takes its tail from
+/// the shipped table.
 pub fn tails(all: &[Chance], samples: usize) -> Tails {
     let mut tails = Tails::shipped(samples);
     for (kind, tail) in &mut tails.kinds {

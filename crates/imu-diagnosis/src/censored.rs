@@ -9,21 +9,21 @@ use statrs::distribution::{ContinuousCDF, Normal};
 const BEYOND: u16 = 1;
 const TRUNCATED: u16 = 4;
 
-/// Standard deviations of a sample given all others beyond which a limit is out of reach.
+/// If a limit is this many standard deviations from a sample's mean given all others, it is out of reach.
 const FAR: f64 = 4.5;
 
 /// A sample at a limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Censored {
-    /// Which.
+    /// The index of the sample.
     pub(super) place: usize,
-    /// The limit, less the explained part of the sample beside the noise.
+    /// The limit, less the explained part of the sample that is not noise.
     pub(super) bound: f64,
     /// 1 for an upper limit, −1 for a lower one.
     pub(super) sign: f64,
 }
 
-/// The samples among `places` (in order) that are at a limit; `rest`: the samples less the explained part.
+/// Returns the samples among `places` (in order) that are at a limit. `rest` are the samples less the explained part.
 pub(super) fn at_limits(places: &[usize], samples: &[f64], rest: &[f64], limits: [Option<f64>; 2]) -> Vec<Censored> {
     let is = |place: usize, limit: f64| (samples[place] - limit).abs() < 1e-9 * limit.abs().max(1.0);
     let of = |place: &usize| {
@@ -35,12 +35,13 @@ pub(super) fn at_limits(places: &[usize], samples: &[f64], rest: &[f64], limits:
 }
 
 impl Series<'_> {
-    /// Whether samples stand at a limit.
+    /// Returns whether any samples are at a limit.
     pub(super) fn is_cut(&self) -> bool {
         !self.censored.is_empty()
     }
 
-    /// Lets samples at a limit lie beyond it, as white noise about their neighbours' level would: a first guess.
+    /// Moves samples at a limit beyond it, where white noise about their neighbours' level would put them: a first
+    /// guess.
     pub(super) fn guess_censored(&mut self, white: f64) {
         const NEAR: usize = 12;
         let n = self.rest.len();
@@ -58,7 +59,7 @@ impl Series<'_> {
     /// the limit. The method is Gibbs sampling (Geweke 1991, Computing Science and Statistics 23): each sample is drawn given all
     /// others, in several sweeps.
     ///
-    /// The law's precision matrix is that of a cosine transform's: a function of the distance, reflected at the ends.
+    /// The law's precision matrix is that of a cosine transform: a function of the distance, reflected at the ends.
     pub(super) fn draw_censored(&mut self) {
         const SWEEPS: usize = 12;
         const REACH: usize = 1024;
@@ -108,7 +109,7 @@ impl Series<'_> {
         }
     }
 
-    /// The law's precision matrix by distance, up to one below `reach`, in the middle of the record.
+    /// Returns the law's precision matrix by distance, up to one below `reach`, in the middle of the record.
     pub(super) fn kernel(&mut self, reach: usize) -> Vec<f64> {
         let n = self.len();
         let mut impulse = vec![0.0; n];
@@ -125,7 +126,7 @@ impl Series<'_> {
     }
 }
 
-/// A draw from a normal distribution (mean, standard deviation) beyond a bound.
+/// Draws from a normal distribution (mean, standard deviation) beyond a bound.
 fn truncated(stream: &mut Stream, [mean, spread]: [f64; 2], bound: f64, sign: f64) -> f64 {
     let normal = Normal::standard();
     let from = sign * (bound - mean) / spread;

@@ -20,7 +20,7 @@ pub(super) fn names(outcome: &Outcome) -> Vec<&'static str> {
     outcome.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect()
 }
 
-/// The effects of a cause on a channel, one after the other.
+/// Returns the effects of a cause on a channel, one after the other.
 pub(super) fn list(cause: &Cause, channel: &str) -> Vec<Value> {
     let of = cause.parameters.get(channel);
     of.map_or(Vec::new(), |of| of.as_array().cloned().unwrap_or_else(|| vec![of.clone()]))
@@ -41,7 +41,7 @@ impl Wrong {
     }
 }
 
-/// Sessions of one sensor differ by as much in K, and data sheets in B.
+/// K differs by this much between sessions of one sensor, and B between data sheets.
 #[test]
 fn levels_that_are_far_too_small_in_the_model_are_parameters() {
     let mut wrong = Wrong::default();
@@ -79,7 +79,7 @@ fn a_gauss_markov_process_beside_the_right_levels_is_still_named() {
     wrong.none();
 }
 
-/// A stream of steps of about two standard deviations of the white noise, at least ten seconds apart.
+/// Adds a stream of steps of about two standard deviations of the white noise, at least ten seconds apart.
 fn with_steps(real: &mut Recording, count: usize, seed: u64) {
     let mut stream = Stream::new(seed, StreamId { owner: 90, effect: 0, instance: 0 });
     let values = &mut real.channels[0].1;
@@ -139,7 +139,7 @@ fn what_a_slow_effect_closes_is_a_number() {
             let real = recording(&model(Some(&effect)), seed, 65_536);
             let found = diagnosed(&real, &model(None));
             let closed = found.diagnosis.discrepancy.closed;
-            // Nothing is left of a warm-up in the second half.
+            // A warm-up is over in the second half.
             let gone = effect["effect"] == "warm_up" && closed.is_none();
             let right = gone || closed.is_some_and(|closed| (0.9..1.1).contains(&closed));
             wrong.expect(right, || format!("{effect}, seed {seed}: {closed:?} {:?}", names(&found)));
@@ -194,7 +194,7 @@ fn a_corrected_model_of_limits_and_steps_stands_at_the_records_level() {
     wrong.none();
 }
 
-/// The amplitude of a sine in a channel's values.
+/// Returns the amplitude of a sine in a channel's values.
 fn amplitude_of(real: &Recording, channel: Channel, frequency_hz: f64) -> f64 {
     let values = real.values(channel).unwrap();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -206,8 +206,7 @@ fn amplitude_of(real: &Recording, channel: Channel, frequency_hz: f64) -> f64 {
     2.0 * f64::hypot(cosine, sine) / values.len() as f64
 }
 
-/// The model has a tone in front of the filters, the record has it behind them. The filter may be stated by either of
-/// the two.
+/// The model has a tone in front of the filters, the record has it behind them. Either of the two may state the filter.
 #[test]
 fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
     let mut wrong = Wrong::default();
@@ -227,7 +226,7 @@ fn a_tone_behind_a_filter_has_its_amplitude_in_front_of_it() {
             let own = tone.filter(|tone| list(tone, "accel_x").len() == 1);
             let ends = own.map(|tone| tone.uncertainty["accel_x"][0]["amplitude"].clone());
             let [low, high] = [0, 1].map(|end| ends.as_ref().and_then(|ends| ends[end].as_f64()).unwrap_or(f64::NAN));
-            // Three standard errors, of several cases.
+            // Three standard errors, in several cases.
             let holds = (0.5 * (low + high) - amplitude).abs() < 0.77 * (high - low);
             let again = recording(&found.augmented, seed + 100, 65_536);
             let [seen, shown] = [&real, &again].map(|of| amplitude_of(of, Channel::AccelX, frequency_hz));
@@ -306,7 +305,7 @@ fn slow_noise_alone_is_no_slow_tone() {
 fn a_tone_that_a_filter_hardly_lets_pass_has_no_interval() {
     let filter = json!({"effect": "moving_average", "window": 4});
     let mut real = recording(&model(Some(&filter)), 121, 40_000);
-    // It comes in behind the filter, at the filter's own zero.
+    // The tone enters behind the filter, at the filter's own zero.
     for (t, value) in real.channels[0].1.iter_mut().enumerate() {
         *value += 0.003 * (std::f64::consts::TAU * 0.25 * t as f64 + 0.3).sin();
     }
@@ -416,7 +415,7 @@ fn a_leap_of_any_size_is_a_step() {
     }
 }
 
-/// K of another session is up to some tens of times the model's, and not thousands of times.
+/// K of another session is up to some tens of times the model's, not thousands of times.
 #[test]
 fn a_process_in_a_short_record_is_no_random_walk_of_thousands_of_times_the_size() {
     let effect = json!({"effect": "gauss_markov", "sigma": 0.28, "tc_s": 3.0});

@@ -25,13 +25,13 @@ use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// If a statistic is this rare in noise alone, with all statistics counted, it is not attributed to chance.
+/// If a statistic is this rare in noise alone, given the number of statistics, it is not attributed to chance.
 const REMAINS: f64 = 0.005;
-/// The same limit on a channel without a named effect, if other channels have named causes.
+/// [`REMAINS`] on a channel without a named effect, if other channels have named causes.
 const REMAINS_ELSEWHERE: f64 = 1e-4;
 /// A parameter is off if it differs by at least this many standard errors.
 const OFF: f64 = 4.0;
-/// And if it differs by at least this part of its value; for a rate, in parts of 10⁴.
+/// The rate is off if it differs by more than this share.
 const RATE_OFF: f64 = 1e-4;
 
 pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Outcome {
@@ -104,13 +104,13 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
 struct Remains {
     worst: Option<(Channel, Statistic)>,
     p_value: f64,
-    /// Where.
+    /// The channels on which something remains.
     channels: BTreeSet<Channel>,
     /// The rarest statistic of each channel on which something remains: its value and its chance.
     rarest: BTreeMap<Channel, (f64, f64)>,
 }
 
-/// The places where something remains, and how much of it.
+/// Returns the places where something remains, and how much of it.
 fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
     let of_odd =
         odd.iter().map(|(channel, of)| Remnant { channel: *channel, nats: of.nats, p_value: (-of.nats).exp() });
@@ -146,7 +146,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         let swells = own.iter().any(|one| one.effect.kind() == EffectKind::ModulatedBand);
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
-            // On a lattice, the value in the middle is the most frequent.
+            // On a lattice the middle value is the most frequent.
             let lattice = step.is_some() && *statistic == Statistic::Atom;
             // Steps wider than the noise, and values that were cut on one side, are skewed without another effect.
             let coarse = step.is_some_and(|step| step > 1.2 * of.white);
@@ -176,7 +176,8 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
     Remains { worst, p_value, channels, rarest }
 }
 
-/// The oddities that the values and stamps show and that no effect explains, each with the channel on which it occurs.
+/// Returns the oddities that the values and stamps show and that no effect explains, each with the channel on which it
+/// occurs.
 fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
     let mut all = Vec::new();
     for of in &found.channels {
@@ -209,7 +210,7 @@ fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity>
     oddities::of_codes(&there.map(|(_, value)| *value).collect::<Vec<f64>>(), step)
 }
 
-/// A slope that differs from those of the power laws.
+/// Returns a slope that differs from those of the power laws.
 fn odd_slope(of: &Findings) -> Option<Oddity> {
     let exponent = |term: &Term| matches!(term.shape, Shape::Slope(_)).then(|| term.numbers.get(1).copied()).flatten();
     let exponents = of.explanation.law.terms.iter().filter_map(exponent);
@@ -222,8 +223,8 @@ fn odd_slope(of: &Findings) -> Option<Oddity> {
     Some(Oddity { what, nats })
 }
 
-/// ln of the square of N as `imu-noise` finds it, of a law and its model's other noise: the plateau of the spectrum in terms of
-/// the model's N, its own effects and rounding included ([`plateau`]).
+/// Returns ln of the square of N as `imu-noise` finds it, for a law and its model's other noise. It is the plateau of
+/// the spectrum in terms of the model's N, its own effects and rounding included ([`plateau`]).
 fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
     let Prepared { channel, scale, white_shift, step, ref has, ref samples, .. } = of.prepared;
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz)).powi(2);
@@ -242,24 +243,24 @@ fn plateau_of(law: &Law, of: &Findings, sim: &SensorModel) -> f64 {
     ((own + law.beside(sim.rate_hz) / folded) * scale * scale + (without + rounding) / folded).ln()
 }
 
-/// Whether the noise was louder or quieter for a while: the N of `imu-noise` is that of the whole record.
+/// Returns whether the noise was louder or quieter for a while: the N of `imu-noise` is that of the whole record.
 fn changes(of: &Findings) -> bool {
     of.louder != 1.0 || of.explanation.loud.len() > of.prepared.loud.len()
 }
 
-/// Whether an effect besides B and K acts at low frequencies. `imu-noise` counts such an effect in B and K.
+/// Returns whether an effect besides B and K acts at low frequencies. `imu-noise` counts such an effect in B and K.
 fn is_slow(of: &Findings) -> bool {
     let law = &of.explanation.law;
     let slow = |shape: &Shape| matches!(shape, Shape::GaussMarkov | Shape::QuantizationNoise | Shape::Slope(_));
     !of.explanation.courses.is_empty() || law.terms.iter().any(|term| slow(&term.shape))
 }
 
-/// N, B, K and bias that are off.
+/// Returns N, B, K and bias values that are off.
 ///
-/// A parameter is off if two conditions hold. The law reports it, with the effects taken into account, and its owner agrees
-/// ([`Owned`]). N is the N of `imu-noise`: the plateau of the spectrum, including noise that channels share, noise behind a
-/// filter and the skirts of bands. If `imu-noise` has no N, it is the plateau of the law. B and K are the law's, which has slow
-/// effects beside them, if `imu-noise` does not contradict them.
+/// A parameter is off if two conditions hold: the law reports it with the effects taken into account, and the
+/// parameter's owner agrees ([`Owned`]). N is the N of `imu-noise`: the plateau of the spectrum, including noise that
+/// channels share, noise behind a filter and the skirts of bands. If `imu-noise` has no N, N is the plateau of the law.
+/// B and K are those of the law, which includes slow effects, unless `imu-noise` contradicts them.
 fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
     let mut off = Vec::new();
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
@@ -267,12 +268,12 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     for of in &found.channels {
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
         let mut own = None;
-        // Shared noise that is not the model's takes its part of N.
+        // Shared noise that is not the model's accounts for part of N.
         let is_shared = named.iter().any(|one| {
             one.channel == of.prepared.channel && one.declared.is_some() && one.effect.kind() == EffectKind::CommonMode
         });
         for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
-            // The model's own value is as good.
+            // The model's own value is as likely.
             let share = if level == 0 { of.prepared.share } else { 1.0 };
             let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
             if (does_as_well && level > 0) || (level == 0 && is_shared) {
@@ -298,8 +299,8 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
                 owned.get_or_insert_with(|| Owned::new(real)).of(of.prepared.channel).unwrap_or_default()
             });
             let found = match (own[level], by_law) {
-                // A step wider than the noise does not add a twelfth of its square: `imu-noise` does not look
-                // behind the step.
+                // A step wider than the noise does not add a twelfth of its square; `imu-noise` does not model the
+                // step.
                 (Some(Known { value: Some(value), ends }), _) if level == 0 && share == 1.0 && !changes(of) => {
                     Some((value / folded, ends.map(|end| end / folded)))
                 }
@@ -311,7 +312,8 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
             let Some((capture, [low, high])) = found else { continue };
             let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
             let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
-            // A parameter that is stated with an interval or a limit is not off if that reaches the capture's value.
+            // A parameter that is stated with an interval or a limit is not off if the interval or limit reaches the
+            // capture's value.
             let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
             let within = known.is_some_and(|[least, most]| low <= most && high >= least);
             let is_off = if capture > 0.0 { apart > OFF * spread } else { told > high };
@@ -339,7 +341,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     off
 }
 
-/// The parameters of effects by channel, a list if a channel has several.
+/// Returns the parameters of effects by channel, as a list if a channel has several.
 fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
     let mut lists: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     for (channel, effect) in effects {
@@ -354,7 +356,7 @@ fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>
     lists.into_iter().map(alone).collect()
 }
 
-/// The same effect in the same sense on several channels is one cause.
+/// Returns the causes: the same effect in the same sense on several channels is one.
 fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
     let mut groups: BTreeMap<(&'static str, Sense), Vec<&Named>> = BTreeMap::new();
     for of in named {

@@ -1,8 +1,8 @@
 //! Confidence: how often causes of a given kind were right in sealed cases of the wide trial (docs/validation.md).
 //!
-//! The search knows by how many nats a cause leads over the next best reading. It cannot know about effects outside the library.
-//! Such effects show in three ways: in what remains beside a cause, in a small share of the gap, and in few independent values of
-//! a narrow band. A line that wanders or comes and goes also has few independent values.
+//! The search knows by how many nats a cause leads over the next best reading. It cannot know about effects outside the
+//! library. Such effects show in three ways: in a remainder beside a cause, in a small share of the gap, and in few
+//! independent values of a narrow band. A line that wanders or comes and goes also has few independent values.
 
 use super::report::{Cause, Of, Place};
 use imu_core::sample::Channel;
@@ -13,15 +13,15 @@ use std::f64::consts::TAU;
 
 /// The share of right causes among those that make a large part of the gap and beside which nothing remains.
 const RIGHT_LARGE: f64 = 0.98;
-/// The same of those that make a smaller part.
+/// The share of right causes that make a smaller part.
 const RIGHT_SMALLER: f64 = 0.93;
-/// The same of those that make a small part.
+/// The share of right causes that make a small part.
 const RIGHT_SMALL: f64 = 0.85;
-/// The same of narrow bands.
+/// The share of right narrow bands.
 const RIGHT_NARROW: f64 = 0.75;
-/// The same for causes on a channel on which something remains.
+/// The share of right causes on a channel on which something remains.
 const RIGHT_BESIDE: f64 = 0.5;
-/// Parts of the gap.
+/// The limits of a large and a small part of the gap.
 const LARGE: f64 = 0.1;
 const SMALL: f64 = 0.01;
 /// Independent values of a band, below which it is narrow.
@@ -37,7 +37,7 @@ pub(super) struct Surroundings<'a> {
 }
 
 impl Surroundings<'_> {
-    /// How often a cause like this one, the `index`th, was right.
+    /// Returns how often a cause like this one, the `index`th, was right.
     pub(super) fn right(&self, index: usize, cause: &Cause) -> f64 {
         let own = self.places.iter().filter(|place| place.of == Of::Cause(index));
         let share: f64 = own.map(|place| place.share).sum();

@@ -4,7 +4,7 @@ use super::transform::Cosines;
 use std::f64::consts::PI;
 use std::sync::OnceLock;
 
-/// A level's deterministic course over a record of n samples, for a coefficient of 1.
+/// A deterministic course of a level over a record of n samples, with coefficient 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Course {
     /// From −½ to ½ over the record.
@@ -15,25 +15,25 @@ pub enum Course {
     WarmUp(f64),
     /// 0 before this sample, 1 from it on.
     Step(usize),
-    /// The temperature otherwise than along a straight line at once.
+    /// The temperature, other than along an immediate straight line.
     Follows(Follow),
 }
 
 /// How a level may follow the temperature other than along a straight line ([`imu_model::effects::TemperatureBias`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Follow {
-    /// Its square, °C².
+    /// The square of the temperature, °C².
     Square,
-    /// With play of so many °C: it stays while the temperature is within half of that from it (a backlash; Visintin
-    /// 1994, Differential Models of Hysteresis, section III.2).
+    /// With play of this many °C: the level stays while the temperature is within half of the play (a backlash;
+    /// Visintin 1994, Differential Models of Hysteresis, section III.2).
     Play(f64),
-    /// The rate at which it changes behind a lag of so many samples, °C a sample
+    /// The rate at which the temperature changes, behind a lag of this many samples, °C per sample
     /// ([`imu_model::effects::TemperatureBias::per_c_per_s`]).
     Rate(f64),
 }
 
 impl Follow {
-    /// The values at each sample, about their mean.
+    /// Returns the values at each sample, about their mean.
     fn values(self, temperature: &[f64]) -> Vec<f64> {
         let mut values = self.raw(temperature);
         let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -41,7 +41,7 @@ impl Follow {
         values
     }
 
-    /// The values at each sample of a temperature, °C.
+    /// Returns the values at each sample for a temperature, °C.
     pub(super) fn raw(self, temperature: &[f64]) -> Vec<f64> {
         match self {
             Self::Square => temperature.iter().map(|t| t * t).collect(),
@@ -73,22 +73,23 @@ pub struct Courses {
     samples: usize,
     kept: usize,
     ramp: Vec<f64>,
-    /// The temperature about the reference, °C, and its transform.
+    /// The temperature about the reference, °C, with its transform.
     temperature: Option<(Vec<f64>, Vec<f64>)>,
-    /// Transforms of the other courses that may follow it.
+    /// Transforms of the other courses that may follow the temperature.
     follows: OnceLock<Vec<(Follow, Vec<f64>)>>,
     /// The lag of [`Follow::Rate`], samples.
     lag: f64,
-    /// Step in which the temperature was read, °C; 0 if none is seen.
+    /// Step in which the temperature was read, °C; 0 if no step is visible.
     reading_c: f64,
 }
 
 impl Courses {
-    /// Coefficients that are used: courses are slow.
+    /// Number of coefficients used: courses are slow.
     pub const KEPT: usize = 4096;
 
-    /// For records as long as the transform's; `temperature` is the sensor's at every sample about some reference, °C, if it
-    /// was measured: rounded readings are to be smoothed before. `lag`: that behind which a level follows its rate, samples.
+    /// Creates courses for records as long as the transform. `temperature` is the sensor's at every sample about some
+    /// reference, °C, if it was measured; smooth rounded readings first. `lag` is the lag behind which a level follows
+    /// the temperature's rate, samples.
     pub fn new(transform: &mut Cosines, temperature: Option<&[f64]>, lag: f64) -> Self {
         let samples = transform.length();
         let kept = Self::KEPT.min(samples);
@@ -104,18 +105,18 @@ impl Courses {
         Self { samples, kept, ramp, temperature, follows: OnceLock::new(), lag, reading_c: 0.0 }
     }
 
-    /// The same with a temperature that was read in steps of so many °C.
+    /// Sets the step in which the temperature was read, °C.
     pub(super) fn read_in_steps(self, reading_c: f64) -> Self {
         Self { reading_c, ..self }
     }
 
-    /// Step in which the temperature was read, °C; 0 if none is seen.
+    /// Returns the step in which the temperature was read, °C; 0 if no step is visible.
     pub(super) fn reading_c(&self) -> f64 {
         self.reading_c
     }
 
-    /// The ways in which a level may follow this record's temperature; empty if the temperature moves too little to
-    /// distinguish them.
+    /// Returns the ways in which a level may follow this record's temperature; empty if the temperature moves too
+    /// little to distinguish them.
     pub fn ways(&self) -> Vec<Follow> {
         const LEAST_C: f64 = 0.5;
         const SHARES: [f64; 5] = [0.05, 0.1, 0.2, 0.35, 0.6];
@@ -135,17 +136,18 @@ impl Courses {
         values
     }
 
-    /// Samples of the record.
+    /// Returns the number of samples in the record.
     pub fn samples(&self) -> usize {
         self.samples
     }
 
-    /// The temperature about its reference, °C.
+    /// Returns the temperature about its reference, °C.
     pub fn temperature(&self) -> Option<&[f64]> {
         self.temperature.as_ref().map(|(about, _)| about.as_slice())
     }
 
-    /// The first coefficients of a course's transform, [`Courses::KEPT`] at most; the first, a constant's, is 0.
+    /// Returns the first coefficients of a course's transform, [`Courses::KEPT`] at most; the first, a constant's, is
+    /// 0.
     pub fn coefficients(&self, course: Course) -> Vec<f64> {
         let n = self.samples as f64;
         let scale = (2.0 / n).sqrt();
@@ -160,7 +162,7 @@ impl Courses {
                 match self.follows.get_or_init(all).iter().find(|(own, _)| *own == way) {
                     Some((_, coefficients)) => coefficients.clone(),
                     None if self.temperature.is_none() => vec![0.0; self.kept],
-                    // A way of another record, of which this one is a part.
+                    // This way belongs to another record, of which this record is a part.
                     None => self.transformed(way),
                 }
             }
@@ -191,7 +193,8 @@ impl Courses {
         found
     }
 
-    /// The first coefficients of a cosine and a sine of so many cycles per sample (not a whole multiple of half a cycle).
+    /// Returns the first coefficients of a cosine and a sine of this many cycles per sample (not a whole multiple of
+    /// half a cycle).
     pub fn turning(&self, cycles: f64) -> [Vec<f64>; 2] {
         let n = self.samples as f64;
         let turn = std::f64::consts::TAU * cycles;

@@ -38,7 +38,7 @@ pub trait Workers: Sync {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
 }
 
-/// One after the other.
+/// Does all work sequentially.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Alone;
 
@@ -57,25 +57,25 @@ pub struct Options<'a> {
     pub real: &'a str,
     /// The name of the model.
     pub sim: &'a str,
-    /// The part of records of noise alone in which an effect may be named by chance.
+    /// The chance with which an effect may be named in a record of noise alone.
     pub level: f64,
     /// The scheduler of the work.
     pub workers: &'a dyn Workers,
     /// Part of the gap above which the remainder makes the verdict `unknown_effect`.
     pub unknown_above: f64,
-    /// The effects to look for; without a list all.
+    /// The effects to look for; `None` looks for all.
     pub effects: Option<&'a [EffectKind]>,
-    /// Whether the model's B and K are believed to be about right. If not, they are fitted without prior knowledge.
+    /// Whether the model's B and K are expected to be about right. Otherwise they are fitted without prior knowledge.
     pub believed: bool,
-    /// The distribution of chance in records of this length ([`super::calibration`]); without it, that of the shipped
-    /// table.
+    /// The distribution of chance gains in records of this length ([`super::calibration`]); without it, that of the
+    /// shipped table.
     pub tails: Option<&'a Tails>,
 }
 
 impl Options<'_> {
-    /// Whether an effect is looked for.
+    /// Returns whether an effect is looked for.
     pub fn wants(&self, effect: EffectKind) -> bool {
-        // Lines at multiples of one another are found as tones, bands whose level changes as bands.
+        // Lines at multiples of one another are found as tones, and bands whose level changes as bands.
         let alike = match effect {
             EffectKind::Tone => EffectKind::Comb,
             EffectKind::Comb => EffectKind::Tone,
@@ -126,13 +126,13 @@ pub(super) struct Findings {
     pub(super) prepared: Prepared,
     pub(super) explanation: Explanation,
     pub(super) steps: Vec<Step>,
-    /// The law with effects, its levels free of beliefs.
+    /// The law with effects, without a prior on its levels.
     pub(super) fitted: Fitted,
     /// Nats lost if N, B or K is held at the model's value and all other numbers are fitted again.
     pub(super) held: [f64; 3],
-    /// The frequencies in which the effects gain likelihood.
+    /// The frequencies at which the effects gain likelihood.
     pub(super) bands: Bands,
-    /// The density of what is louder than everything found: points in Hz and the series' scale squared per Hz.
+    /// The density that exceeds everything found: points in Hz and the series' scale squared per Hz.
     pub(super) nameless: Vec<(f64, f64)>,
     /// Bands whose level changes.
     pub(super) levels: Vec<Levels>,
@@ -146,7 +146,7 @@ pub(super) struct Findings {
     pub(super) level: f64,
     /// The white part's mean variance over its variance at times when nothing changes it.
     pub(super) average_variance: f64,
-    /// The same ratio over the ratio that the model states.
+    /// The previous ratio over the ratio that the model states.
     pub(super) louder: f64,
     /// Standard errors of the explanation.
     pub(super) spread: Spread,
@@ -215,7 +215,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     Ok(outcome)
 }
 
-/// The complete result for one channel.
+/// Returns the complete result for one channel.
 fn explain(
     ready: &Ready,
     sim: &SensorModel,
@@ -261,7 +261,7 @@ fn explain(
     let fitted = free(&series);
     let changed = series.average_variance().ln();
     let held = [0, 1, 2].map(|level| {
-        // As good as held: a belief a thousandth wide.
+        // A prior that is a thousandth wide is as good as a fixed value.
         let told = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
         let told = told.max(super::law::LEVELS[level].0);
         let mut beliefs = FREE;
@@ -282,7 +282,7 @@ fn explain(
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
     let statistics = omnibus::statistics(&mut series, prepared.facts.atom);
-    // The model's lines have the model's amplitudes, except those that the channel has with other amplitudes.
+    // The model's lines keep the model's amplitudes, unless the channel has other amplitudes.
     let mut known = known;
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
     known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));

@@ -6,7 +6,7 @@ use super::named::Named;
 use super::report::Discrepancy;
 use imu_model::effects::{EffectKind, Stream, StreamId};
 
-/// The explained part, on the half from which no number was fitted.
+/// Returns the explained part, on the half from which no number was fitted.
 pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepancy {
     const DRAWS: usize = 1000;
     let channels = found.channels.len().max(1) as f64;

@@ -3,24 +3,24 @@
 use super::filling::stream;
 use super::prepare::{Prepared, scale_of};
 
-/// Random stream of the noise that is added.
+/// Random stream of the added noise.
 const DITHER: u16 = 6;
 
-/// Adds as much white noise to samples as those that are left out, or the ends, hide behind a filter with a zero;
-/// `there`: the samples that are there, U, `white`: the declared deviation of the white noise before filters, U.
+/// Adds as much white noise to samples as the excluded samples, or the ends, hide behind a filter with a zero. `there`
+/// are the present samples, U; `white` is the declared deviation of the white noise before filters, U.
 ///
-/// A filter's zero that goes as x⁴ near half the rate, known down to a density q, is q^¼ wide. A sample that is left out has an
-/// independent error at all frequencies. With m runs of such samples in n samples, the record therefore shows nothing of a
-/// density below about (m/n)⁴: neither its value, nor what belongs in place of the samples. Added noise of known density removes
-/// both questions. The ends of a record, which the transform mirrors, raise the same questions for filters that pass almost
-/// nothing over a good part of the band.
+/// A filter's zero that goes as x⁴ near half the rate, known down to a density q, is q^¼ wide. An excluded sample has
+/// an independent error at all frequencies. With m runs of such samples in n samples, the record therefore does not
+/// show a density below about (m/n)⁴: neither its value, nor the values of the samples. Added noise of known density
+/// removes both questions. The ends of a record, which the transform mirrors, raise the same questions for filters that
+/// pass almost nothing over a good part of the band.
 pub(super) fn dither(of: &mut Prepared, there: &[f64], white: f64) {
     const TIMES: f64 = 10.0;
-    /// Below the least, the values in place of the samples are too far from the visible values for floating-point
+    /// Below the smallest, the values that replace the samples are too far from the visible values for floating-point
     /// numbers.
     const SHARES: [f64; 2] = [1e-4, 1e-2];
     const BLOCK: usize = 8;
-    /// The ends of a record on which all samples are there are known to this part of the noise before filters.
+    /// If all samples at the ends of a record are present, the ends are known to this part of the noise before filters.
     const ENDS: f64 = 1e-11;
     let runs =
         of.outliers.iter().enumerate().filter(|(at, place)| *at == 0 || of.outliers[at - 1] + 1 != **place).count();

@@ -6,13 +6,13 @@ use super::series::Series;
 use nalgebra::{DMatrix, DVector};
 use std::f64::consts::{PI, TAU};
 
-/// Bands that forget within fewer samples than 1 over this have no material effect at the ends.
+/// Bands that lose their correlation within fewer than 1 over this many samples have no material effect at the ends.
 const WIDEST: f64 = 0.3;
 /// Correlation times after which no correlation is left.
 const FORGOTTEN: f64 = 8.0;
 
-/// The part of a term that is odd about a record's first end, and its variance, in the series' scale: e^(−γ(t + ½))·sin(ω(t + ½))
-/// for a band. Quantization noise is u_t − u_(t−1), and its odd part is the u before the first sample.
+/// Returns the part of a term that is odd about a record's first end, and its variance, in the series' scale: e^(−γ(t +
+/// ½))·sin(ω(t + ½)) for a band. Quantization noise is u_t − u_(t−1); its odd part is the u before the first sample.
 fn odd_part(term: &Term, rate_hz: f64, samples: usize) -> Option<(Vec<f64>, f64)> {
     if term.shape == Shape::QuantizationNoise {
         return term.numbers.first().map(|level| (vec![1.0], level.exp() * rate_hz * rate_hz));
@@ -26,7 +26,7 @@ fn odd_part(term: &Term, rate_hz: f64, samples: usize) -> Option<(Vec<f64>, f64)
 }
 
 impl Series<'_> {
-    /// Whether the law or the model has terms with a part that is odd about an end.
+    /// Returns whether the law or the model has terms with a part that is odd about an end.
     pub(super) fn has_odd_parts(&self) -> bool {
         self.odd_terms().next().is_some()
     }
@@ -40,12 +40,13 @@ impl Series<'_> {
     /// Subtracts from the rest the part of narrow bands and quantization noise at the ends of the record that the law does not
     /// represent.
     ///
-    /// The cosine transform continues a record by its mirror image. A stationary process whose autocovariance is c has c(s − t)
-    /// between samples s and t of it; the law of the transform's coefficients has c(s − t) + c(s + t + 1) at the first end, and
-    /// its mirror image at the last. For a band, c(s + t + 1) is σ²·e^(−γ(s + t + 1))·cos ω(s + t + 1): the product of its even
-    /// part about the end at s and at t less that of its odd part. The law lacks the odd part, which is as large as the even one;
-    /// a strong band's looks like a burst at the end, or like a filter. For quantization noise, c(1) is −σ², and the odd part is
-    /// the first sample alone. The most probable course of the odd parts, given the rest, is what is taken off.
+    /// The cosine transform continues a record by its mirror image. A stationary process whose autocovariance is c has
+    /// c(s − t) between samples s and t; the law of the transform's coefficients has c(s − t) + c(s + t + 1) at the
+    /// first end, and the mirror image of that at the last. For a band, c(s + t + 1) is σ²·e^(−γ(s + t + 1))·cos ω(s +
+    /// t + 1): the product of its even part about the end at s and at t less that of its odd part. The law lacks the
+    /// odd part, which is as large as the even part; that of a strong band looks like a burst at the end, or like a
+    /// filter. For quantization noise, c(1) is −σ², and the odd part is in the first sample alone. This function
+    /// subtracts the most probable course of the odd parts, given the rest.
     pub(super) fn take_ends_off(&mut self) {
         let n = self.len();
         let rate_hz = self.setting().rate_hz;

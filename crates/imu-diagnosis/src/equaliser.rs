@@ -7,21 +7,21 @@ use super::transform::Cosines;
 /// The random stream of the draws.
 const DRAWN: u16 = 7;
 
-/// A record x is the sum of white noise w, whose variance v changes with time, and of the rest s, of spectrum S. Given x, both
-/// are drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380). With draws s' and w' from their
-/// laws, s is s' + C(C + V)⁻¹(x − s' − w'); C is the covariance of S and V that of w. Then s + w/√v has the spectrum S + 1,
-/// exactly. Every method that requires the same noise throughout may therefore be applied to it. A filter that acts behind the
-/// white noise cannot be undone in this way, and is left as it is.
+/// A record x is the sum of white noise w, whose variance v changes with time, and the rest s, of spectrum S. Given x,
+/// both are drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380). With draws s' and w'
+/// from their laws, s is s' + C(C + V)⁻¹(x − s' − w'); C is the covariance of S and V that of w. Then s + w/√v has the
+/// spectrum S + 1, exactly. Every method that requires the same noise throughout may therefore be applied to it. A
+/// filter that acts behind the white noise cannot be undone in this way, and is left as it is.
 #[derive(Debug, Clone)]
 pub(super) struct Equaliser {
     /// Standard deviation of the white noise at each sample; [`Equaliser::UNKNOWN`] times the largest for samples without
     /// information.
     deviation: Vec<f64>,
-    /// The same where the variance is 1.
+    /// The standard deviation of the white noise at variance 1.
     white: f64,
     /// Power of the rest in each coefficient.
     rest: Vec<f64>,
-    /// (C + V)⁻¹(x − s' − w') of the record.
+    /// (C + V)⁻¹(x − s' − w') for the record.
     solution: Vec<f64>,
 }
 
@@ -29,15 +29,15 @@ impl Equaliser {
     /// Standard deviations of unknown samples, over the largest.
     const UNKNOWN: f64 = 1e3;
 
-    /// The values of the record with even white noise; `white` is its standard deviation as a multiple of the noise's own. None
-    /// if the solver found no solution.
+    /// Returns the values of the record with even white noise; `white` is its standard deviation as a multiple of the
+    /// noise's own. `None` if the solver found no solution.
     pub(super) fn apply(&self, transform: &mut Cosines, values: &[f64]) -> Option<Vec<f64>> {
         let solution = self.solve(transform, values, None)?;
         Some(self.even(transform, values, &solution))
     }
 
-    /// The part of the information about the white noise's variance at a place that the rest of the noise leaves, and by how
-    /// much the variance's logarithm moves with that of the rest's power.
+    /// Returns the part of the information about the white noise's variance at a place that the rest of the noise
+    /// leaves, and the derivative of the variance's logarithm by that of the rest's power.
     pub(super) fn left(&self, place: usize) -> (f64, f64) {
         let white = self.deviation[place] * self.deviation[place];
         let (mut squares, mut products) = (0.0, 0.0);
@@ -49,7 +49,7 @@ impl Equaliser {
         (squares / self.rest.len() as f64, products / squares)
     }
 
-    /// The same, given (C + V)⁻¹ times the values: the rest at its most probable is C times that.
+    /// Returns the result of [`Self::apply`], given (C + V)⁻¹ times the values: the most probable rest is C times that.
     fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
         let mut slow = self.filtered(transform, solution, &|s| s);
         let places = slow.iter_mut().zip(values).zip(&self.deviation);
@@ -57,12 +57,12 @@ impl Equaliser {
         slow
     }
 
-    /// Values over the white noise's deviation.
+    /// Returns values over the white noise's deviation.
     fn whitened(&self, values: &[f64]) -> Vec<f64> {
         values.iter().zip(&self.deviation).map(|(x, own)| x / own).collect()
     }
 
-    /// Values whose coefficients are multiplied by a function of the rest's power.
+    /// Returns values whose coefficients are multiplied by a function of the rest's power.
     fn filtered(&self, transform: &mut Cosines, values: &[f64], gain: &dyn Fn(f64) -> f64) -> Vec<f64> {
         let mut c = values.to_vec();
         transform.forward(&mut c);
@@ -71,22 +71,22 @@ impl Equaliser {
         c
     }
 
-    /// (1 + V^−½·C·V^−½) times values.
+    /// Returns (1 + V^−½·C·V^−½) times values.
     fn image(&self, transform: &mut Cosines, values: &[f64]) -> Vec<f64> {
         let mut image = self.whitened(&self.filtered(transform, &self.whitened(values), &|s| s));
         image.iter_mut().zip(values).for_each(|(i, x)| *i += x);
         image
     }
 
-    /// (C + V)⁻¹ times values, from a starting point near the solution if one is known.
+    /// Returns (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
-    /// Conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
+    /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
     fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
         const ROUNDS: usize = 100;
-        /// The number of samples that all rounds together transform.
+        /// The number of samples that all rounds together may transform.
         const WORK: usize = 60_000_000;
-        /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest that may be
-        /// left.
+        /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest
+        /// acceptable one.
         const ENOUGH: f64 = 1e-8;
         const MOST: f64 = 1e-4;
         let n = values.len();
@@ -122,26 +122,27 @@ impl Equaliser {
         (square <= MOST * all).then(|| self.whitened(&solution))
     }
 
-    /// By what a slow change of a sine's amplitude is multiplied at each sample, `power` being the rest's at its frequency.
+    /// Returns the factor by which a slow change of a sine's amplitude is multiplied at each sample. `power` is the
+    /// rest's power at the sine's frequency.
     pub(super) fn factors(&self, power: f64) -> impl Iterator<Item = f64> {
         let white = self.white;
         self.deviation.iter().map(move |own| (power + own * white) / (power + own * own))
     }
 
-    /// Power of the rest in a coefficient.
+    /// Returns the power of the rest in a coefficient.
     pub(super) fn power(&self, place: usize) -> f64 {
         self.rest.get(place).copied().unwrap_or_default()
     }
 }
 
 impl Series<'_> {
-    /// Whether the law is about as high as the record where the record is white. A filter that is not known yet would be drawn
-    /// apart from the white noise, until no white noise is left.
+    /// Returns whether the law is about as high as the record where the record is white. Draws would separate a filter
+    /// that is not known yet from the white noise, until no white noise is left.
     fn law_is_even(&self) -> bool {
         const BANDS: usize = 8;
-        /// Of the record over the law.
+        /// Range of the ratio of the record's power to the law's.
         const ABOUT: std::ops::Range<f64> = 0.6..1.6;
-        /// Standard errors of a band's mean that are chance.
+        /// Deviations of a band's mean up to this many standard errors are chance.
         const ERRORS: f64 = 3.0;
         let high = self.len() / 2;
         let places = self.coefficients[high..].iter().zip(&self.spectrum[high..]);
@@ -149,9 +150,9 @@ impl Series<'_> {
         let size = ratios.len().div_ceil(BANDS).max(1);
         let mut means: Vec<f64> =
             ratios.chunks(size).map(|band| band.iter().sum::<f64>() / band.len() as f64).collect();
-        // A line that is not known yet is in one of them.
+        // One of the bands may hold a line that is not known yet.
         means.sort_unstable_by(f64::total_cmp);
-        // An uneven variance leaves so many of a band's coefficients independent.
+        // An uneven variance leaves this many of a band's coefficients independent.
         let variance = self.variances();
         let (sum, square) = variance.iter().fold((0.0, 0.0), |(sum, square), v| (sum + v, square + v * v));
         let count = size as f64 * sum * sum / (square * variance.len().max(1) as f64);
@@ -160,9 +161,9 @@ impl Series<'_> {
         means.iter().take(BANDS - 2).all(|mean| about.contains(mean))
     }
 
-    /// Makes the white noise of the rest even where its variance is known to change, and the law is.
+    /// Makes the white noise of the rest even if its variance is known to change and the law is even.
     pub(super) fn equalise(&mut self) {
-        /// Ratio of variances from which on it counts.
+        /// Variances that differ by at least this ratio are uneven.
         const UNEVEN: f64 = 2.0;
         let n = self.len();
         let before = self.equaliser.take();
@@ -180,7 +181,7 @@ impl Series<'_> {
         for place in self.excluded() {
             deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
         }
-        // A constant is not noise, and is not divided.
+        // A constant is not noise and is not divided.
         let weights = deviation.iter().map(|own| 1.0 / (own * own));
         let (sum, all) = self.rest.iter().zip(weights).fold((0.0, 0.0), |(sum, all), (x, w)| (sum + w * x, all + w));
         let mean = sum / all;

@@ -14,19 +14,19 @@ pub enum DiagnosisError {
     /// The rates differ.
     #[error("the recording has {found_hz} Hz and the simulator {expected_hz} Hz: give two of one rate, within 0.05 %")]
     Rate {
-        /// The recording's.
+        /// The recording's rate.
         found_hz: f64,
-        /// The model's.
+        /// The model's rate.
         expected_hz: f64,
     },
     /// Too few samples.
     #[error("the recording has {found} samples; at least {least} are needed ({least_s} s at its rate)")]
     TooShort {
-        /// Those there are.
+        /// The number of samples in the recording.
         found: usize,
-        /// Those it takes.
+        /// The minimum number of samples.
         least: usize,
-        /// In s.
+        /// The minimum duration, s.
         least_s: f64,
     },
     /// A channel does not move.
@@ -42,9 +42,9 @@ pub enum DiagnosisError {
     NotFinite {
         /// The channel.
         channel: String,
-        /// What stands there.
+        /// The value.
         value: f64,
-        /// Where, from 0.
+        /// The sample's index, from 0.
         index: usize,
     },
     /// A channel is at its limit for most of the time.
@@ -54,7 +54,7 @@ pub enum DiagnosisError {
         channel: String,
         /// The limit.
         value: f64,
-        /// How often.
+        /// The share of samples at the limit.
         share_percent: f64,
     },
     /// Columns of different lengths.
@@ -62,20 +62,20 @@ pub enum DiagnosisError {
     Lengths {
         /// The channel.
         channel: String,
-        /// Its samples.
+        /// The number of samples of the channel.
         found: usize,
-        /// The others'.
+        /// The number of samples of the other channels.
         expected: usize,
     },
-    /// No triad of the model is one that a motion drives.
+    /// A motion drives no triad of the model.
     #[error("the model has neither all of gyro x, y, z nor all of accel x, y, z; a motion drives no other channels")]
     NotDriven,
-    /// Recording and reference have too little in common.
+    /// Recording and reference overlap too little.
     #[error("recording and reference have {common} samples in common; at least {least} are needed")]
     Reference {
-        /// Those that both have.
+        /// The number of common samples.
         common: usize,
-        /// Those it takes.
+        /// The minimum number of common samples.
         least: usize,
     },
     /// The reference is far longer than the recording.
@@ -84,15 +84,15 @@ pub enum DiagnosisError {
          searched: is `time_s` in seconds? Else cut it"
     )]
     ReferenceLong {
-        /// The reference's length.
+        /// The duration of the reference.
         found_s: f64,
-        /// The recording's.
+        /// The duration of the recording.
         record_s: f64,
     },
-    /// A triad's answer cannot be fitted.
+    /// A triad's response cannot be fitted.
     #[error("the answer to the motion cannot be fitted: {0}")]
     Response(#[from] super::response::ResponseError),
-    /// The caller that works on it left a channel out, because the result is no longer wanted.
+    /// The caller's worker left a channel out, because the result is no longer wanted.
     #[error("the diagnosis was called off")]
     CalledOff,
     /// The model cannot be simulated at this rate.

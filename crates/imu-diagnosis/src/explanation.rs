@@ -16,11 +16,11 @@ pub struct Sine {
 }
 
 impl Sine {
-    /// Peak.
+    /// Returns the peak of the sine.
     pub fn amplitude(&self) -> f64 {
         self.quadratures[0].hypot(self.quadratures[1])
     }
-    /// Gives it another peak, at its phase.
+    /// Changes the peak and keeps the phase.
     pub(super) fn rescale(&mut self, peak: f64) {
         let own = self.amplitude();
         self.quadratures = if own > 0.0 { self.quadratures.map(|value| value * peak / own) } else { [peak, 0.0] };
@@ -32,18 +32,18 @@ impl Sine {
     }
 }
 
-/// Whether a sine alternates from sample to sample, as far as a record can resolve. Such a sine has no phase.
+/// Returns whether a sine alternates from sample to sample, as far as a record can resolve. Such a sine has no phase.
 pub(super) fn alternates(cycles: f64, samples: usize) -> bool {
     const NEAR: f64 = 0.25;
     (0.5 - cycles) * (samples as f64) < NEAR
 }
 
-/// The factor by which a sum of products with a cosine or a sine is multiplied.
+/// Returns the factor by which a sum of products with a cosine or a sine is multiplied.
 pub(super) fn per_product(cycles: f64, samples: usize) -> f64 {
     if alternates(cycles, samples) { 1.0 / samples as f64 } else { 2.0 / samples as f64 }
 }
 
-/// Calls with cosine and sine of 2π·cycles·t for each t. The rotation is reset often enough to be exact.
+/// Calls `each` with cosine and sine of 2π·cycles·t for each t. The rotation is reset often enough to be exact.
 pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f64, f64)) {
     const RUN: usize = 256;
     let (step_sine, step_cosine) = (std::f64::consts::TAU * cycles).sin_cos();
@@ -68,17 +68,17 @@ pub struct Loud {
     pub from: usize,
     /// One past the last.
     pub to: usize,
-    /// On the variance.
+    /// Factor on the variance.
     pub ratio: f64,
 }
 
 impl Loud {
-    /// Nats that its own variance gives over the rest's.
+    /// Returns the nats that the stretch's own variance gains over the variance of the rest.
     pub(super) fn gain(&self) -> f64 {
         0.5 * (self.to - self.from) as f64 * (self.ratio - 1.0 - self.ratio.ln())
     }
-    /// Whether it is a change of variance for a while, rather than a burst: long, or quiet. `bursts`: the intervals of the
-    /// model's bursts, of any length.
+    /// Returns whether this is a change of variance for a while, not a burst: long, or quiet. `bursts` are the
+    /// intervals of the model's bursts, of any length.
     pub fn is_interval(&self, samples: usize, bursts: &[Range<usize>]) -> bool {
         let length = self.to - self.from;
         let common = |of: &Range<usize>| of.end.min(self.to).saturating_sub(of.start.max(self.from));
@@ -90,15 +90,15 @@ impl Loud {
 /// Spikes of a series.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpikeLaw {
-    /// Chance that a sample is one.
+    /// Chance that a sample is a spike.
     pub rate: f64,
     /// Typical size, in the series' scale.
     pub size: f64,
-    /// Variance of a residual that is one.
+    /// Variance of the residual at a spike.
     pub variance: f64,
     /// Standard error of the size, as a part of it.
     pub relative_error: f64,
-    /// Samples that each spoils.
+    /// Samples that each spike spoils.
     pub samples: usize,
 }
 
@@ -117,7 +117,7 @@ pub enum Scedasticity {
 pub struct Explanation {
     /// The spectrum.
     pub law: Law,
-    /// The model's own spectral effects that differ from its statement: their places in its list.
+    /// The places in the model's list of its own spectral effects that differ from its statement.
     pub without: BTreeSet<usize>,
     /// Courses of the level and their factors.
     pub courses: Vec<(Course, f64)>,
@@ -138,7 +138,7 @@ pub struct Explanation {
 }
 
 impl Explanation {
-    /// Whether both explanations have the same effects, apart from their numbers.
+    /// Returns whether both explanations have the same effects, apart from their numbers.
     pub fn adds_nothing_to(&self, other: &Self) -> bool {
         let counts = |of: &Self| (of.courses.len(), of.sines.len(), of.law.terms.len(), of.loud.len());
         let variance = |of: &Self| of.loud.iter().map(|loud| (loud.from, loud.to)).collect::<Vec<_>>();
@@ -159,8 +159,8 @@ impl Explanation {
         self.outliers.dedup();
     }
 
-    /// The outliers of a record of `samples`, in order, and its first and last samples as far as filters reach. A filter begins
-    /// from an unknown state, and the transform reflects samples that do not exist.
+    /// Returns the outliers of a record of `samples`, in order, and its first and last samples as far as filters reach.
+    /// A filter begins from an unknown state, and the transform reflects samples that do not exist.
     pub fn left_out(&self, samples: usize, reach: usize) -> Cow<'_, [usize]> {
         let reach = reach.min(samples);
         if reach == 0 {
@@ -173,7 +173,7 @@ impl Explanation {
         Cow::Owned(places)
     }
 
-    /// Noise alone.
+    /// Creates an explanation of noise alone.
     pub fn noise(law: Law) -> Self {
         Self {
             law,
@@ -190,7 +190,7 @@ impl Explanation {
     }
 }
 
-/// A profile's value at sample t of n, straight between its instants.
+/// Returns a profile's value at sample t of n, by linear interpolation between its instants.
 pub(super) fn profile(values: &[f64], t: usize, n: usize) -> f64 {
     let Some(last) = values.len().checked_sub(1).filter(|last| *last > 0) else {
         return values.first().copied().unwrap_or_default();

@@ -1,4 +1,5 @@
-//! Facts: properties that the values show without inference: a step that all are multiples of, limits, repeats, stamps.
+//! Facts: properties that the values show without inference: a step that all values are multiples of, limits, repeats
+//! and stamps.
 
 use super::oddities::{self, Oddity};
 
@@ -7,21 +8,21 @@ use super::oddities::{self, Oddity};
 pub struct Facts {
     /// The step that the values are multiples of.
     pub step: Option<f64>,
-    /// The least value, where the channel was cut off there.
+    /// The least value, if the channel was cut off there.
     pub low: Option<f64>,
-    /// The greatest.
+    /// The greatest value, if the channel was cut off there.
     pub high: Option<f64>,
-    /// Nats by which one value is met more often than chance would make it.
+    /// Nats by which one value is more frequent than by chance.
     pub atom: f64,
 }
 
-/// The facts of a channel's values (finite, those that are there).
+/// Returns the facts of a channel's values (finite, without missing samples).
 pub fn of(values: &[f64]) -> Facts {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
     let (Some(first), Some(last)) = (sorted.first().copied(), sorted.last().copied()) else { return Facts::default() };
     let rounding = 8.0 * f64::EPSILON * first.abs().max(last.abs());
-    // Values and how often each is there.
+    // Values and their counts.
     let mut counted: Vec<(f64, usize)> = Vec::new();
     for value in sorted {
         match counted.last_mut() {
@@ -31,7 +32,7 @@ pub fn of(values: &[f64]) -> Facts {
     }
     let step = step(&counted, values.len());
     let limited = |extreme: f64| {
-        // Apart from one another: a value that is held is one.
+        // Counts separate occurrences: a value that is held counts once.
         let mut runs = 0;
         let mut inside = false;
         for value in values {
@@ -68,8 +69,8 @@ pub fn of(values: &[f64]) -> Facts {
     Facts { step, low, high, atom: atom(&free) }
 }
 
-/// How often the most frequent value is met beyond the fifth most frequent, runs counted once: half of a square, which is the
-/// nats of a normal chance. `values` without those at a limit.
+/// Returns by how much the most frequent value exceeds the fifth most frequent, with runs counted once: half of a
+/// square, which is the nats of a normal chance. `values` excludes those at a limit.
 fn atom(values: &[f64]) -> f64 {
     const FIFTH: usize = 5;
     const FEWEST: f64 = 6.0;
@@ -87,16 +88,17 @@ fn atom(values: &[f64]) -> f64 {
     if most >= FEWEST && z > 0.0 { 0.5 * z * z } else { 0.0 }
 }
 
-/// The step: a distance that nearly all distances of neighbouring values are whole multiples of.
+/// Returns the step: a distance that nearly all distances of neighbouring values are multiples of.
 fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
-    /// Values that were seen before, at least: else the step is far below the noise.
+    /// Minimum share of values that were seen before; otherwise the step is far below the noise.
     const REPEATED: f64 = 0.2;
-    /// How far from whole a multiple may be, and how many may be farther: limits and spikes need not lie on the lattice.
+    /// How far from whole a multiple may be, and what share may be farther: limits and spikes need not lie on the
+    /// lattice.
     const WHOLE: f64 = 0.03;
     const ASTRAY: f64 = 0.02;
     const COMMON: usize = 3;
     if let [one, other] = counted {
-        // A step of which two values are seen is so wide that both are common.
+        // If only two values are seen, the step is so wide that both are common.
         return (one.1.min(other.1) >= COMMON).then_some(other.0 - one.0);
     }
     if counted.len() < 3 || counted.len() as f64 > (1.0 - REPEATED) * samples as f64 {
@@ -116,7 +118,7 @@ fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
     let (mut best, mut astray_of_best) = (None, f64::INFINITY);
     for part in 1..=6 {
         let mut step = smallest / f64::from(part);
-        // Ever longer distances make it ever more exact.
+        // Increasing distances make the step increasingly exact.
         for _ in 0..3 {
             let (mut length, mut count) = (0.0, 0.0);
             for (distance, weight) in &distances {
@@ -142,24 +144,24 @@ fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
     best.filter(|_| astray_of_best <= allowed)
 }
 
-/// Samples that are the ones before them again.
+/// Samples that repeat the ones before them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Repeats {
-    /// Which.
+    /// The places of the repeats.
     pub places: Vec<usize>,
-    /// How many chance would make.
+    /// The number of repeats expected by chance.
     pub expected: f64,
-    /// Nats that repeats explain, 0 if they are chance's.
+    /// Nats that repeats explain; 0 if the repeats are due to chance.
     pub gain: f64,
 }
 
-/// The repeats of channels that repeat together; `columns` of one length, those of one triad.
+/// Returns the repeats of channels that repeat together. `columns` have one length and belong to one triad.
 pub fn repeats(columns: &[&[f64]]) -> Repeats {
     let n = columns.iter().map(|column| column.len()).min().unwrap_or_default();
     if n < 3 || columns.is_empty() {
         return Repeats::default();
     }
-    // A value at an extreme may have been cut off there: that it comes again is the limit's doing.
+    // A value at an extreme may have been cut off there: the limit then causes its repeats.
     let ends: Vec<[f64; 2]> = columns
         .iter()
         .map(|column| column[..n].iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]))
@@ -179,7 +181,7 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
             [all, together * equal.iter().product::<f64>()].map(|chance| chance * (n - 1) as f64)
         }
     };
-    // Fewer than one expected is counted as a part of one, so that a single repeat is no proof.
+    // Fewer than one expected repeat counts as a fraction, so that a single repeat is no proof.
     let gain_over = |expected: f64| {
         let floor = expected.max(1e-3);
         if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 }
@@ -188,15 +190,16 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     Repeats { places, expected, gain }
 }
 
-/// How often chance makes all channels equal their last samples, given how often they are equal (`all`, `each`): a sample that is
-/// sent again is equal in all channels at once.
+/// Returns how often all channels equal their last samples by chance, given how often they are equal (`all`, `each`). A
+/// sample that is sent again is equal in all channels at once.
 fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
     const ROUNDS: usize = 60;
     let by_chance = |again: f64| {
         let alone: f64 = each.iter().map(|own| ((own - again) / (1.0 - again).max(1e-9)).max(0.0)).product();
         (together * alone).min(all)
     };
-    // The part sent again that leaves itself, by halves: coarse values are equal so often that it would settle slowly.
+    // Bisects for the consistent part of samples sent again: coarse values are equal so often that iteration would
+    // settle slowly.
     let (mut low, mut high) = (0.0, all);
     for _ in 0..ROUNDS {
         let again = 0.5 * (low + high);
@@ -207,14 +210,14 @@ fn jointly(all: f64, each: &[f64], together: f64) -> f64 {
     (1.0 - again) * by_chance(again)
 }
 
-/// Distances, in samples: farther than a value is held, near enough that the level is the same.
+/// Distances, in samples: farther than a value is held, but so near that the level is the same.
 const APART: std::ops::Range<usize> = 20..28;
 
-/// The ratio of how often all channels together equal their values some samples ago to how often they would if they were
-/// independent. It is above 1 for coarse values that share noise, or that are loud and quiet together. Samples that are sent
-/// again do not raise it.
+/// Returns the ratio of how often all channels together equal their values some samples ago to how often they would if
+/// they were independent. It is above 1 for coarse values that share noise, or that are loud and quiet together.
+/// Samples that are sent again do not raise it.
 fn together(columns: &[&[f64]], n: usize) -> f64 {
-    /// Fewer samples carry no information.
+    /// With fewer samples, the ratio carries no information.
     const LEAST: f64 = 200.0;
     let (mut both, mut alone) = (0.0, 0.0);
     for apart in APART.filter(|apart| *apart < n) {
@@ -227,8 +230,8 @@ fn together(columns: &[&[f64]], n: usize) -> f64 {
     if both < LEAST { 1.0 } else { (both / alone).max(1.0) }
 }
 
-/// The chance that a rounded value is the one before it again: from how often neighbours differ by one step and by two, as a
-/// normal distribution of the differences has it.
+/// Returns the chance that a rounded value repeats the one before it. It follows from how often neighbours differ by
+/// one step and by two, for normally distributed differences.
 fn chance(column: &[f64]) -> f64 {
     let distances: Vec<f64> = column.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
     let equal = distances.iter().filter(|d| **d == 0.0).count() as f64;
@@ -236,7 +239,8 @@ fn chance(column: &[f64]) -> f64 {
         return 0.0;
     }
     let Some(step) = of(column).step else {
-        // Values of many digits are never equal by chance; those of coarse floats now and then, two samples apart as well.
+        // Values of many digits are never equal by chance. Values of coarse floats sometimes are, also two samples
+        // apart.
         let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
         return (apart / column.len() as f64).min(equal / column.len() as f64);
     };
@@ -246,8 +250,8 @@ fn chance(column: &[f64]) -> f64 {
         let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
         return apart / column.len() as f64;
     }
-    // ln of the counts is a − b·multiple². For coarse values this does not hold: they are equally often what they were
-    // some samples ago.
+    // ln of the counts is a − b·multiple². This does not hold for coarse values, which equal their values some samples
+    // ago equally often.
     let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
     let apart = APART.filter(|apart| *apart < column.len());
     let again = |apart: usize| {
@@ -269,8 +273,8 @@ pub struct Stamps {
     pub(super) wanders: Option<Oddity>,
 }
 
-/// By how much stamps of samples at the given places of a grid are late against the straight line through them, s, and the line's
-/// period, s; `None` for fewer than 16.
+/// Returns the lateness of stamps of samples at the given places of a grid relative to the straight line through them,
+/// s, and the line's period, s; `None` for fewer than 16.
 fn off_line(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<(Vec<f64>, f64)> {
     let pairs: Vec<(f64, f64)> = places.map(|place| place as f64).zip(time_s.iter().copied()).collect();
     if pairs.len() < 16 {
@@ -288,11 +292,11 @@ fn off_line(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<(Vec<
         .then(|| (pairs.iter().map(|(p, t)| t - time - period * (p - place)).collect(), period))
 }
 
-/// The stamps of samples at the given places of a grid; `None` for fewer than 16.
+/// Returns the stamps of samples at the given places of a grid; `None` for fewer than 16.
 pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Stamps> {
-    /// Stretches of a record in each of which a wandering clock is about as late as at their middle.
+    /// Stretches of a record; within each, a wandering clock's lateness is about constant.
     const STRETCHES: usize = 64;
-    /// Part of a period.
+    /// Maximum jitter as a part of a period.
     const SURE: f64 = 0.15;
     let (off_s, period_s) = off_line(time_s, places)?;
     let size = (off_s.len() / STRETCHES).max(16);
@@ -304,12 +308,12 @@ pub fn stamps(time_s: &[f64], places: impl Iterator<Item = usize>) -> Option<Sta
     }
     let variance = square / free - digits_s(time_s).powi(2) / 12.0;
     let jitter_s = variance.max(0.0).sqrt();
-    // Stamps that scatter by as much are put on the wrong instants of the grid now and then.
+    // Stamps that scatter by this much are sometimes put on the wrong instants of the grid.
     let wanders = oddities::of_clock(&off_s, period_s).filter(|_| jitter_s < SURE * period_s);
     Some(Stamps { jitter_s, rate_hz: 1.0 / period_s, wanders })
 }
 
-/// The power of ten, s, that all stamps are multiples of, counted from the first; 0 below 1e-7.
+/// Returns the power of ten, s, of which all stamps are multiples, counted from the first; 0 below 1e-7.
 fn digits_s(time_s: &[f64]) -> f64 {
     const WHOLE: f64 = 1e-3;
     let first = time_s.first().copied().unwrap_or_default();
@@ -360,14 +364,14 @@ mod tests {
 
     #[test]
     fn a_few_equal_extremes_of_rounded_values_are_chance() {
-        // Ten at the extreme, four beside them, sixteen next to those, as a fall by about a half each may well show.
+        // Ten values at the extreme, four beside them, sixteen next to those: a fall by about half each may show this.
         let counts = [10, 4, 16, 40, 70, 120, 200, 320, 500, 760];
         let mut values: Vec<f64> = Vec::new();
         for (place, count) in counts.into_iter().enumerate() {
             let value = 1.0 - 0.25 * place as f64;
             values.extend((0..count).map(|_| value));
         }
-        // One after the other in another order, so that none is held.
+        // Reorders the values, so that none is held.
         let count = values.len();
         let mixed: Vec<f64> = (0..count).map(|at| values[at * 1009 % count]).collect();
         assert_eq!(of(&mixed).high, None);
@@ -385,7 +389,7 @@ mod tests {
         let by_chance = of_all(&columns);
         assert!(by_chance.gain < 6.0 && !by_chance.places.is_empty(), "{}", by_chance.gain);
         assert!(of_all(&columns[..1]).gain < 6.0, "{}", of_all(&columns[..1]).gain);
-        // Coarse values that share noise repeat together more often than by themselves.
+        // Coarse values that share noise repeat together more often than independent ones.
         let source = noise(10, 200_000);
         let shared = |seed: u64| -> Vec<f64> {
             noise(seed, 200_000).iter().zip(&source).map(|(own, all)| ((own + all) / 1.5).round() * 1.5).collect()
@@ -416,7 +420,7 @@ mod tests {
         let found = stamps(&time_s, 0..5000).unwrap();
         assert!((found.jitter_s / 0.001 - 1.0).abs() < 0.05 && (found.rate_hz / 40.0 - 1.0).abs() < 1e-6, "{found:?}");
         assert_eq!(stamps(&time_s[..10], 0..10), None);
-        // Whole milliseconds of even steps that are none are no jitter, beside it they are not added to it.
+        // Whole milliseconds of unevenly rounded even steps are no jitter; with jitter they are not added to it.
         let whole = |time_s: f64| (1e3 * time_s).round() / 1e3;
         let even: Vec<f64> = (0..5000).map(|i| whole(i as f64 / 60.0)).collect();
         assert!(stamps(&even, 0..5000).unwrap().jitter_s < 5e-5);

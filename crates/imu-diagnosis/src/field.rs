@@ -1,28 +1,28 @@
 //! Field: stretches of a record in which a magnet or iron was near the magnetometer.
 //!
-//! The earth's field keeps its magnitude whichever way the sensor points; what a magnetometer's own hard and soft iron make of it
-//! follows the pose by some percent. A magnitude far outside the range of the rest of the record comes from the surroundings, and
-//! is not an effect of the sensor that a simulator could have.
+//! The magnitude of the earth's field is the same in every pose of the sensor. A magnetometer's own hard and soft iron
+//! change the measured magnitude by some percent, depending on the pose. A magnitude far outside the range of the rest
+//! of the record comes from the surroundings; it is not an effect of the sensor that a simulator could have.
 
 use super::recording::Recording;
 use imu_core::sample::Triad;
 
-/// Length of the parts that are looked at, s.
+/// Length of the examined parts, s.
 const PART_S: f64 = 0.5;
-/// Parts at least.
+/// Minimum number of parts.
 const LEAST: usize = 20;
-/// Deviation from the middle that is a disturbance: in median deviations of the parts (as standard deviations), and in parts of
-/// the middle.
+/// Deviation from the middle that is a disturbance: in median deviations of the parts (as standard deviations), and as
+/// a part of the middle.
 const FAR: [f64; 2] = [8.0, 0.15];
-/// Parts that a disturbance may swing back for and be the same.
+/// A disturbance may swing back for this many parts and still be the same one.
 const BETWEEN: usize = 4;
-/// A median of deviations as a standard deviation of a normal distribution.
+/// Ratio of a normal distribution's standard deviation to its median deviation.
 const AS_DEVIATION: f64 = 1.4826;
 
 /// A stretch with a disturbed field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbed {
-    /// Begin, s after the record's first sample.
+    /// Start, s after the record's first sample.
     pub from_s: f64,
     /// End, s.
     pub to_s: f64,
@@ -35,7 +35,7 @@ pub struct Disturbed {
 }
 
 impl Disturbed {
-    /// The sentence of a report.
+    /// Returns the sentence for a report.
     pub fn told(&self) -> String {
         format!(
             "the magnetic field is disturbed from {:.1} s to {:.1} s (a magnet or iron nearby): its magnitude reaches {:.3} \
@@ -45,7 +45,7 @@ impl Disturbed {
     }
 }
 
-/// The disturbed stretches of a record with a magnetometer, in order.
+/// Returns the disturbed stretches of a record with a magnetometer, in order.
 ///
 /// # Validation
 /// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) this finds the two passes of the magnet, and nothing in 01,
@@ -121,7 +121,7 @@ mod tests {
     fn a_magnets_pass_is_found_and_a_turn_with_hard_iron_is_none() {
         let turned = |t: usize| {
             let (sin, cos) = (0.002 * t as f64).sin_cos();
-            // Hard iron of a twentieth, and noise that is none.
+            // Hard iron of a twentieth, and deterministic values in place of noise.
             [0.45 * cos + 0.02, 0.45 * sin, 0.02 * ((t * 7919) % 13) as f64 / 13.0]
         };
         assert_eq!(disturbed(&record(turned)), []);

@@ -5,18 +5,19 @@ use super::preconditioner::Preconditioner;
 use super::series::Series;
 use imu_model::effects::{Stream, StreamId};
 
-/// Random streams of what is filled in: one a purpose, so that no two look alike.
+/// Random streams of the filled-in values: one per purpose, so that no two are alike.
 const SIMPLE: u16 = 0;
 const DRAWN: u16 = 3;
 
-/// `owner`: the channel's, so that the values that are filled in at the same places of several channels differ.
+/// Returns a random stream. `owner` identifies the channel, so that values filled in at the same places of several
+/// channels differ.
 pub(super) fn stream(samples: usize, owner: u32, effect: u16) -> Stream {
     Stream::new(samples as u64, StreamId { owner, effect, instance: 0 })
 }
 
 impl Series<'_> {
-    /// The samples that are not noise, in order: those that are left out, and stretches that are much louder than the
-    /// rest.
+    /// Returns the samples that are not noise, in order: those that are left out, and stretches that are much louder
+    /// than the rest.
     pub(super) fn excluded(&self) -> Vec<usize> {
         let mut places = self.explanation.left_out(self.len(), self.reach()).into_owned();
         for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
@@ -35,9 +36,11 @@ impl Series<'_> {
     /// ([`Preconditioner`]). Samples at a limit are known to lie beyond it: they are drawn once more from there.
     pub(super) fn interpolate(&mut self) {
         const ROUNDS: usize = 200;
-        /// Samples that all rounds together transform: of a long record with a steep filter not all that it could do.
+        /// The number of samples that all rounds together may transform. For a long record with a steep filter, this
+        /// ends the rounds early.
         const WORK: usize = 60_000_000;
-        /// Nats that a round has to give, of so many in a row one: behind a filter the matrix's eigenvalues are far apart.
+        /// Rounds end if none of this many in a row gains this many nats: behind a filter the matrix's eigenvalues are
+        /// far apart.
         const ENOUGH: f64 = 1e-3;
         const IN_A_ROW: usize = 4;
         /// If a record has more excluded samples than this part, too little is left to determine its noise.
@@ -59,7 +62,7 @@ impl Series<'_> {
         }
         let kernel = self.kernel(n);
         let near = Preconditioner::of(&kernel, &places, n);
-        // With the whole matrix factored, a round gives half the square but for rounding.
+        // If the whole matrix was factored, a round gains half the square, apart from rounding.
         let is_known = near.as_ref().is_some_and(|near| near.is_whole);
         let nearly = |residual: &[f64]| near.as_ref().map_or_else(|| residual.to_vec(), |near| near.solve(residual));
         let mut precision = |values: &[f64]| -> Vec<f64> {
@@ -104,7 +107,7 @@ impl Series<'_> {
         self.centre();
     }
 
-    /// A course between the neighbours.
+    /// Returns a course between the neighbours.
     fn simple_guess(&self, values: &[f64], places: &[usize]) -> Vec<f64> {
         let mut filled = values.to_vec();
         fill_in(&mut filled, places, 0.0, self.setting().owner);
@@ -112,8 +115,8 @@ impl Series<'_> {
     }
 }
 
-/// Replaces samples (in order) by the course between their neighbours and white noise: a gap that is filled without noise
-/// looks like a filter.
+/// Replaces samples (in order) by a course between their neighbours plus white noise: a gap that is filled without
+/// noise looks like a filter.
 pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64, owner: u32) {
     const NEAR: usize = 8;
     let n = values.len();

@@ -1,7 +1,7 @@
-//! The grid: frequencies of a transformed record in bins, narrow where a spectrum may be narrow.
+//! The grid: frequencies of a transformed record in bins that are narrow where a spectrum may be narrow.
 
-/// Coefficients 1 to n − 1 of a record of n samples, in bins: the first ones each for itself, then bins of a constant ratio
-/// that are nowhere wider than a 320th of the band, and finer ones around lines.
+/// Coefficients 1 to n − 1 of a record of n samples, in bins: single coefficients first, then bins of a constant ratio,
+/// at most a 320th of the band wide, with finer bins around lines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     samples: usize,
@@ -15,29 +15,29 @@ pub struct Grid {
 /// A line that the grid has to resolve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Narrow {
-    /// Its centre, Hz.
+    /// The line's centre, Hz.
     pub frequency_hz: f64,
-    /// Its full width, Hz.
+    /// The line's full width, Hz.
     pub width_hz: f64,
 }
 
 impl Grid {
-    /// Coefficients that have a separate bin each.
+    /// Number of first coefficients with a bin of their own.
     const SINGLE: usize = 256;
-    /// Bins a decade.
+    /// Bins per decade.
     const PER_DECADE: f64 = 28.0;
-    /// Bins over the whole band, at least.
+    /// Minimum number of bins over the whole band.
     const BAND: usize = 320;
-    /// Widths of a line on each side of it with finer bins, and bins in a width.
+    /// Number of line widths on each side of a line with finer bins, and number of bins per width.
     const AROUND: f64 = 25.0;
     const IN_WIDTH: f64 = 5.0;
-    /// Finer bins have at least so many coefficients: a narrower line is a tone.
+    /// Minimum number of coefficients in a finer bin: a narrower line is a tone.
     const LEAST: usize = 4;
-    /// From this coefficient on so many are filled in at a time.
+    /// From this coefficient on, this many are filled in at a time.
     const DENSE: usize = 4096;
     const RUN: usize = 8;
 
-    /// For records of `samples` (at least 2) at `rate_hz`.
+    /// Creates a grid for records of `samples` (at least 2) at `rate_hz`.
     pub fn new(samples: usize, rate_hz: f64, lines: &[Narrow]) -> Self {
         let n = samples.max(2);
         let first = Self::SINGLE.min(n - 1);
@@ -68,32 +68,32 @@ impl Grid {
         Self { samples: n, rate_hz, edges, counts, frequencies_hz }
     }
 
-    /// Samples of the record.
+    /// Returns the number of samples in the record.
     pub fn samples(&self) -> usize {
         self.samples
     }
 
-    /// Samples per second.
+    /// Returns the samples per second.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// Coefficients in each bin.
+    /// Returns the number of coefficients in each bin.
     pub fn counts(&self) -> &[f64] {
         &self.counts
     }
 
-    /// Mean frequency of each bin, Hz.
+    /// Returns the mean frequency of each bin, Hz.
     pub fn frequencies_hz(&self) -> &[f64] {
         &self.frequencies_hz
     }
 
-    /// First coefficient of each bin, and one past the last.
+    /// Returns the first coefficient of each bin, and one past the last.
     pub fn edges(&self) -> &[usize] {
         &self.edges
     }
 
-    /// Mean square of the coefficients in each bin.
+    /// Returns the mean square of the coefficients in each bin.
     pub fn power(&self, coefficients: &[f64]) -> Vec<f64> {
         let mean = |span: &[usize]| {
             let of = coefficients.get(span[0]..span[1]).unwrap_or_default();
@@ -102,13 +102,14 @@ impl Grid {
         self.edges.windows(2).map(mean).collect()
     }
 
-    /// A spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, straight between them in
-    /// both logarithms. The value of the constant is infinite, because a record's mean is unknown.
+    /// Returns a spectrum's value at every coefficient 0 to n − 1 from its logarithms at the bins' frequencies, by
+    /// linear interpolation in both logarithms. The value of the constant is infinite, because a record's mean is
+    /// unknown.
     pub fn fill(&self, logarithms: &[f64]) -> Vec<f64> {
         self.fill_first(logarithms, self.samples)
     }
 
-    /// The same of the first `count` coefficients.
+    /// Returns the values of [`Grid::fill`] at the first `count` coefficients.
     pub fn fill_first(&self, logarithms: &[f64], count: usize) -> Vec<f64> {
         let n = count.min(self.samples);
         let mut values = vec![f64::INFINITY; n];
@@ -135,7 +136,7 @@ impl Grid {
             };
             let whole = k >= Self::DENSE && k + Self::RUN <= n && (k + Self::RUN) as f64 <= to;
             if whole {
-                // Straight in k is near enough to straight in ln k over so few of so many.
+                // Interpolation in k is accurate enough in place of ln k over so small a range.
                 let start = at(k);
                 let step = ((at(k + Self::RUN) - start) / Self::RUN as f64).exp();
                 let mut value = start.exp();

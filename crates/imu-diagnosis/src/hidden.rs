@@ -6,9 +6,10 @@ use super::prices::Prices;
 use super::search::{Step, leave_rises_out, more_tones};
 use super::series::Series;
 
-/// Effects that may look like other effects as long as they are not known, and the kinds that they may look like. A large step
-/// makes a few samples of the residual loud and the rest quiet beside them. Strong lines do that to parts of the spectrum, as
-/// filters do. A few values that are far out look like tails, behind a filter like bursts. Loud stretches look like tails.
+/// Effects that may look like other effects as long as they are not known, with the kinds that they may look like. A
+/// large step makes a few samples of the residual loud and the rest quiet in comparison. Strong lines do that to parts
+/// of the spectrum, as filters do. A few values that are far out look like tails, or behind a filter like bursts. Loud
+/// stretches look like tails.
 const HIDDEN: [(Kind, &[Kind]); 5] = [
     (
         Kind::BiasStep,
@@ -27,8 +28,8 @@ const HIDDEN: [(Kind, &[Kind]); 5] = [
     (Kind::Bursts, &[Kind::HeavyTails]),
 ];
 
-/// The effect that comes before the one that would be chosen, because it takes away the gain of that one; `all` holds the other
-/// candidates.
+/// Returns the effect that takes precedence over the one that would be chosen because it removes that effect's gain.
+/// `all` holds the other candidates.
 pub(super) fn instead(
     series: &Series<'_>,
     prices: &Prices,
@@ -36,9 +37,9 @@ pub(super) fn instead(
     step: &Step,
     all: Vec<Candidate>,
 ) -> Option<(Step, Candidate)> {
-    /// Nats beyond its price from which on an effect is examined.
+    /// An effect that exceeds its price by this many nats is examined.
     const LARGE: f64 = 50.0;
-    /// Part of the gain that is left of an effect whose gain it takes away.
+    /// An effect takes away another's gain if at most this part of that gain remains.
     const LEFT: f64 = 0.5;
     if step.of_model.is_some() {
         return None;
@@ -70,7 +71,7 @@ pub(super) fn instead(
     })
 }
 
-/// Whether the sines but the first `known` ones are a good part of what a series has.
+/// Returns whether the sines other than the first `known` ones are a good part of a series.
 fn is_loud(series: &Series<'_>, known: usize) -> bool {
     const PART: f64 = 0.2;
     let lines: f64 = series.explanation.sines[known..].iter().map(|sine| 0.5 * sine.amplitude().powi(2)).sum();
@@ -78,7 +79,7 @@ fn is_loud(series: &Series<'_>, known: usize) -> bool {
     lines > PART * (lines + rest)
 }
 
-/// Whether one of the steps that a candidate adds moves the level for good.
+/// Returns whether one of the steps that a candidate adds moves the level permanently.
 fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
     let known = series.explanation.courses.len();
     let mut joined = of.explanation.clone();
@@ -89,7 +90,7 @@ fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
     })
 }
 
-/// The gain of a filter, or of an effect on single samples and their variance.
+/// Returns the gain of a filter, or of an effect on single samples and their variance.
 fn gain_of(kind: Kind, series: &Series<'_>) -> f64 {
     let found: Vec<Candidate> = match kind {
         Kind::LowPass => evidence::spectral::low_pass(series).into_iter().collect(),

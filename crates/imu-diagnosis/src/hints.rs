@@ -1,11 +1,12 @@
-//! Hints: differences whose size has a meaning (a unit, the root of the rate, a sign, exchanged axes), and means that differ.
+//! Hints: differences whose size has a meaning (a unit, the root of the rate, a sign, exchanged axes), and differing
+//! means.
 
 use super::diagnose::Found;
 use super::report::{Hint, HintKind, Offset, Parameter};
 use imu_core::sample::{Channel, Triad};
 use imu_model::simulator::SensorModel;
 
-/// How near a ratio has to come to a meaningful one, ln: a model is rarely nearer to its sensor than that.
+/// Maximum distance of a ratio from a meaningful one, ln: a model is rarely nearer to its sensor than that.
 const NEAR: f64 = 0.12;
 
 /// The possible meaning of a ratio of the capture's value over the model's.
@@ -19,7 +20,7 @@ fn unit(ratio: f64, text: &str) -> Meaning {
     Meaning { ratio, kind: HintKind::Unit, text: text.to_owned() }
 }
 
-/// The meanings of a ratio of N on a triad.
+/// Returns the meanings of a ratio of N on a triad.
 fn meanings(triad: Option<Triad>, rate_hz: f64) -> Vec<Meaning> {
     /// Standard gravity, m/s² (CGPM 1901).
     const G: f64 = 9.806_65;
@@ -66,7 +67,7 @@ fn meanings(triad: Option<Triad>, rate_hz: f64) -> Vec<Meaning> {
     all
 }
 
-/// The possible meanings of the sizes of the differences.
+/// Returns the possible meanings of the sizes of the differences.
 pub(super) fn hints(found: &Found, sim: &SensorModel, parameters: &[Parameter], offsets: &[Offset]) -> Vec<Hint> {
     let mut hints = Vec::new();
     let triads = [Triad::Accel, Triad::Gyro, Triad::Mag];
@@ -78,7 +79,7 @@ pub(super) fn hints(found: &Found, sim: &SensorModel, parameters: &[Parameter], 
     hints
 }
 
-/// N of a triad's axes that are all off by the same meaningful ratio.
+/// Returns hints for N of a triad's axes that are all off by the same meaningful ratio.
 fn of_ratios(triad: Triad, found: &Found, sim: &SensorModel, parameters: &[Parameter]) -> Option<Hint> {
     let compared = || found.channels.iter().map(|of| of.prepared.channel).filter(|of| of.triad() == Some(triad));
     let ratio = |channel: Channel| {
@@ -94,9 +95,9 @@ fn of_ratios(triad: Triad, found: &Found, sim: &SensorModel, parameters: &[Param
     Some(Hint { about: format!("{} N", channels.join(", ")), kind: likely.first()?.kind, text: texts.join("; or ") })
 }
 
-/// N of the three axes that are those of the model in another order.
+/// Returns hints for N of three axes that are those of the model in another order.
 fn of_axes(triad: Triad, found: &Found, sim: &SensorModel, parameters: &[Parameter]) -> Option<Hint> {
-    /// How near the capture's have to come to the model's, ln; an axis that is exchanged is farther off by itself.
+    /// Maximum distance of the capture's N from the model's, ln; an exchanged axis is farther off by itself.
     const SAME: f64 = 0.05;
     const ORDERS: [[usize; 3]; 5] = [[1, 0, 2], [2, 1, 0], [0, 2, 1], [1, 2, 0], [2, 0, 1]];
     let channels = triad.channels();
@@ -117,9 +118,9 @@ fn of_axes(triad: Triad, found: &Found, sim: &SensorModel, parameters: &[Paramet
     Some(Hint { about: format!("{} N", triad.name()), kind: HintKind::Axes, text: texts.join(", ") })
 }
 
-/// Means that are the model's with the other sign, or those of another axis.
+/// Returns hints for means that are the model's with the other sign, or those of another axis.
 fn of_signs(triad: Triad, offsets: &[Offset]) -> Vec<Hint> {
-    /// Part of a mean by which it may miss.
+    /// Maximum deviation, as a part of a mean.
     const MISS: f64 = 0.1;
     let own: Vec<&Offset> =
         offsets.iter().filter(|of| triad.channels().iter().any(|channel| channel.name() == of.channel)).collect();
@@ -140,8 +141,8 @@ fn of_signs(triad: Triad, offsets: &[Offset]) -> Vec<Hint> {
     hints
 }
 
-/// Means that differ from those that the model states by more than turn-on bias and, of an accelerometer or a magnetometer, the
-/// pose explain.
+/// Returns means that differ from the model's by more than turn-on bias and, for an accelerometer or a magnetometer,
+/// the pose explain.
 pub(super) fn offsets(found: &Found, sim: &SensorModel) -> Vec<Offset> {
     /// The possible bias of a sensor after it is switched on: 1 °/s and 30 mg, more than the data sheets of industrial sensors
     /// have (VN-100: 5°/h and 0.04 mg in run; BMI088: 1 °/s and 20 mg), and 0.1 gauss for iron beside it.
@@ -162,7 +163,7 @@ pub(super) fn offsets(found: &Found, sim: &SensorModel) -> Vec<Offset> {
         let is_whole = stated.len() == 3;
         let lengths = [length(|of| of.model), length(|of| of.capture)];
         let is_as_long = (lengths[0] - lengths[1]).abs() <= explained.max(0.05 * lengths[0]);
-        // A table is a little out of level, and north may lie in any direction. One axis of gravity is at most as long as
+        // A table is a little out of level, and north may lie in any direction. One axis shows at most the whole of
         // gravity.
         let is_posed = |of: &Offset| match triad {
             Triad::Accel if is_whole => is_as_long && !turned(&stated),
@@ -176,7 +177,7 @@ pub(super) fn offsets(found: &Found, sim: &SensorModel) -> Vec<Offset> {
     offsets
 }
 
-/// Whether a triad's mean points elsewhere by more than a table is out of level.
+/// Returns whether a triad's mean points elsewhere by more than a table may be out of level.
 fn turned(stated: &[Offset]) -> bool {
     /// Cosine of 20°.
     const TABLE: f64 = 0.94;
@@ -223,7 +224,7 @@ mod tests {
 
     #[test]
     fn axes_and_signs_that_are_exchanged_are_recognised() {
-        // The model's axes have N of 1, 2 and 3 parts, the sensor's 3, 2 and 1.
+        // The model's axes have N in the ratio 1 : 2 : 3, the sensor's in the ratio 3 : 2 : 1.
         let mut sensor = model(None);
         let mut declared = model(None);
         for (axis, channel) in CHANNELS.into_iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Holdout: how far the discrepancy shrinks, measured on the half of a record that chose no number.
+//! Holdout: how far the discrepancy shrinks, measured on the half of a record from which no number was fitted.
 
 use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud};
@@ -9,7 +9,7 @@ use statrs::function::gamma::ln_gamma;
 
 /// Blocks of time in which densities are summed, for the bootstrap.
 pub const BLOCKS: usize = 64;
-/// Nats for a sine's phase, which cannot be predicted.
+/// Nats lost by a sine's phase, which cannot be predicted.
 const PHASE: f64 = 4.0;
 
 /// Logarithm of the density of the second half's samples, nats, in [`BLOCKS`] blocks.
@@ -17,20 +17,20 @@ const PHASE: f64 = 4.0;
 pub struct Scores {
     /// Under the declared model.
     pub declared: Vec<f64>,
-    /// With the levels of the first half that were fitted beside the effects, but without the effects.
+    /// With the levels that the first half fitted beside the effects, but without the effects.
     pub parameters: Vec<f64>,
-    /// With all effects that were found; their numbers are from the first half.
+    /// With all effects that were found; with numbers from the first half.
     pub effects: Vec<f64>,
-    /// With all effects that were found; their numbers are from the second half itself. This is a ceiling, too high by
-    /// half a nat per number.
+    /// With all effects that were found; with numbers from the second half itself. This is a ceiling, too high by half
+    /// a nat per number.
     pub ceiling: Vec<f64>,
-    /// How many numbers.
+    /// The number of fitted numbers.
     pub numbers: usize,
-    /// Samples.
+    /// The number of samples.
     pub samples: usize,
 }
 
-/// The halves of a record: the data that all channels share.
+/// The halves of a record: data that all channels share.
 #[derive(Debug)]
 pub struct Halves {
     /// First sample and one past the last.
@@ -40,8 +40,8 @@ pub struct Halves {
 }
 
 impl Halves {
-    /// The halves of a record of `samples`, from its temperature about its mean, and the lag behind which a level follows its
-    /// rate, samples.
+    /// Returns the halves of a record of `samples`. `temperature` is about its mean; `lag` is the lag behind which a
+    /// level follows its rate, samples.
     pub fn new(samples: usize, temperature: Option<&[f64]>, lag: f64) -> Self {
         let middle = samples / 2;
         let ranges = [(0, middle), (middle, samples)];
@@ -62,17 +62,17 @@ pub struct Whole<'a> {
     pub samples: &'a [f64],
     /// The halves.
     pub halves: &'a Halves,
-    /// Spectra.
+    /// The spectra.
     pub base: BaseOf<'a>,
-    /// The model's own effects of the spectrum.
+    /// The model's own spectral effects.
     pub declared: &'a [(usize, Term)],
-    /// Beliefs.
+    /// The priors of the levels.
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
     /// Samples that the model's filters reach.
     pub reach: usize,
-    /// Number of the channel.
+    /// The channel's number.
     pub owner: u32,
     /// The model's own explanation.
     pub known: &'a Explanation,
@@ -80,8 +80,8 @@ pub struct Whole<'a> {
     pub found: &'a Explanation,
 }
 
-/// An explanation's structure on a part of the record from `from` to `to`; its numbers are those of the whole as they apply
-/// there.
+/// Returns the structure of an explanation on the part of the record from `from` to `to`, with the numbers of the whole
+/// as they apply there.
 fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
     let n = to - from;
     let mut part = of.clone();
@@ -118,8 +118,8 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
     part
 }
 
-/// The parts of the density that the whitened residual does not include: spikes, tails, and phases that cannot be
-/// predicted.
+/// Returns the parts of the density that the whitened residual does not include: spikes, tails, and phases that cannot
+/// be predicted.
 fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carried: usize) -> f64 {
     let explanation = &series.explanation;
     let n = series.len() as f64;
@@ -144,7 +144,7 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
     }
     if let Some(spikes) = explanation.spikes {
         let flagged = explanation.outliers.len().saturating_sub(carried) as f64 / spikes.samples.max(1) as f64;
-        // Each costs its place and has the wide density; the value that stands for it was counted as noise.
+        // Each spike costs its place and has the wide density; the value that stands for it was counted as noise.
         let (rate, variance) = (spikes.rate.clamp(1e-9, 0.5), spikes.variance);
         sum += flagged * (rate.ln() - 0.5 * variance.ln()) + (n - flagged) * (-rate).ln_1p();
     }

@@ -1,4 +1,4 @@
-//! Intervals: 95 % intervals of what is found hold the truth about as often as they state, parameter by parameter.
+//! Intervals: 95 % intervals of found effects hold the truth about as often as stated, for each parameter.
 
 use super::round_trip::{model, recording};
 use super::{Options, diagnose};
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 const SAMPLES: usize = 32_000;
 const CHANNELS: [&str; 2] = ["accel_x", "accel_z"];
 
-/// Effects at sizes that are found, and far larger ones.
+/// Returns effects at sizes that are found, and far larger ones.
 fn cases() -> Vec<Value> {
     let mut all = Vec::new();
     for larger in [1.0, 12.0] {
@@ -54,8 +54,8 @@ fn intervals_hold_the_truth_about_as_often_as_they_state() {
                 for (name, ends) in
                     cause.uncertainty.get(channel).into_iter().flat_map(|of| of[0].as_object().cloned()).flatten()
                 {
-                    // A size may be stated with the other sign for all channels of a source; where a temperature's effect
-                    // vanishes is free.
+                    // A size may be stated with the other sign for all channels of a source; the temperature at which
+                    // an effect vanishes is free.
                     let truth = effect[&name].as_f64().filter(|_| name != "reference_c");
                     let Some((truth, (low, high))) = truth.zip(ends[0].as_f64().zip(ends[1].as_f64())) else {
                         continue;
@@ -73,7 +73,7 @@ fn intervals_hold_the_truth_about_as_often_as_they_state() {
     }
     let (inside, all) = held.values().fold((0, 0), |(a, b), [c, d]| (a + c, b + d));
     assert!(all > 400 && inside * 100 >= 92 * all, "{inside} of {all}: {held:#?}\n{out:#?}");
-    // 95 % of some dozen, less what chance makes of 30 rows.
+    // 95 % of some dozen rows, less the variation that chance gives to 30 rows.
     let bad: Vec<_> = held.iter().filter(|(_, [inside, all])| *inside * 100 < 78 * all).collect();
     assert!(bad.is_empty(), "{inside} of {all}: {bad:#?}\n{out:#?}");
 }

@@ -1,4 +1,4 @@
-//! The law: the spectrum of a channel under a model, and its parameters at the likelihood's maximum.
+//! The law: the spectrum of a channel under a model, with its parameters at the maximum of the likelihood.
 //!
 //! All quantities here are in the channel's own scale and per sample: power is U²·rate of a two-sided density, and U is a unit in
 //! which the white part is about 1.
@@ -7,18 +7,18 @@ use super::grid::{Grid, Narrow};
 use imu_model::effects::{Effect, EffectKind, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
 use nalgebra::{DMatrix, DVector};
 
-/// An effect that shapes a spectrum, as far as it is not a number that a fit may move.
+/// An effect that shapes a spectrum, without the numbers that a fit may change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// ln Q² (per sample).
     QuantizationNoise,
     /// ln σ², ln Tc/s.
     GaussMarkov,
-    /// ln σ², frequency/Hz, ln bandwidth/Hz; asymmetry over the most that is possible, where it is not 0.
+    /// ln σ², frequency/Hz, ln bandwidth/Hz; asymmetry over the largest possible one, if it is not 0.
     Resonance,
     /// ln cutoff/Hz, ln of the white noise after it over the white noise before it.
     LowPass(u64),
-    /// ln of the white noise after it over that before it.
+    /// ln of the white noise after it over the white noise before it.
     MovingAverage(u64),
     /// A density that falls as a power of the frequency: ln of it (per sample) at [`Shape::MIDDLE`] of the rate, exponent; which
     /// of [`Shape::SLOPES`].
@@ -28,12 +28,12 @@ pub enum Shape {
 impl Shape {
     /// Exponents between those of white noise, flicker and random walk, and beyond.
     pub const SLOPES: [(f64, f64); 3] = [(0.3, 0.8), (1.25, 1.75), (2.2, 3.5)];
-    /// Exponents that noise of a power law may have. At the ends of the searched range, the cause is another effect, mostly a
-    /// drift.
+    /// Exponents that noise of a power law may have. At the ends of the searched range, the cause is another effect,
+    /// usually a drift.
     pub(super) const POWER_LAW: std::ops::Range<f64> = 0.31..2.49;
-    /// How many numbers a narrow band has that is symmetric.
+    /// How many numbers a symmetric narrow band has.
     pub(super) const SYMMETRIC: usize = 3;
-    /// Nats that an asymmetry has to give.
+    /// Nats that an asymmetry has to gain.
     pub(super) const LEANING: f64 = 4.0;
     /// The frequency at which a slope's density is given, over the rate.
     pub(super) const MIDDLE: f64 = 0.01;
@@ -49,7 +49,7 @@ pub struct Term {
 }
 
 impl Term {
-    /// The term of a spectral effect of a model; none of what shapes no spectrum.
+    /// Returns the term of a spectral effect of a model; `None` if the effect shapes no spectrum.
     ///
     /// `scale`: U per unit of the series; `white`: N of the channel, U/√Hz.
     pub(super) fn of(effect: &dyn Effect, scale: f64, white: f64, rate_hz: f64) -> Option<Self> {
@@ -83,12 +83,12 @@ impl Term {
         Some(Self { shape, numbers })
     }
 
-    /// The frequencies at which its spectrum is narrow.
+    /// Returns the frequencies at which the term's spectrum is narrow.
     pub(super) fn narrow(&self, rate_hz: f64) -> Vec<Narrow> {
         const NOTCH: f64 = 1e-3;
         match self.shape {
             Shape::Resonance => vec![Narrow { frequency_hz: self.at(1), width_hz: self.at(2).exp() }],
-            // A boxcar's spectrum is narrow where it has none.
+            // A boxcar's spectrum is narrow at its notches.
             Shape::MovingAverage(window) => (1..=window / 2)
                 .map(|order| Narrow { frequency_hz: order as f64 * rate_hz / window as f64, width_hz: NOTCH * rate_hz })
                 .collect(),
@@ -105,7 +105,8 @@ impl Term {
         self.numbers.get(index).copied().unwrap_or_default()
     }
 
-    /// The effect in the channel's scale; without the noise behind a filter. None for a slope, which depends on the rate.
+    /// Returns the effect in the channel's scale, without the noise behind a filter. `None` for a slope, which depends
+    /// on the rate.
     pub(super) fn effect(&self, rate_hz: f64) -> Option<Box<dyn Effect>> {
         let at = |index: usize| self.at(index);
         Some(match self.shape {
@@ -121,12 +122,12 @@ impl Term {
         })
     }
 
-    /// Whether it adds noise with a correlation time.
+    /// Returns whether the term adds noise with a correlation time.
     pub(super) fn adds(&self) -> bool {
         matches!(self.shape, Shape::GaussMarkov | Shape::Resonance | Shape::Slope(_))
     }
 
-    /// Power per sample that it adds at each frequency.
+    /// Returns the power per sample that the term adds at each frequency.
     pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         match self.effect(rate_hz) {
             Some(effect) => {
@@ -139,13 +140,14 @@ impl Term {
         }
     }
 
-    /// Power gain at each frequency.
+    /// Returns the power gain at each frequency.
     pub(super) fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         self.effect(rate_hz)
             .map_or_else(|| vec![1.0; frequencies_hz.len()], |effect| effect.power_gains(frequencies_hz, rate_hz))
     }
 
-    /// Which number is the logarithm of a power that the term adds, or of the white noise after a filter.
+    /// Returns the index of the number that is the logarithm of a power that the term adds, or of the white noise after
+    /// a filter.
     fn level(&self) -> usize {
         match self.shape {
             Shape::LowPass(_) => 1,
@@ -153,7 +155,7 @@ impl Term {
         }
     }
 
-    /// Of a filter: power of the white noise behind it over that of the white noise before it.
+    /// Returns a filter's ratio of the power of the white noise behind it to that of the white noise before it.
     pub(super) fn floor(&self) -> Option<f64> {
         self.is_filter().then(|| self.at(self.level()).exp())
     }
@@ -162,17 +164,17 @@ impl Term {
         matches!(self.shape, Shape::LowPass(_) | Shape::MovingAverage(_))
     }
 
-    /// Samples that a filter reaches: others none.
+    /// Returns the samples that a filter reaches; 0 for other terms.
     pub(super) fn reach(&self, rate_hz: f64) -> usize {
         self.effect(rate_hz).filter(|_| self.is_filter()).map_or(0, |effect| reach(&*effect, rate_hz))
     }
 
-    /// The range of its numbers, for a record of `samples` at `rate_hz`.
+    /// Returns the ranges of the term's numbers, for a record of `samples` at `rate_hz`.
     fn ranges(&self, samples: usize, rate_hz: f64) -> Vec<(f64, f64)> {
         let level = (-16.0, 24.0);
         let longest = (samples as f64 / rate_hz / 6.0).ln();
         match self.shape {
-            // Q² is an angle's: about 1/rate² of a rate's.
+            // Q² belongs to an angle: it is about 1/rate² of that of a rate.
             Shape::QuantizationNoise => vec![(level.0 - 2.0 * rate_hz.ln(), 24.0)],
             Shape::GaussMarkov => vec![level, ((1.5 / rate_hz).ln(), longest.max((12.0 / rate_hz).ln()))],
             Shape::Resonance => {
@@ -188,7 +190,7 @@ impl Term {
     }
 }
 
-/// The number of samples for which an input of a filter lasts behind it.
+/// Returns the number of samples for which an input of a filter lasts behind it.
 pub(crate) fn reach(filter: &dyn Effect, rate_hz: f64) -> usize {
     let window = filter.number("window").or(filter.number("cutoff_hz").map(|cutoff_hz| rate_hz / cutoff_hz));
     window.map_or(0, |samples| samples.ceil() as usize)
@@ -208,11 +210,11 @@ pub struct Base {
     pub quiet_max: f64,
     /// Power gain of the model's own filters.
     pub gain: Vec<f64>,
-    /// The same of those that are in the shapes already.
+    /// The power gain of those filters that the shapes already include.
     pub passed: Vec<f64>,
 }
 
-/// The prior belief about ln N², ln B² and ln K²: centre and standard deviation; none if any value is allowed.
+/// The prior belief about ln N², ln B² and ln K²: centre and standard deviation; `None` allows any value.
 pub type Beliefs = [Option<(f64, f64)>; 3];
 
 /// A channel's spectrum as numbers.
@@ -220,31 +222,31 @@ pub type Beliefs = [Option<(f64, f64)>; 3];
 pub struct Law {
     /// ln N², ln B², ln K² per sample.
     pub levels: [f64; 3],
-    /// Effects besides.
+    /// Other effects.
     pub terms: Vec<Term>,
-    /// Power per sample behind the model's filters that it does not state: numbers are rounded, and records end. No more than
-    /// [`Base::quiet_max`]. Each fit finds it.
+    /// Power per sample behind the model's filters that the model does not state: numbers are rounded, and records end.
+    /// It is at most [`Base::quiet_max`]. Each fit finds it.
     pub quiet: f64,
 }
 
 /// A law at the maximum of its likelihood.
 #[derive(Debug, Clone)]
 pub struct Fitted {
-    /// It.
+    /// The law.
     pub law: Law,
-    /// ln of density, nats, without the beliefs' part and −½ln 2π a coefficient.
+    /// ln of the density, nats, without the priors' part and −½ln 2π per coefficient.
     pub log_likelihood: f64,
-    /// With the beliefs' part.
+    /// The log likelihood with the priors' part.
     pub log_posterior: f64,
-    /// Covariance of the numbers: the levels, then each term's. None if it is singular.
+    /// Covariance of the numbers: of the levels, then of each term. `None` if it is singular.
     pub covariance: Option<DMatrix<f64>>,
     /// ln of the spectrum in each bin.
     pub logarithms: Vec<f64>,
 }
 
 impl Fitted {
-    /// The uncertainty of a function of the law: from its slopes by all numbers and their covariance (the delta method). None if
-    /// the covariance is not known.
+    /// Returns the uncertainty of a function of the law, from its derivatives by all numbers and their covariance (the
+    /// delta method). `None` if the covariance is not known.
     pub(super) fn spread(&self, of: impl Fn(&Law) -> f64) -> Option<f64> {
         const STEP: f64 = 1e-4;
         let covariance = self.covariance.as_ref()?;
@@ -263,18 +265,18 @@ impl Fitted {
     }
 }
 
-/// Power in bins, and what it is compared with.
+/// Power in bins, and the data that it is compared with.
 #[derive(Debug, Clone, Copy)]
 pub struct Data<'a> {
     /// The bins.
     pub grid: &'a Grid,
-    /// Mean square of the coefficients in each.
+    /// Mean square of the coefficients in each bin.
     pub power: &'a [f64],
-    /// How many independent coefficients each is worth: as many as it has ([`Grid::counts`]), or fewer.
+    /// The number of independent coefficients that each bin counts for: as many as it has ([`Grid::counts`]), or fewer.
     pub worth: &'a [f64],
     /// The shapes.
     pub base: &'a Base,
-    /// Beliefs about the levels.
+    /// Priors of the levels.
     pub beliefs: &'a Beliefs,
 }
 
@@ -282,7 +284,7 @@ pub struct Data<'a> {
 /// passes almost nothing at half the rate, and samples of 53 bits show that.
 const FLOOR: (f64, f64) = (-72.0, 0.0);
 
-/// Bounds of a line's asymmetry, over the most.
+/// Bounds of a line's asymmetry, over the largest possible one.
 const ASYMMETRY: (f64, f64) = (-1.0, 1.0);
 
 /// Bounds of a level, ln of power per sample.
@@ -343,9 +345,9 @@ impl Pieces {
 }
 
 impl Law {
-    /// Finds the likeliest power behind the model's filters that it does not state, beside the law as it is.
+    /// Finds the likeliest power behind the model's filters that the model does not state, with the law as it is.
     pub(super) fn find_quiet(&mut self, data: Data<'_>) {
-        /// The least over the most, ln; steps of it, and how often they are halved.
+        /// ln of the smallest over the largest value; number of steps, and how often they are halved.
         const SPAN: f64 = 32.0;
         const STEPS: i32 = 16;
         const HALVED: i32 = 6;
@@ -374,12 +376,13 @@ impl Law {
         self.quiet = most * (-best.1).exp();
     }
 
-    /// ln of the spectrum in each bin.
+    /// Returns ln of the spectrum in each bin.
     pub fn logarithms(&self, data: Data<'_>) -> Vec<f64> {
         Pieces::of(self, data).spectrum.iter().map(|s| s.max(f64::MIN_POSITIVE).ln()).collect()
     }
 
-    /// Two-sided density of what is white at low frequencies besides N²: what lies behind filters and the skirts of bands.
+    /// Returns the two-sided density that is white at low frequencies besides N²: noise behind filters and the skirts
+    /// of bands.
     pub(super) fn beside(&self, rate_hz: f64) -> f64 {
         /// A frequency below all others, in parts of the rate.
         const LOWEST: f64 = 1e-9;
@@ -412,7 +415,7 @@ impl Law {
         LEVELS.into_iter().chain(of_terms).collect()
     }
 
-    /// The derivatives of the spectrum by every number, divided by the spectrum.
+    /// Returns the derivatives of the spectrum by every number, divided by the spectrum.
     fn slopes(&self, pieces: &Pieces, data: Data<'_>) -> Vec<Vec<f64>> {
         const STEP: f64 = 1e-5;
         let scaled = |values: &[f64]| -> Vec<f64> {
@@ -450,7 +453,7 @@ impl Law {
         slopes
     }
 
-    /// ln of density and ln of density with beliefs of a spectrum's power.
+    /// Returns ln of the density, and ln of the density with priors, of a spectrum's power.
     fn judged(&self, spectrum: &[f64], data: Data<'_>) -> (f64, f64) {
         let bins = spectrum.iter().zip(data.power).zip(data.worth);
         let likelihood = -0.5 * bins.map(|((s, power), count)| count * (s.ln() + power / s)).sum::<f64>();
@@ -459,7 +462,7 @@ impl Law {
         (likelihood, likelihood - 0.5 * misses.sum::<f64>())
     }
 
-    /// The law of this form with the greatest posterior density, from here.
+    /// Fits the law of this form with the greatest posterior density, starting from `self`.
     ///
     /// Fisher scoring with Levenberg's damping (Whittle's likelihood of gamma-distributed power in bins: Whittle 1953,
     /// J. R. Stat. Soc. B 15).
@@ -468,7 +471,7 @@ impl Law {
         self.fit_for(data, ROUNDS)
     }
 
-    /// The best of fits from several starts: those that are ahead after a few rounds are fitted to the end.
+    /// Returns the best of fits from several starts: those that are ahead after a few rounds are fitted to the end.
     pub fn fit_best(starts: Vec<Self>, data: Data<'_>) -> Option<Fitted> {
         const FIRST: usize = 8;
         const BEHIND: f64 = 12.0;
@@ -520,7 +523,7 @@ impl Law {
                     fisher[(i, i)] += 1.0 / (sd * sd);
                 }
             }
-            // A number at its bound that wants beyond is held there.
+            // A number at its bound that would move beyond it is held there.
             let held: Vec<bool> = (0..count)
                 .map(|i| {
                     let (low, high) = ranges[i];
@@ -575,8 +578,8 @@ impl Law {
         Fitted { law, log_likelihood: likelihood, log_posterior: posterior, covariance, logarithms }
     }
 
-    /// The best of several fits: from here, and from other levels of flicker and random walk, which may hide behind one
-    /// another.
+    /// Returns the best of several fits: from `self`, and from other levels of flicker and random walk, which may hide
+    /// behind one another.
     pub fn fit_from_several(&self, data: Data<'_>) -> Fitted {
         let best = self.fit(data);
         let mut starts = Vec::new();
@@ -665,7 +668,7 @@ mod tests {
             }
         }
         for at in [0, 3, 4] {
-            // χ² of 12 degrees of freedom: 99.9 % below 33.
+            // χ² of 12 degrees of freedom is below 33 with 99.9 %.
             assert!((1.0..33.0).contains(&sums[at]), "{at}: {sums:?}");
         }
     }

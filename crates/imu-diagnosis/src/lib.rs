@@ -1,12 +1,13 @@
 //! Diagnosis: where a record and a simulator's law differ, and which effect the simulator lacks. Pure.
 //!
-//! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of docs/formats.md,
-//! and the model with its parameters corrected and the effects found added.
+//! In: samples of one rate ([`Recording`]), a sensor model. Out: a [`Diagnosis`] in the form of docs/formats.md, and
+//! the model with corrected parameters and the found effects.
 //!
 //! All evidence is in one unit: nats of log density of the real samples per sample. A channel's samples are transformed
-//! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]). Their deterministic part follows [`course`]s and
-//! sines ([`series`]). [`evidence`] computes the gain of each effect. [`search`] adds one effect after the other as long as each
-//! is worth its price. The price is the gain that chance makes in simulated records of the same length.
+//! ([`transform`]), binned ([`grid`]) and compared with a spectrum ([`law`]). Their deterministic part follows
+//! [`course`]s and sines ([`series`]). [`evidence`] computes the gain of each effect. [`search`] adds one effect after
+//! the other as long as each is worth its price. The price is the gain that chance gives in simulated records of the
+//! same length.
 //!
 //! # Example
 //! A sensor has a tone that its model lacks:
@@ -117,7 +118,7 @@ pub use recording::Recording;
 pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
 
-/// The effects that can be found in a record at rest: those of docs/effects.md that act on channels.
+/// Returns the effects that can be found in a record at rest: those of docs/effects.md that act on channels.
 pub fn effects() -> Vec<EffectKind> {
     CHANNEL.iter().map(|of| of.spec.kind).collect()
 }

@@ -17,7 +17,7 @@ fn is_about(place: &Place, band_hz: [f64; 2], time_s: [f64; 2]) -> bool {
     inside(place.band_hz, band_hz) && inside([place.from_s, place.to_s], time_s)
 }
 
-/// An effect, and the frequencies and times in which its places have to lie.
+/// Returns an effect, with the frequencies and times in which its places have to lie.
 fn cases() -> Vec<(Value, [f64; 2], [f64; 2])> {
     let all = [0.0, LENGTH_S];
     vec![
@@ -89,7 +89,7 @@ fn a_parameter_that_is_off_has_its_place_and_noise_has_none() {
 
 #[test]
 fn what_remains_has_a_place_of_its_own() {
-    // A band that is there for a while only: as it stands in no model.
+    // A band that is present for a while only, which no model can state.
     let mut real = recording(&model(None), 12, SAMPLES);
     let values = &mut real.channels.iter_mut().find(|(channel, _)| channel.name() == "accel_y").unwrap().1;
     for (t, value) in values.iter_mut().enumerate().skip(16_000).take(8000) {
@@ -103,7 +103,7 @@ fn what_remains_has_a_place_of_its_own() {
     assert!(!own.is_empty(), "{found:#?}");
 }
 
-/// The sign is that of the record against the model as it is.
+/// The sign is that of the record relative to the original model.
 #[test]
 fn what_the_model_has_too_much_or_too_little_of_has_its_sign() {
     let gauss_markov = |sigma: f64| json!({"effect": "gauss_markov", "sigma": sigma, "tc_s": 4.0});

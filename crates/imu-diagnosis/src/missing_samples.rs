@@ -42,7 +42,7 @@ fn zeros_now_and_then_are_rows_that_were_lost() {
     assert!(found.diagnosis.notes.iter().any(|note| note.contains("0 on every")), "{:?}", found.diagnosis.notes);
 }
 
-/// Sharp filters hide how much is behind them where samples are lost.
+/// Sharp filters hide how much is behind them if samples are lost.
 #[test]
 fn samples_that_are_lost_behind_a_filter_are_no_other_filter() {
     for filter in [
@@ -76,7 +76,7 @@ fn samples_that_are_cut_off_behind_a_filter_are_saturation_alone() {
     }
 }
 
-/// Stamps of arrival scatter by more than a model's may: the corrected model is still one that can be read.
+/// Stamps of arrival scatter by more than a model's may. The corrected model can still be read.
 #[test]
 fn a_model_of_stamps_that_scatter_by_more_than_its_own_stays_a_model() {
     let timing = json!({"effect": "timing", "jitter_s": 0.002, "drop_probability": 0.0});

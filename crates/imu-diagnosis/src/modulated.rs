@@ -1,4 +1,4 @@
-//! Modulated: bands that were found and whose level changes with time.
+//! Modulated: found bands whose level changes with time.
 
 use super::law::Shape;
 use super::omnibus::component;
@@ -14,23 +14,24 @@ pub(super) struct Levels {
     pub(super) points: Vec<(f64, f64)>,
 }
 
-/// The bands of the law whose levels change clearly.
+/// Returns the bands of the law whose levels change clearly.
 ///
-/// The mean square of a normal process of bandwidth w (full width at half power) over a time T is one of 2π·w·T squares of
-/// normal values, about: its square has the autocovariance σ⁴·exp(−2πw|t|). Levels in stretches gain ν/2·(r − 1 − ln r) each.
+/// The mean square of a normal process of bandwidth w (full width at half power) over a time T is about that of 2π·w·T
+/// squares of normal values: its square has the autocovariance σ⁴·exp(−2πw|t|). Levels in stretches gain ν/2·(r − 1 −
+/// ln r) each.
 pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
-    /// Independent values in a stretch.
+    /// Minimum number of independent values in a stretch.
     const LEAST: f64 = 24.0;
     const FEWEST: usize = 4;
     const MOST: usize = 48;
-    /// Nats a stretch and at all that they have to give, beyond what chance gives.
+    /// Nats that levels have to gain per stretch and in total, beyond the gain of chance.
     const EACH: f64 = 2.0;
     const ALL: f64 = 20.0;
-    /// Levels below this are none, of the average.
+    /// Levels below this part of the average count as silence.
     const SILENT: f64 = 0.01;
     let (n, rate_hz) = (series.len(), series.setting().rate_hz);
     let is_band = series.explanation.law.terms.iter().any(|term| term.shape == Shape::Resonance);
-    // White noise whose variance changes is heard in every band.
+    // White noise of changing variance shows in every band.
     if !is_band || !series.variance.is_empty() {
         return Vec::new();
     }
@@ -58,7 +59,7 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
             let middle = |at: usize| (at as f64 + 0.5) * size as f64;
             let mut points: Vec<(f64, f64)> =
                 ratios.iter().enumerate().map(|(at, ratio)| (middle(at), ratio.sqrt())).collect();
-            // Between the middles of stretches the level is a straight line.
+            // The level is interpolated linearly between the middles of stretches.
             let square = mean_power_of(&points, n as f64, 2);
             points.iter_mut().for_each(|point| point.1 /= square.sqrt());
             found.push(Levels { term, points });

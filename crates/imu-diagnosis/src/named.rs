@@ -17,28 +17,28 @@ use imu_model::effects::{CommonMode, Effect, EffectKind, HeldSamples, Resolution
 use imu_model::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
-/// A rounding is worth naming from this part of the white noise's standard deviation on.
+/// Minimum rounding step that is named, as a part of the white noise's standard deviation.
 pub(super) const MATERIAL_STEP: f64 = 0.03;
-/// An effect on a channel with what it gives.
+/// An effect on a channel, with its gain.
 #[derive(Clone)]
 pub(super) struct Named {
     pub(super) channel: Channel,
     pub(super) sense: Sense,
     /// The model's own effect, and its place in the list, if it has it.
     pub(super) declared: Option<(usize, Arc<dyn Effect>)>,
-    /// The sensor's; where the sensor lacks it the model's.
+    /// The sensor's effect; if the sensor lacks it, the model's.
     pub(super) effect: Arc<dyn Effect>,
     pub(super) gain: f64,
-    /// Chance that noise alone makes as much of it anywhere in the record.
+    /// Chance that noise alone gains as much anywhere in the record.
     pub(super) p_value: f64,
     pub(super) confidence: f64,
     pub(super) evidence: Vec<String>,
-    /// 95 % intervals of its parameters.
+    /// 95 % intervals of the effect's parameters.
     pub(super) ci95: Vec<(&'static str, [f64; 2])>,
 }
 
 impl Named {
-    /// An effect that the model lacks, as sure as the effects that are read off values and stamps.
+    /// Creates an effect that the model lacks, as certain as effects that are read off values and stamps.
     pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
         let sense = Sense::Missing;
         Self {
@@ -55,7 +55,7 @@ impl Named {
     }
 }
 
-/// Every effect that was found and is looked for.
+/// Returns every effect that was found and is looked for.
 pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
     let mut named: Vec<Named> = Vec::new();
     for of in &found.channels {
@@ -80,7 +80,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
     named
 }
 
-/// The findings of the search on a channel.
+/// Returns the findings of the search on a channel.
 fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
     let units = Units {
         prepared: &of.prepared,
@@ -139,12 +139,12 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
     found_here.into_iter().chain(superfluous).collect()
 }
 
-/// The confidence that is stated for a lead of so many nats over the next best reading.
+/// Returns the confidence that is stated for a lead of this many nats over the next best reading.
 pub(super) fn confidence(margin: f64) -> f64 {
     1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
 }
 
-/// The effects that the values show without inference.
+/// Returns the effects that the values show without inference.
 fn of_facts(of: &Findings) -> Vec<Named> {
     let mut named = Vec::new();
     let channel = of.prepared.channel;
@@ -166,7 +166,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
         );
     }
     if (facts.low.is_some() || facts.high.is_some()) && !of.prepared.has.contains(&EffectKind::Saturation) {
-        // Missing and held samples are left out as well, and are not meant.
+        // Missing and held samples are left out as well, but do not count here.
         let Prepared { outliers, samples, limits, .. } = &of.prepared;
         let cut = censored::at_limits(outliers, samples, samples, *limits).len() as f64;
         let far = 1e3 * of.prepared.scale + of.prepared.level.abs();
@@ -179,7 +179,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
     named
 }
 
-/// Samples that are sent again.
+/// Reports samples that are sent again.
 fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for (channels, repeats) in &found.repeats {
@@ -210,7 +210,7 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     named
 }
 
-/// Noise that channels share.
+/// Reports noise that channels share.
 fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for shared in &found.shared {
@@ -237,14 +237,14 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     named
 }
 
-/// The 95 % interval of a chance, given how often the event occurred in so many samples.
+/// Returns the 95 % interval of a chance, given how often the event occurred in `samples` samples.
 fn poisson(chance: f64, samples: usize) -> [f64; 2] {
     let count = chance * samples as f64;
     let half = 1.96 * count.max(1.0).sqrt();
     [(count - half).max(0.0) / samples as f64, ((count + half) / samples as f64).min(1.0)]
 }
 
-/// The effects that the stamps show, if there are any stamps.
+/// Returns the effects that the stamps show, if there are any stamps.
 pub(super) fn stamps(real: &Recording) -> Option<facts::Stamps> {
     let there = |place: &usize| !real.missing.get(*place).copied().unwrap_or(false);
     let places: Vec<usize> = if real.time_s.len() == real.len() {
@@ -255,11 +255,11 @@ pub(super) fn stamps(real: &Recording) -> Option<facts::Stamps> {
     (places.len() == real.time_s.len()).then(|| facts::stamps(&real.time_s, places.into_iter())).flatten()
 }
 
-/// Stamps that scatter and samples that are missing one by one.
+/// Reports stamps that scatter, and samples that are missing one by one.
 fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
-    /// Runs that are longer are gaps, not drops.
+    /// Maximum length of a drop; longer runs are gaps.
     const LONGEST: usize = 3;
-    /// A jitter is worth naming from this part of a period on.
+    /// Minimum jitter that is named, as a part of a period.
     const JITTER: f64 = 0.01;
     let (mut runs, mut dropped, mut run) = (0, 0, 0);
     for missing in real.missing.iter().copied().chain([false]) {

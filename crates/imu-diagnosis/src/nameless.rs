@@ -1,22 +1,21 @@
-//! Nameless density: the density of what remains beside all effects that were found, in bands in which the remainder is
-//! louder.
+//! Nameless density: the density of the remainder beside all found effects, in bands in which the remainder is louder.
 
 use super::series::Series;
 
-/// Coefficients of the finest bands at least, the part of the band that they are at least (the effect that stands for
-/// it resolves no less), and by how much bands grow.
+/// Minimum number of coefficients in the finest bands, their minimum part of the band (the substitute effect resolves
+/// no less), and the growth of bands.
 const WIDTH: usize = 64;
 const PARTS: usize = 125;
 const WIDER: usize = 4;
 /// Standard errors by which a band has to be louder.
 const LOUDER: f64 = 6.0;
-/// Bands at most.
+/// Maximum number of bands.
 const MOST: usize = 24;
-/// The least part of power that a filter lets pass of what is put in front of it.
+/// The smallest part of the power in front of a filter that the filter passes.
 const PASSED: f64 = 0.01;
 
-/// Points [frequency in Hz, two-sided density in front of all filters, in the series' scale² /Hz] of what the residual
-/// has beyond a white one; empty if no band is clearly louder. It is 0 outside the bands.
+/// Points [frequency in Hz, two-sided density in front of all filters, in the series' scale² /Hz] of the residual's
+/// excess over a white one. The list is empty if no band is clearly louder. The density is 0 outside the bands.
 pub(super) fn density(series: &Series<'_>) -> Vec<(f64, f64)> {
     let n = series.len();
     let rate_hz = series.setting().rate_hz;
@@ -48,7 +47,7 @@ pub(super) fn density(series: &Series<'_>) -> Vec<(f64, f64)> {
     for (from, to, density) in bands {
         let (low, high) = (hz(from), hz(to));
         match points.last_mut() {
-            // Side by side the one begins where the other ends.
+            // Of two adjacent bands, one begins at the other's end.
             Some(last) if last.0 > low - edge_hz => *last = (low + edge_hz, density),
             _ => points.extend([(low - edge_hz, 0.0), (low, density)]),
         }
@@ -82,7 +81,7 @@ mod tests {
             let effects = &outcome.augmented.channels[&channel].effects;
             let own = effects.iter().find(|effect| effect.kind() == imu_model::EffectKind::SpectralNoise).unwrap();
             let power = own.moments(Record { rate_hz: 40.0, samples: 32_000 }).unwrap().variance;
-            // The law's own levels have taken a part of it.
+            // The law's own levels have absorbed a part of the power.
             assert!((2e-5..1.3e-4).contains(&power), "{power}");
         }
     }

@@ -1,7 +1,8 @@
 //! Oddities: features of the values and stamps that no effect of the library explains.
 //!
-//! Each is a likelihood ratio in nats over the nearest effect of the library: codes that a converter leaves out over rounding,
-//! repeats at even distances over samples sent twice by chance, a clock that wanders over stamps that scatter.
+//! The size of each is its likelihood ratio, in nats, over the nearest effect of the library: for codes that a
+//! converter leaves out, over rounding; for repeats at even distances, over samples sent twice by chance; for a clock
+//! that wanders, over stamps that scatter.
 
 use statrs::distribution::{ContinuousCDF as _, Normal};
 use std::collections::BTreeMap;
@@ -9,30 +10,32 @@ use std::collections::BTreeMap;
 /// A feature that no effect of the library explains.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Oddity {
-    /// What is odd.
+    /// Description of the oddity.
     pub(super) what: &'static str,
     /// Nats.
     pub(super) nats: f64,
 }
 
-/// Nats from which on an oddity is none of chance's: some hundred codes or distances are looked at.
+/// Minimum number of nats of an oddity: chance gives less among the hundreds of codes or distances examined.
 const LEAST: f64 = 25.0;
 
-/// Codes of a converter with steps of `step` that are met far less, or more, than those on both sides: missing codes, a bit that
-/// is stuck, steps that are not even. `None` if the steps are wider than the noise, or if too few codes are met often enough.
+/// Finds codes of a converter with steps of `step` that occur far less, or more, than those on both sides: missing
+/// codes, a bit that is stuck, uneven steps. `None` if the steps are wider than the noise, or if too few codes occur
+/// often enough.
 ///
-/// Expected is what rounding makes of normal noise about a level that is the mean of some samples before and behind.
+/// The expected counts are those of rounded normal noise about a level that is the mean of some samples before and
+/// behind.
 pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
-    /// Samples of the level about each.
+    /// Number of samples about each one that determine its level.
     const NEAR: usize = 64;
     /// Counts below this carry little information.
     const FEWEST: f64 = 30.0;
-    /// Standard errors, and part of a count, that a code has to be off by.
+    /// A code has to be off by this many standard errors and by this part of its count.
     const ERRORS: f64 = 5.0;
     const PART: f64 = 0.2;
-    /// Levels times codes that are looked at.
+    /// Maximum number of levels times codes.
     const MOST: i64 = 4_000_000;
-    /// Steps over the noise's standard deviation.
+    /// Maximum number of steps per standard deviation of the noise.
     const WIDEST: f64 = 1.5;
     let n = values.len();
     if n < 16 * NEAR || step <= 0.0 {
@@ -51,9 +54,9 @@ pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
     };
     let levels: Vec<f64> = (0..n).map(level).collect();
     let square: f64 = codes.iter().zip(&levels).map(|(code, level)| (*code as f64 - level).powi(2)).sum();
-    // The level takes a part of the variance, rounding adds a twelfth.
+    // The level absorbs a part of the variance; rounding adds a twelfth.
     let sigma = (square / n as f64 * (1.0 + 0.5 / NEAR as f64) - 1.0 / 12.0).max(0.0).sqrt();
-    // A code in the middle is met this often.
+    // How often a code in the middle occurs.
     if sigma * WIDEST < 1.0 || n as f64 * 0.4 / sigma < FEWEST {
         return None;
     }
@@ -87,7 +90,7 @@ pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
         .collect();
     let mut nats = 0.0;
     for (code, (own, count)) in &off {
-        // Beside those around it, along a cubic: a distribution that is none of a normal's is smooth.
+        // Compared with a cubic through the codes around it: a distribution that is not normal is still smooth.
         let of = |by: i64| off.get(&(code + by)).map(|(of, _)| *of);
         let [Some(a), Some(b), Some(c), Some(d)] = [of(-2), of(-1), of(1), of(2)] else { continue };
         let middle = (4.0 * (b + c) - (a + d)) / 6.0;
@@ -102,12 +105,12 @@ pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
     (nats > LEAST).then_some(Oddity { what: "codes that are met less or more often than those beside them", nats })
 }
 
-/// Samples sent again at even distances: `places` of the repeats.
+/// Finds samples sent again at even distances. `places` are those of the repeats.
 pub(super) fn of_repeats(places: &[usize]) -> Option<Oddity> {
     const FEWEST: usize = 30;
-    /// Bins of about the same chance.
+    /// Number of bins of about the same chance.
     const BINS: usize = 32;
-    /// Nats a repeat that even distances have to give.
+    /// Nats per repeat that even distances have to gain.
     const CLEARLY: f64 = 0.3;
     if places.len() < FEWEST {
         return None;
@@ -125,7 +128,7 @@ pub(super) fn of_repeats(places: &[usize]) -> Option<Oddity> {
     distances.iter().for_each(|distance| met[bin(*distance).min(BINS - 1)] += 1.0);
     let (mut nats, mut bins, mut first) = (0.0, 0.0, 1);
     for (place, own) in met.iter().enumerate() {
-        // The distances of a bin are those up to where the next begins.
+        // A bin ends at the distance at which the next one begins.
         let end = ((-((place + 1) as f64) / BINS as f64).ln_1p() / ln_other).ceil() as usize;
         let last = if place + 1 == BINS { usize::MAX } else { end.saturating_add(1).max(first) };
         let chance = from(first) - if last == usize::MAX { 0.0 } else { from(last) };
@@ -142,7 +145,8 @@ pub(super) fn of_repeats(places: &[usize]) -> Option<Oddity> {
     (nats > LEAST + CLEARLY * count).then_some(Oddity { what: "samples that are sent again at even distances", nats })
 }
 
-/// A clock that wanders: stamps that are early or late together for a long while, by more than a fifth of a period and 5 ms.
+/// Returns finds a clock that wanders: stamps that are early or late together for a long while, by more than a fifth of
+/// a period and 5 ms.
 pub(super) fn of_clock(off_s: &[f64], period_s: f64) -> Option<Oddity> {
     const STRETCHES: usize = 64;
     const LEAST_S: f64 = 5e-3;
@@ -188,7 +192,7 @@ mod tests {
                 }
             });
             assert_eq!(of_codes(&rounded(&values, step), step), None, "{step}");
-            // Each fifth code goes to the one below.
+            // Each fifth code becomes the one below.
             let missing: Vec<f64> = values
                 .iter()
                 .map(|value| (value / step).round())

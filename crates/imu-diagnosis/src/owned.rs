@@ -1,8 +1,8 @@
 //! Owned: N, B and K of a record as the crate `imu-noise` determines them.
 //!
-//! That crate owns these parameters. The law of a diagnosis has N, B and K beside effects, which share one spectrum with
-//! them. How much of N a filter or the skirt of a band takes therefore depends on the law's form. The reported capture's value is
-//! the value that `imu-noise` reports for the same samples, if it states that the value may be used.
+//! That crate owns these parameters. The law of a diagnosis has N, B and K beside effects, which share one spectrum
+//! with them. How much of N a filter or the skirt of a band takes therefore depends on the law's form. The capture's
+//! value in a report is the value of `imu-noise` for the same samples, if `imu-noise` states that it may be used.
 //!
 //! # Validation
 //! `examples/one_n.rs`, docs/validation.md.
@@ -16,14 +16,14 @@ use imu_noise::robust::{All, Company, Levels, Part, Record, spectral_sums};
 use imu_noise::stillness::{Stillness, TELLING};
 use std::ops::Range;
 
-/// A record, ready to be asked; channels are looked at when they are asked for.
+/// A record whose channels are examined on demand.
 pub(super) struct Owned<'a> {
     real: &'a Recording,
-    /// Places at which the sensor moved.
+    /// Ranges in which the sensor moved.
     moving: Vec<Range<u64>>,
 }
 
-/// A parameter's value, U or its density, and its 95 % interval; of one that is not identified no value.
+/// A parameter's value, U or its density, and its 95 % interval. A parameter that is not identified has no value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
     pub(super) value: Option<f64>,
@@ -36,14 +36,14 @@ impl Known {
         Some(Self { value: estimate.value, ends: estimate.ci95.or_else(limit)? })
     }
 
-    /// Whether an interval has a part in it.
+    /// Returns whether the interval overlaps with another one.
     pub(super) fn meets(&self, [low, high]: [f64; 2]) -> bool {
         low <= self.ends[1] && self.ends[0] <= high
     }
 }
 
 impl<'a> Owned<'a> {
-    /// Finds where the sensor of a record moved.
+    /// Finds the ranges in which the sensor of a record moved.
     pub(super) fn new(real: &'a Recording) -> Self {
         let there = |channel: Channel| -> Vec<f64> {
             let values = real.values(channel).unwrap_or_default().iter().enumerate();
@@ -56,7 +56,7 @@ impl<'a> Owned<'a> {
         Self { real, moving: stillness.settle().unwrap_or_default() }
     }
 
-    /// N (as sent), B and K of a channel; none if `imu-noise` states that they must not be used.
+    /// Returns N (as sent), B and K of a channel. `None` if `imu-noise` states that they must not be used.
     pub(super) fn of(&self, channel: Channel) -> Option<[Option<Known>; 3]> {
         let rate_hz = self.real.rate_hz;
         let parts = self.parts(channel);
@@ -69,7 +69,7 @@ impl<'a> Owned<'a> {
         usable.then(|| [&n, &b, &k].map(Known::of))
     }
 
-    /// Samples without gaps, without those in motion and those that are no numbers.
+    /// Returns samples without gaps, motion and values that are not numbers.
     fn parts(&self, channel: Channel) -> Vec<Part> {
         let values = self.real.values(channel).unwrap_or_default();
         let moves = |place: usize| {

@@ -8,16 +8,16 @@ use imu_core::sample::{Channel, Triad};
 use imu_model::effects::{Effect, EffectKind};
 use std::collections::BTreeSet;
 
-/// From this correlation on two courses are one to a fit.
+/// Two courses with at least this correlation are one to a fit.
 const SAME_COURSE: f64 = 0.98;
-/// Frequencies of mains and their doubles, Hz.
+/// Mains frequencies and twice these frequencies, Hz.
 const MAINS_HZ: [f64; 4] = [50.0, 60.0, 100.0, 120.0];
-/// Mains wander by so much of themselves.
+/// Mains wander by this part of their frequency.
 const MAINS_WANDER: f64 = 1e-3;
-/// Gravity, m/s²: an axis that has nearly all of it does not feel a tilt.
+/// Gravity, m/s²: an axis with at least this part of it does not feel a tilt.
 const UPRIGHT: f64 = 9.0;
 
-/// The possible sources of a line: frequencies that sampling folds to it, and mains frequencies among them.
+/// Returns the possible sources of a line: frequencies that sampling folds to it, and mains frequencies among them.
 pub(super) fn of_line(channel: Channel, effect: &dyn Effect, rate_hz: f64) -> Option<String> {
     let frequency_hz = frequency_of(effect)?;
     let folded = [rate_hz - frequency_hz, rate_hz + frequency_hz, 2.0 * rate_hz - frequency_hz];
@@ -26,7 +26,7 @@ pub(super) fn of_line(channel: Channel, effect: &dyn Effect, rate_hz: f64) -> Op
     Some(format!("{channel}: {frequency_hz:.3} Hz may be folded down from {folded} … Hz{mains}"))
 }
 
-/// The mains that sampling folds to a frequency.
+/// Returns the mains that sampling folds to a frequency.
 fn mains(frequency_hz: f64, rate_hz: f64) -> Option<String> {
     let near = |mains: &f64| {
         let seen_hz = (mains - (mains / rate_hz).round() * rate_hz).abs();
@@ -36,7 +36,7 @@ fn mains(frequency_hz: f64, rate_hz: f64) -> Option<String> {
     (!found.is_empty()).then(|| format!("mains of {} Hz", found.join(" or ")))
 }
 
-/// A sentence for each pair that the record leaves open.
+/// Returns a sentence for each pair that the record leaves open.
 pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<String> {
     let mut notes = Vec::new();
     let with = |kinds: &[EffectKind]| -> Vec<&Named> {
@@ -125,15 +125,15 @@ fn channels(of: &[&Named]) -> String {
     all.into_iter().map(Channel::name).collect::<Vec<_>>().join(", ")
 }
 
-/// The function of time that a temperature follows, if there is one: a straight line, or an exponential.
+/// Returns the function of time that a temperature follows, if there is one: a straight line or an exponential.
 fn follows(read: &[f64]) -> Option<(&'static str, f64)> {
-    /// Time constants that are tried, in records.
+    /// Time constants that are tried, in lengths of the record.
     const CONSTANTS: [f64; 7] = [0.03, 0.06, 0.1, 0.2, 0.3, 0.5, 1.0];
     let n = read.len() as f64;
     let along = |course: &dyn Fn(f64) -> f64| {
         let (mut sums, mut count) = ([0.0; 5], 0.0);
         for (t, y) in read.iter().enumerate().filter(|(_, y)| y.is_finite()) {
-            // About the first reading, so that small changes keep their digits.
+            // Relative to the first reading, so that small changes keep their digits.
             let (x, y) = (course(t as f64 / n), y - read.iter().copied().find(|y| y.is_finite()).unwrap_or(0.0));
             for (sum, of) in sums.iter_mut().zip([x, y, x * x, y * y, x * y]) {
                 *sum += of;

@@ -1,15 +1,16 @@
-//! Phase: removes the phase that filters give to what passes them.
+//! Phase: removes the phase that filters give to their input.
 //!
-//! A residual that is whitened by its spectrum alone keeps the filters' phase: a spike that passed them is spread out, and tails
-//! look normal. The filters of the library have minimum phase, which the gain determines (Oppenheim and Schafer, Discrete-Time
-//! Signal Processing, section 12.3, by way of the cepstrum).
+//! A residual that is whitened by its spectrum alone keeps the filters' phase: a spike behind the filters is spread
+//! out, and tails look normal. The filters of the library have minimum phase, which follows from the gain (Oppenheim
+//! and Schafer, Discrete-Time Signal Processing, section 12.3, by way of the cepstrum).
 
 use super::plans;
 
-/// The least gain: narrow notches have no phase that matters.
+/// The least gain: narrow notches have no relevant phase.
 const LEAST: f64 = 1e-6;
 
-/// Takes the phase of filters off values; `gain`: their power gain at each coefficient of a cosine transform of that length.
+/// Removes the phase of filters from values. `gain` is the filters' power gain at each coefficient of a cosine
+/// transform of that length.
 pub(super) fn undo(values: &mut [f64], gain: &[f64]) {
     let n = values.len();
     if n < 4 || gain.len() != n {
@@ -46,7 +47,7 @@ pub(super) fn undo(values: &mut [f64], gain: &[f64]) {
     for (k, (value, response)) in own.iter_mut().zip(&response).enumerate() {
         let (sine, cosine) = response.im.sin_cos();
         let [re, im] = [value.re * cosine + value.im * sine, value.im * cosine - value.re * sine];
-        // An isolated value has no phase.
+        // The first bin and, for an even length, the last one have no counterpart.
         let alone = k == 0 || (k == last && n.is_multiple_of(2));
         (value.re, value.im) = if alone { (value.re, 0.0) } else { (re, im) };
     }

@@ -9,10 +9,10 @@ use super::report::{Cause, Of, Parameter, Place, Sense};
 use imu_core::sample::Channel;
 use imu_model::effects::{Effect, EffectKind, Extent};
 
-/// Half of a line's width in parts of 1 over the record's length.
+/// Half of a line's width, in units of 1 over the record's length.
 const LINE: f64 = 2.0;
 
-/// The remainder on a channel, and the chance that noise alone makes as much.
+/// The remainder on a channel, and the chance that noise alone makes as large a one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Remnant {
     pub(super) channel: Channel,
@@ -25,13 +25,13 @@ pub(super) struct Remnant {
 struct Spot {
     band_hz: [f64; 2],
     time_s: [f64; 2],
-    /// Its part of the effect's gain, in any unit.
+    /// The part of the effect's gain, in any unit.
     weight: f64,
-    /// Whether samples differ more because of it.
+    /// Whether the effect makes samples differ more.
     is_louder: bool,
 }
 
-/// The places of all causes, parameters and remainders, the heaviest first.
+/// Returns the places of all causes, parameters and remainders, the heaviest first.
 pub(super) fn places(
     found: &Found,
     named: &[Named],
@@ -55,7 +55,7 @@ pub(super) fn places(
         };
         let noisier = of.capture > of.model;
         let spot = Spot { band_hz: band.hz, time_s: [0.0, real.length_s()], weight: 1.0, is_louder: noisier };
-        // Twice what it gains is χ² of one degree of freedom by chance; three on each channel are looked at.
+        // By chance, twice the gain is χ² of one degree of freedom; three parameters on each channel are examined.
         let p_value = (3.0 * found.channels.len() as f64 * (-of.nats).exp()).min(1.0);
         places.push(place(own.prepared.channel, Of::Parameters, spot, of.nats, p_value, real));
     }
@@ -69,7 +69,7 @@ pub(super) fn places(
     places
 }
 
-/// A place whose share is not known yet.
+/// Creates a place whose share is not known yet.
 fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &Recording) -> Place {
     let length_s = real.length_s();
     let [low, high] = spot.band_hz;
@@ -78,7 +78,7 @@ fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &R
         of,
         channel: channel.name().to_owned(),
         band_hz: spot.band_hz,
-        // An averaging time sees about 1/(2τ).
+        // An averaging time τ covers about 1/(2τ).
         tau_s: [0.5 / high, 0.5 / low].map(|tau_s| tau_s.min(length_s)),
         from_s,
         to_s,
@@ -91,9 +91,9 @@ fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &R
     }
 }
 
-/// The places of a cause on a channel, and of the model's own effect if that lies elsewhere.
+/// Adds the places of a cause on a channel, and of the model's own effect if that lies elsewhere.
 fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real: &Recording) {
-    /// A cause receives the heaviest of its places.
+    /// Maximum number of places per cause; the heaviest are kept.
     const MOST: usize = 16;
     let Some(own) = found.channels.iter().find(|own| own.prepared.channel == of.channel) else { return };
     let mut spots = spots(&*of.effect, own, real);
@@ -129,7 +129,7 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
     }
 }
 
-/// Whether an effect shapes the spectrum, so that its band was measured against the model's.
+/// Returns whether an effect shapes the spectrum, so that its band was measured against the model's.
 fn is_shape(effect: &dyn Effect) -> bool {
     matches!(
         effect.kind(),
@@ -141,7 +141,7 @@ fn is_shape(effect: &dyn Effect) -> bool {
     )
 }
 
-/// Whether an effect makes less of a difference than another of its name.
+/// Returns whether an effect makes less of a difference than another of its name.
 fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
     const SIZES: [&str; 12] = [
         "per_c2",
@@ -165,8 +165,8 @@ fn is_weaker(one: &dyn Effect, other: &dyn Effect) -> bool {
     sizes.is_some_and(|(name, one, other)| (one.abs() < other.abs()) != (name == "degrees_of_freedom"))
 }
 
-/// The places of an effect: the parts of the record in which it acts, a step with the samples about it; in all frequencies, or in
-/// the band in which likelihood is gained.
+/// Returns the places of an effect: the parts of the record in which it acts (for a step, the samples about it), over
+/// all frequencies or in the band in which likelihood is gained.
 fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
     let (length_s, half_hz) = (real.length_s(), 0.5 * real.rate_hz);
     let kinds = Kind::ALL.into_iter().filter(|kind| kind.effect() == effect.kind());
@@ -187,7 +187,7 @@ fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
         }
         match extent.time_s {
             Some([at_s, to_s]) if at_s == to_s => {
-                // A step is seen against as many samples as its noise needs, five at least.
+                // A step is compared over as many samples as its noise requires, at least five.
                 let size = extent.weight.sqrt().max(f64::MIN_POSITIVE);
                 let half_s = (11.0 * (own.white / size).powi(2)).max(5.0) / real.rate_hz;
                 spot.time_s = [(at_s - half_s).max(0.0), (at_s + half_s).min(length_s)];
@@ -201,10 +201,10 @@ fn spots(effect: &dyn Effect, own: &Findings, real: &Recording) -> Vec<Spot> {
     if extents.is_empty() { vec![whole] } else { extents.into_iter().map(spot).collect() }
 }
 
-/// The place on a channel where something remains: the rectangle of time and frequency that holds most of it, if chance rarely
-/// makes such a rectangle; otherwise the whole channel.
+/// Returns the place on a channel where something remains: the rectangle of time and frequency that holds most of it,
+/// if chance rarely makes such a rectangle; otherwise the whole channel.
 fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> Place {
-    /// How rarely noise makes a rectangle that is a place.
+    /// Noise makes a rectangle that is a place at most this rarely.
     const RARE: f64 = 0.01;
     let channels = found.channels.len() as f64;
     let heaviest = own.after.heaviest().filter(|one| channels * one.p_value < RARE);

@@ -1,4 +1,4 @@
-//! Plans: transforms of the lengths in use, kept by each thread, because to plan one takes as long as to run it.
+//! Plans: transforms of the lengths in use. Each thread keeps them, because planning one takes as long as running it.
 
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::cell::RefCell;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Lengths that are kept; one more length discards all of them.
+/// Maximum number of kept lengths; one more length discards all of them.
 const MOST: usize = 24;
 
 /// cos and sin of πk/2n for k up to n/2.
@@ -32,7 +32,7 @@ impl Plans {
     }
 }
 
-/// From `n` real values.
+/// Returns the transform from `n` real values.
 pub(super) fn forward(n: usize) -> Arc<dyn RealToComplex<f64>> {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();
@@ -41,7 +41,7 @@ pub(super) fn forward(n: usize) -> Arc<dyn RealToComplex<f64>> {
     })
 }
 
-/// To `n` real values.
+/// Returns the transform to `n` real values.
 pub(super) fn backward(n: usize) -> Arc<dyn ComplexToReal<f64>> {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();
@@ -50,7 +50,7 @@ pub(super) fn backward(n: usize) -> Arc<dyn ComplexToReal<f64>> {
     })
 }
 
-/// The tables of a cosine transform of length `n`.
+/// Returns the tables of a cosine transform of length `n`.
 pub(super) fn turns(n: usize) -> Turns {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();

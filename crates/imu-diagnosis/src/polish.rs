@@ -1,12 +1,12 @@
-//! Polish: numbers that were found early are found again beside all effects that are known later.
+//! Polish: numbers that were found early are fitted again beside all effects that were found later.
 
 use super::course::{Course, Follow};
 use super::evidence::loudness;
 use super::explanation::{Explanation, Scedasticity};
 use super::series::Series;
 
-/// Finds the time constant of a warm-up, how variance follows time or temperature, and the ratios of stretches again, of what
-/// the model itself lacks.
+/// Fits again the time constant of a warm-up, the dependence of variance on time or temperature, and the ratios of
+/// stretches, for effects that the model lacks.
 pub(super) fn polish(series: &mut Series<'_>, start: &Explanation) {
     warm_up(series, start.courses.len());
     play(series, start.courses.len());
@@ -16,14 +16,14 @@ pub(super) fn polish(series: &mut Series<'_>, start: &Explanation) {
     stretches(series, start.loud.len());
 }
 
-/// Derivative of a warm-up of amplitude 1 with respect to ln τ, in coefficients.
+/// Returns the derivative of a warm-up of amplitude 1 with respect to ln τ, in coefficients.
 pub(super) fn by_time_constant(series: &Series<'_>, tau: f64) -> Vec<f64> {
     const STEP: f64 = 0.02;
     let there = |share: f64| series.setting().courses.coefficients(Course::WarmUp(tau * share));
     there(1.0 + STEP).iter().zip(there(1.0 - STEP)).map(|(a, b)| (a - b) / (2.0 * STEP)).collect()
 }
 
-/// Gauss–Newton steps of a warm-up's time constant beside the factors of all courses.
+/// Takes Gauss–Newton steps of a warm-up's time constant beside the factors of all courses.
 fn warm_up(series: &mut Series<'_>, known: usize) {
     const ROUNDS: usize = 4;
     const FAR: f64 = 0.3;
@@ -55,9 +55,9 @@ fn warm_up(series: &mut Series<'_>, known: usize) {
     }
 }
 
-/// The width of a play, and whether the level follows the temperature along a straight line besides.
+/// Fits the width of a play, and whether the level also follows the temperature along a straight line.
 fn play(series: &mut Series<'_>, known: usize) {
-    /// Nats that the straight line has to give.
+    /// Nats that the straight line has to gain.
     const LEAST: f64 = 3.0;
     let place = |series: &Series<'_>, wanted: fn(&Course) -> bool| {
         let courses = &series.explanation.courses;
@@ -86,7 +86,7 @@ fn play(series: &mut Series<'_>, known: usize) {
     }
 }
 
-/// How variance follows time or temperature, beside what is known of it already.
+/// Fits the dependence of variance on time or temperature again, beside the known one.
 pub(super) fn scedasticity(series: &mut Series<'_>) {
     const ROUNDS: usize = 4;
     for _ in 0..ROUNDS {
@@ -108,12 +108,12 @@ pub(super) fn scedasticity(series: &mut Series<'_>) {
     }
 }
 
-/// The ratios of stretches that are not left out, each relative to the samples in no stretch.
+/// Fits the ratios of stretches that are not left out, each relative to the samples in no stretch.
 fn stretches(series: &mut Series<'_>, known: usize) {
     const ROUNDS: usize = 16;
-    /// Change of ln of a ratio that is none.
+    /// A smaller change of ln of a ratio counts as none.
     const SETTLED: f64 = 0.002;
-    /// The share of its last change that a ratio moves on, at most.
+    /// The largest share of its last change by which a ratio moves on.
     const SLOWEST: f64 = 0.95;
     if series.explanation.loud.len() <= known {
         return;
@@ -125,8 +125,8 @@ fn stretches(series: &mut Series<'_>, known: usize) {
         for ((loud, ratio), last) in series.explanation.loud.iter_mut().zip(ratios).zip(&mut last).skip(known) {
             let change: f64 = ratio.map_or(0.0, |ratio| (ratio / loud.ratio).ln());
             moved = moved.max(change.abs());
-            // Where the rest is louder than the white noise, the changes are a slow geometric series: its sum, each second time
-            // (Aitken 1926).
+            // If the rest is louder than the white noise, the changes are a slow geometric series: its sum, each second
+            // time (Aitken 1926).
             let share = if round % 2 == 1 && *last != 0.0 { (change / *last).clamp(0.0, SLOWEST) } else { 0.0 };
             loud.ratio *= (change / (1.0 - share)).exp();
             *last = change;

@@ -1,25 +1,25 @@
-//! Preconditioner: the precision matrix among some samples; of many, restricted to pairs that are near one another.
+//! Preconditioner: the precision matrix among some samples; for many samples, restricted to pairs that are near each other.
 
 /// The Cholesky factor of a matrix that is a function of the distance between places, reflected at the record's ends.
 ///
-/// Among many places it is tapered, so that far ones have none of it. Parzen's window is a positive definite function, so that
-/// the tapered matrix is positive definite where the whole one is (Schur's product theorem); its transform falls with the fourth
-/// power, so that a zero of a filter hides little beside itself.
+/// Among many places it is tapered to 0 for far places. Parzen's window is a positive definite function, so that the
+/// tapered matrix is positive definite if the whole one is (Schur's product theorem). The window's transform falls with
+/// the fourth power, so that a zero of a filter hides few frequencies beside it.
 #[derive(Debug, Clone)]
 pub(super) struct Preconditioner {
     /// By row: the first column, and the factor's entries from there to the diagonal.
     rows: Vec<(usize, Vec<f64>)>,
-    /// Whether no pair of places is left out.
+    /// Whether all pairs of places are included.
     pub(super) is_whole: bool,
 }
 
 impl Preconditioner {
-    /// Factors the matrix among `places` (in order) of a record of `length` samples; `kernel` is the matrix by distance, from 0
-    /// on. `None` if there is no factor in numbers.
+    /// Factors the matrix among `places` (in order) of a record of `length` samples; `kernel` is the matrix by distance,
+    /// from 0 on. `None` if the factorization fails numerically.
     pub(super) fn of(kernel: &[f64], places: &[usize], length: usize) -> Option<Self> {
-        /// Products that making the factor takes, about: of long runs only nearer samples are looked at.
+        /// Approximate number of products for making the factor; in long runs, only nearer samples are used.
         const WORK: usize = 30_000_000;
-        /// Distance of places that count as near among many.
+        /// The distance of places that count as near if there are many.
         const REACH: usize = 512;
         const LEAST: usize = 8;
         let firsts = |reach: usize| {
@@ -85,7 +85,7 @@ impl Preconditioner {
     }
 }
 
-/// Parzen's window at a part of its reach.
+/// Returns Parzen's window at a part of its reach.
 fn parzen(part: f64) -> f64 {
     if part <= 0.5 { 1.0 - 6.0 * part * part * (1.0 - part) } else { 2.0 * (1.0 - part).max(0.0).powi(3) }
 }
@@ -98,7 +98,7 @@ mod tests {
         (0..lags).map(|lag| (-0.3 * f64::from(lag)).exp() * (0.7 * f64::from(lag)).cos()).collect()
     }
 
-    /// Solves for a right side that is made of a known solution.
+    /// Asserts that a right side made from a known solution is solved.
     fn assert_solves(near: &Preconditioner, places: &[usize], entry: impl Fn(usize, usize) -> f64) {
         let wanted: Vec<f64> = (0..places.len()).map(|at| (at as f64 % 7.0 - 3.0) * 0.7).collect();
         let row = |i: usize| places.iter().zip(&wanted).map(|(j, value)| entry(places[i], *j) * value).sum::<f64>();

@@ -1,4 +1,4 @@
-//! Preparation: a recording and a model become series of samples of which the model's own effects are explained already.
+//! Preparation: turns a recording and a model into series of samples in which the model's own effects are explained.
 
 use super::course::{Course, Courses};
 use super::declared::courses::shifts_of;
@@ -22,15 +22,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Fewest samples for a diagnosis.
+/// Minimum number of samples for a diagnosis.
 pub const LEAST: usize = 1000;
-/// Greatest density behind a model's filters that may be present without being stated, as a part of the white noise's
+/// Greatest density that may be present behind a model's filters without being stated, as a part of the white noise's
 /// density before them.
 const QUIET: f64 = 1e-6;
-/// A rounded temperature is smoothed over so many s at most, and over as long as it takes to move by so many steps.
+/// Maximum time over which a rounded temperature is smoothed, s, and number of steps that the temperature moves in the
+/// smoothing time.
 const SMOOTHED_S: f64 = 60.0;
 const STEPS: f64 = 3.0;
-/// Its rate is taken from means over so many s: from reading to reading it goes to and fro between two steps.
+/// The temperature's rate is computed from means over this time, s: single readings alternate between two steps.
 const MOVES_S: f64 = 10.0;
 
 /// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
@@ -40,7 +41,7 @@ const LOUDER: f64 = 20.0;
 /// One channel, ready to be explained.
 #[derive(Debug, Clone)]
 pub struct Prepared {
-    /// Which.
+    /// The channel.
     pub channel: Channel,
     /// U per unit of the series.
     pub scale: f64,
@@ -48,38 +49,37 @@ pub struct Prepared {
     pub level: f64,
     /// The samples less their level, in the series' scale.
     pub samples: Vec<f64>,
-    /// What the values show.
+    /// The facts that the values show.
     pub facts: Facts,
-    /// Samples that are no noise: missing, held, at a limit.
+    /// Samples that are not noise: missing, held or at a limit.
     pub outliers: Vec<usize>,
     /// Samples at an upper limit and at a lower one, and the limits in the series' scale.
     pub limits: [Option<f64>; 2],
     /// The declared levels of N, B and K.
     pub declared: Law,
-    /// Beliefs about them.
+    /// Priors of the levels.
     pub beliefs: Beliefs,
     /// The step that counts as rounding, U: the capture's, or the model's; none if the samples are as before rounding.
     pub step: Option<f64>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub spectral: Vec<(usize, Term)>,
-    /// Lines that the model has, with its amplitudes.
+    /// The model's lines, with the model's amplitudes.
     pub sines: Vec<Sine>,
-    /// For each line, the place of its effect in the model's list, and its amplitude over the amplitude that the effect
-    /// alone has.
+    /// For each line, the place of its effect in the model's list, and its amplitude over that of the effect alone.
     pub lines: Vec<(usize, f64)>,
-    /// Its drifts and steps: of each the place of its effect, and its factor.
+    /// The model's drifts and steps, each with the place of its effect and its factor.
     pub shifts: Vec<(usize, Course, f64)>,
-    /// Stretches of another variance that it has, with the places of their effects.
+    /// The model's stretches of another variance, with the places of their effects.
     pub loud: Vec<(usize, Loud)>,
     /// The model's intervals of bursts, whether the channel has them or not.
     pub bursts: Vec<Range<usize>>,
-    /// Its variance by temperature or time, and the place of the effect.
+    /// The model's variance by temperature or time, and the place of the effect.
     pub scedasticity: Option<(usize, Scedasticity)>,
-    /// Samples that its filters reach.
+    /// Samples that the model's filters reach.
     pub reach: usize,
-    /// Names of the effects that it has.
+    /// Names of the model's effects.
     pub has: Vec<EffectKind>,
-    /// Whether an effect of it comes, goes or wanders, so that no two records are alike.
+    /// Whether an effect of the model comes, goes or wanders, so that no two records are alike.
     pub changes: bool,
     /// ln of the white variance at the record's mean temperature over that at the temperature to which N refers.
     pub white_shift: f64,
@@ -90,16 +90,16 @@ pub struct Prepared {
     pub dither: f64,
 }
 
-/// All of them, and what belongs to the record.
+/// All channels, and the data of the record.
 #[derive(Debug)]
 pub struct Ready {
     /// Channels in the model's order.
     pub channels: Vec<Prepared>,
-    /// Courses.
+    /// The courses.
     pub courses: Courses,
     /// The transform.
     pub transform: Cosines,
-    /// By triad (or single channel): repeats that are not chance's.
+    /// By triad (or single channel): repeats that are not due to chance.
     pub repeats: Vec<(Vec<Channel>, Repeats)>,
     /// The channels that the recording has and the model lacks.
     pub further: Vec<Channel>,
@@ -110,7 +110,7 @@ pub struct Ready {
 }
 
 impl Ready {
-    /// The record's data, for one of its channels.
+    /// Returns the record's data for one of its channels.
     pub(super) fn setting<'a>(&'a self, prepared: &'a Prepared, base: BaseOf<'a>) -> Setting<'a> {
         Setting {
             courses: &self.courses,
@@ -126,7 +126,7 @@ impl Ready {
     }
 }
 
-/// Looks at a recording and a model together.
+/// Prepares a recording and a model together.
 ///
 /// # Errors
 /// [`DiagnosisError`] if the inputs cannot be compared.
@@ -166,12 +166,12 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     })
 }
 
-/// Rates that differ by less than this are one rate by two clocks. A sensor's clock and a host's each run within 1e-4 of true,
-/// stamps give a rate within 1e-4, and a model has the rate that was set. A VN-100 was seen to differ from that rate by 1.9e-4
-/// (40 Hz, 39.9926 Hz by its host).
+/// Rates that differ by less than this are one rate by two clocks. The clocks of a sensor and a host each run within
+/// 1e-4 of true time, stamps give a rate within 1e-4, and a model has the configured rate. A VN-100 differed from that
+/// rate by 1.9e-4 (40 Hz, 39.9926 Hz by its host).
 const SAME_RATE_WITHIN: f64 = 5e-4;
 
-/// Whether two rates are one by two clocks.
+/// Returns whether two rates are one by two clocks.
 pub fn is_same_rate(one_hz: f64, other_hz: f64) -> bool {
     one_hz.is_finite() && (one_hz / other_hz - 1.0).abs() <= SAME_RATE_WITHIN
 }
@@ -179,12 +179,12 @@ pub fn is_same_rate(one_hz: f64, other_hz: f64) -> bool {
 /// Checks that a recording and a model have the same rate, before any work is done.
 ///
 /// # Errors
-/// [`DiagnosisError::Rate`] with both.
+/// [`DiagnosisError::Rate`] with both rates.
 pub fn same_rate(found_hz: f64, expected_hz: f64) -> Result<(), DiagnosisError> {
     if is_same_rate(found_hz, expected_hz) { Ok(()) } else { Err(DiagnosisError::Rate { found_hz, expected_hz }) }
 }
 
-/// Whether a recording and a model can be compared, and the channels that are.
+/// Returns checks whether a recording and a model can be compared, and returns the compared channels.
 ///
 /// # Errors
 /// [`DiagnosisError`] if the inputs cannot be compared.
@@ -199,8 +199,8 @@ pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Chan
         if values.len() != n {
             return Err(DiagnosisError::Lengths { channel: channel.to_string(), found: values.len(), expected: n });
         }
-        // A channel with a few values that are not numbers is accepted, and these values are left out. A channel with
-        // many of them is refused.
+        // A channel with a few values that are not numbers is accepted without these values. A channel with many of
+        // them is refused.
         let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
         if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
             let value = &values[index];
@@ -222,7 +222,8 @@ fn is_missing(real: &Recording, t: usize) -> bool {
     real.is_missing(t)
 }
 
-/// The temperature with its gaps filled, smoothed if it moves in steps, and the step, °C. None if it does not move.
+/// Returns the temperature with its gaps filled, smoothed if it moves in steps, and the step, °C. `None` if the
+/// temperature is constant.
 pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
     let mut filled = read.clone();
@@ -239,7 +240,7 @@ pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     if high - low <= 0.0 {
         return None;
     }
-    // Wide enough for several steps of the readings, narrow enough for what the temperature does.
+    // Wide enough for several steps of the readings, narrow enough for the temperature's own course.
     let step = facts::of(&filled).step.unwrap_or(0.0);
     let block = ((MOVES_S * real.rate_hz) as usize).clamp(1, filled.len());
     let means: Vec<f64> = filled.chunks_exact(block).map(|of| of.iter().sum::<f64>() / block as f64).collect();
@@ -250,8 +251,8 @@ pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     Some((smoothed(&filled, width), step))
 }
 
-/// Parabolas fitted to `width` samples about each (Savitzky and Golay 1964, Anal. Chem. 36), by way of means over a sixteenth
-/// of that; fewer at the ends.
+/// Fits parabolas to `width` samples about each sample (Savitzky and Golay 1964, Anal. Chem. 36), by way of means over
+/// a sixteenth of the width; fewer samples at the ends.
 fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
     const PARTS: usize = 16;
     let size = (width / PARTS).max(1);
@@ -273,7 +274,7 @@ fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
         (fourth * sum - square * second) / (n * fourth - square * square)
     };
     let smooth: Vec<f64> = (0..count).map(at).collect();
-    // Straight between the parts' middles; the last part may be shorter.
+    // Interpolates linearly between the parts' middles; the last part may be shorter.
     (0..values.len())
         .map(|t| {
             let place = ((t as f64 + 0.5) / size as f64 - 0.5).max(0.0);
@@ -284,7 +285,7 @@ fn smoothed(values: &[f64], width: usize) -> Vec<f64> {
         .collect()
 }
 
-/// The channels that repeat together, and where.
+/// Returns the channels that repeat together, and where.
 fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)> {
     const PROOF: f64 = 14.0;
     let mut groups: BTreeMap<Option<Triad>, Vec<Channel>> = BTreeMap::new();
@@ -320,7 +321,7 @@ fn channel_of(
     let there: Vec<f64> =
         values.iter().enumerate().filter(|(t, _)| outliers.binary_search(t).is_err()).map(|(_, v)| *v).collect();
     let facts = match real.sent(channel) {
-        // What is cut off there is the motion's.
+        // The motion causes values that are cut off there.
         Some(sent) => {
             let sent: Vec<f64> = (0..sent.len())
                 .filter(|t| outliers.binary_search(t).is_err() && sent[*t].is_finite())
@@ -347,7 +348,7 @@ fn channel_of(
         }
     }
     let density = white_density(model, sim.internal_rate_hz(sim.rate_hz));
-    // What a coarse step hides is drawn below; then there is no rounding left.
+    // Values hidden by a coarse step are drawn below; then no rounding is left.
     let step = facts.step.filter(|_| real.sent(channel).is_none());
     let coarse =
         step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, density * sim.rate_hz.sqrt())?)));
@@ -417,7 +418,7 @@ fn channel_of(
     Ok(prepared)
 }
 
-/// Subtracts from samples the model's statement of the level beyond the shifts that are fitted, U.
+/// Subtracts from samples the model's contributions to the level beyond the fitted shifts, U.
 fn subtract_others(
     samples: &mut [f64],
     model: &ChannelModel,
@@ -438,15 +439,16 @@ fn subtract_others(
     }
 }
 
-/// N of a model's channel with the white noise that it shares with others, U/√Hz: one channel alone cannot separate them.
+/// Returns N of a model's channel, including the white noise that it shares with others, U/√Hz: one channel alone
+/// cannot separate them.
 pub(super) fn white_density(model: &ChannelModel, internal_hz: f64) -> f64 {
     let shared = model.effects.iter().filter(|effect| effect.kind() == EffectKind::CommonMode);
     let power: f64 = shared.filter_map(|effect| effect.psd(0.0, internal_hz)).sum();
     (model.n * model.n + power).sqrt()
 }
 
-/// The lines of a model's channel as they are sent, in the series' scale (U per unit of it). Each has the place of its effect in
-/// the model's list, and its amplitude over the amplitude that the effect alone has: the part that the filters pass.
+/// Returns the lines of a model's channel as they are sent, in the series' scale (U per unit of it). Each has the place
+/// of its effect in the model's list, and its amplitude over that of the effect alone: the part that the filters pass.
 fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> Vec<(Sine, (usize, f64))> {
     let record = Record { rate_hz: sim.rate_hz, samples: samples as u64 };
     let effects = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
@@ -471,10 +473,10 @@ fn lines_of(sim: &SensorModel, channel: Channel, samples: usize, scale: f64) -> 
     effects.iter().enumerate().flat_map(of_effect).collect()
 }
 
-/// The first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their places
-/// in its list; those after them are taken as they are stated.
+/// Returns the first spectral effects of a model's channel as terms in the series' scale (U per unit of it), with their
+/// places in its list; the rest are taken as stated.
 fn terms_of(model: &ChannelModel, scale: f64, density: f64, rate_hz: f64) -> Vec<(usize, Term)> {
-    /// Every step of a search compares each of them by a separate fit.
+    /// Maximum number of terms: every step of a search compares each of them by a separate fit.
     const MOST: usize = 24;
     let listed = model.effects.iter().enumerate();
     listed
@@ -483,9 +485,10 @@ fn terms_of(model: &ChannelModel, scale: f64, density: f64, rate_hz: f64) -> Vec
         .collect()
 }
 
-/// A robust standard deviation of what is white, U: from differences of neighbours.
+/// Returns a robust standard deviation of the white part, U, from differences of neighbours.
 pub(super) fn scale_of(values: &[f64]) -> f64 {
-    /// The part of the differences that spikes leave alone, and the root mean square of normal ones in it.
+    /// The part of the differences that spikes do not affect, and the root mean square of normal differences in that
+    /// part.
     const MOST: f64 = 0.95;
     const OF_MOST: f64 = 0.871;
     let mut distances: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
@@ -505,8 +508,8 @@ pub(super) fn scale_of(values: &[f64]) -> f64 {
     }
 }
 
-/// By how much a model's white part is louder at a temperature than at the temperature to which N refers, in ln of its
-/// variance.
+/// Returns by how much a model's white part is louder at a temperature than at the temperature to which N refers, in ln
+/// of its variance.
 fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
     let changes = model.effects.iter().filter(|effect| effect.kind() == EffectKind::VarianceChange);
     let of = |effect: &Arc<dyn Effect>| {
@@ -516,10 +519,10 @@ fn white_shift(model: &ChannelModel, mean_c: f64) -> f64 {
     changes.map(of).sum()
 }
 
-/// The role of an effect of a model, with its place in the model's list.
+/// A property of an effect of a model, with the effect's place in the model's list.
 type OfModel<T> = (usize, T);
 
-/// The model's statement of its white part's variance.
+/// Returns the model's statement of its white part's variance.
 fn variance_of(
     model: &ChannelModel,
     samples: usize,
@@ -568,20 +571,20 @@ fn variance_of(
     (loud, scedasticity)
 }
 
-/// The intervals of a model's bursts among its stretches of another variance.
+/// Returns the intervals of a model's bursts among its stretches of another variance.
 fn loud_of_bursts(model: &ChannelModel, loud: &[OfModel<Loud>]) -> Vec<Range<usize>> {
     let is_burst = |place: usize| model.effects.get(place).is_some_and(|effect| effect.kind() == EffectKind::Bursts);
     loud.iter().filter(|(place, _)| is_burst(*place)).map(|(_, loud)| loud.from..loud.to).collect()
 }
 
-/// Whether an effect is another one at any time.
+/// Returns whether an effect changes with time.
 fn changes(effect: &dyn Effect, samples: usize, rate_hz: f64) -> bool {
     let by_name = matches!(effect.kind(), EffectKind::Intermittent | EffectKind::WanderingLine);
     by_name || effect.stationary(Record { rate_hz, samples: samples as u64 }).is_some()
 }
 
-/// Power per sample of a channel that is not decimated: the sum of its noise, through its filters. If it is decimated,
-/// [`Spectrum`] folds it.
+/// Returns the power per sample of a channel that is not decimated: the sum of its noise, through its filters. If it is
+/// decimated, [`Spectrum`] folds it.
 fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
     let rate_hz = grid.rate_hz();
     let levels: [&dyn Effect; 3] = [&White { n: model.n }, &Flicker { b: model.b }, &RandomWalk { k: model.k }];
@@ -596,7 +599,8 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
     grid.frequencies_hz().iter().map(of).collect()
 }
 
-/// The shapes of a channel's spectrum on a grid, in the series' scale, without the model's effects at some places of its list.
+/// Returns the shapes of a channel's spectrum on a grid, in the series' scale, without the model's effects at the
+/// places `without` of its list.
 pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BTreeSet<usize>) -> Base {
     let channel = prepared.channel;
     let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
@@ -626,7 +630,8 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
     for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
         let with = filters.iter().cloned().chain([effect.clone()]).collect();
         let of = shape(ChannelModel { effects: with, ..ChannelModel::default() });
-        // What is cut out of the samples is not in their spectrum; what channels share is in the level of white noise.
+        // Samples that are cut out are not in the spectrum; the shared noise of channels is in the level of white
+        // noise.
         if !matches!(effect.kind(), EffectKind::Bursts | EffectKind::Spikes | EffectKind::CommonMode) {
             known.iter_mut().zip(of).for_each(|(all, one)| *all += one / prepared.scale.powi(2));
         }
@@ -636,7 +641,7 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
     // No record has a filter's exact zeros: numbers are rounded, and records end.
     let quiet_max = if filters.is_empty() { 0.0 } else { QUIET * prepared.declared.levels[0].exp() * sim.rate_hz };
     after.iter_mut().for_each(|behind| *behind = *behind / prepared.scale.powi(2) + rounding);
-    // Before samples are decimated filters act at another rate: their phase at this one is small.
+    // Before decimation, filters act at another rate: their phase at the output rate is small.
     let passed = |f: &f64| match sim.sampling {
         None => filters.iter().map(|filter| filter.power_gain(*f, sim.rate_hz)).product(),
         Some(_) => 1.0,

@@ -1,8 +1,8 @@
 //! Prices: the distribution of each effect's gain and of each omnibus statistic in records of noise alone.
 //!
-//! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). [`Tails::shipped`] has those of
-//! simulated records at three lengths (`cargo run --release --example null_tails`); [`super::calibration`] finds them for a
-//! record's own length and model.
+//! Tails are exponential: the chance of more than x nats is about exp(−(x − offset)/scale). [`Tails::shipped`] has the
+//! tails of simulated records at three lengths (`cargo run --release --example null_tails`); [`super::calibration`]
+//! finds them for a record's own length and model.
 
 use super::evidence::Kind;
 use super::omnibus::Statistic;
@@ -19,8 +19,9 @@ pub struct Tail {
 }
 
 impl Tail {
-    /// Of values drawn by chance: the mean excess over the value that a share of 0.15 is above (an exponential tail; Davison
-    /// and Smith 1990, J. R. Stat. Soc. B 52, with shape 0). Fewer than 20 values, or none above 0, have none.
+    /// Fits the tail of values drawn by chance: the mean excess over the value that a share of 0.15 exceeds (an
+    /// exponential tail; Davison and Smith 1990, J. R. Stat. Soc. B 52, with shape 0). `None` for fewer than 20 values,
+    /// or if none is above 0.
     pub fn of(values: &[f64]) -> Option<Self> {
         const SHARE: f64 = 0.15;
         const LEAST: f64 = 1.0;
@@ -37,12 +38,12 @@ impl Tail {
         Some(Self { offset: threshold + scale * share.ln(), scale })
     }
 
-    /// The value that is above with a chance.
+    /// Returns the value that is exceeded with a chance.
     pub fn beyond(&self, chance: f64) -> f64 {
         self.offset - self.scale * chance.ln()
     }
 
-    /// The chance of a value above; more than 1 for what is usual.
+    /// Returns the chance of exceeding a value; more than 1 for usual values.
     pub fn chance(&self, value: f64) -> f64 {
         (-(value - self.offset) / self.scale).exp()
     }
@@ -53,7 +54,7 @@ impl Tail {
 pub struct Tails {
     /// Gains of effects.
     pub kinds: BTreeMap<Kind, Tail>,
-    /// Statistics of what remains.
+    /// Statistics of the remainder.
     pub statistics: BTreeMap<Statistic, Tail>,
 }
 
@@ -81,7 +82,7 @@ const STATISTICS: [(Statistic, [f64; 3], f64); 18] = [
     (Statistic::Crosstalk, [7.1, 8.3, 8.6], 1.15),
 ];
 
-/// Straight in ln of the samples between the table's lengths, and beyond them.
+/// Interpolates linearly in ln of the samples between the table's lengths, and extrapolates beyond them.
 fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
     let x = (samples.max(2) as f64).ln();
     let at = LENGTHS[1..LENGTHS.len() - 1].iter().filter(|length| x > length.ln()).count();
@@ -90,7 +91,7 @@ fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
 }
 
 impl Tails {
-    /// The table's, for records of `samples`.
+    /// Returns the tails of the table, for records of `samples`.
     pub fn shipped(samples: usize) -> Self {
         let tail = |offsets, scale| Tail { offset: between(offsets, samples), scale };
         Self {
@@ -99,13 +100,13 @@ impl Tails {
         }
     }
 
-    /// Whether there is a tail for every kind and statistic.
+    /// Returns whether there is a tail for every kind and statistic.
     pub fn is_whole(&self) -> bool {
         Kind::ALL.iter().all(|kind| self.kinds.contains_key(kind))
             && Statistic::ALL.iter().all(|of| self.statistics.contains_key(of))
     }
 
-    /// The chance that noise alone shows as much of a statistic; more than 1 for what is usual.
+    /// Returns the chance that noise alone exceeds a value of a statistic; more than 1 for usual values.
     pub fn chance(&self, statistic: Statistic, value: f64) -> f64 {
         self.statistics.get(&statistic).map_or(1.0, |tail| tail.chance(value))
     }
@@ -116,8 +117,8 @@ impl Tails {
 pub struct Prices(BTreeMap<Kind, f64>);
 
 impl Prices {
-    /// With tails, of `channels` that are looked at: by chance a kind is named in a part `level` of records of noise alone,
-    /// all kinds and channels counted.
+    /// Computes prices from tails, for `channels` examined channels: chance names a kind in a part `level` of records
+    /// of noise alone, all kinds and channels counted.
     pub fn new(tails: &Tails, channels: usize, level: f64, wanted: impl Fn(Kind) -> bool) -> Self {
         const LEAST: f64 = 6.0;
         let level = level / (channels.max(1) * Kind::ALL.len()) as f64;
@@ -125,7 +126,7 @@ impl Prices {
         Self(kinds.map(|(kind, tail)| (*kind, tail.beyond(level).max(LEAST))).collect())
     }
 
-    /// The price of a kind; infinite if it is not looked for.
+    /// Returns the price of a kind; infinite if it is not looked for.
     pub fn of(&self, kind: Kind) -> f64 {
         self.0.get(&kind).copied().unwrap_or(f64::INFINITY)
     }

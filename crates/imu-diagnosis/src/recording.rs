@@ -11,45 +11,46 @@ pub struct Recording {
     pub rate_hz: f64,
     /// Each channel's values in its unit, all of one length; the value at a missing sample does not count.
     pub channels: Vec<(Channel, Vec<f64>)>,
-    /// Which samples are missing; empty if none is.
+    /// Whether each sample is missing; empty if none is.
     pub missing: Vec<bool>,
-    /// The sensor's temperature at every sample, °C, if it was measured, as it was read, in steps of any size.
+    /// The sensor's temperature at every sample, °C, as it was read, in steps of any size, if it was measured.
     pub temperature_c: Option<Vec<f64>>,
-    /// Stamps, s, one per sample that is there or per place; empty if none were taken.
+    /// Stamps, s, one per present sample or per place; empty if none were taken.
     pub time_s: Vec<f64>,
-    /// If the channels' values are the remainder beyond an answer to a motion: the values that the sensor sent. Steps of rounding
-    /// and samples sent again are seen in these alone; limits are the answer's.
+    /// The values that the sensor sent, if the channels' values are the remainder beyond a response to a motion. Only
+    /// the sent values show steps of rounding and samples sent again; limits belong to the response.
     pub sent: Vec<(Channel, Vec<f64>)>,
-    /// How the samples of a triad came about, if that is known.
+    /// The sampling of a triad, if it is known.
     pub sampling: BTreeMap<Triad, Sampling>,
 }
 
 impl Recording {
-    /// Places on the grid.
+    /// Returns the number of places on the grid.
     pub fn len(&self) -> usize {
         self.channels.first().map_or(0, |(_, values)| values.len())
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no places.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// A channel's values.
+    /// Returns a channel's values.
     pub fn values(&self, channel: Channel) -> Option<&[f64]> {
         self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
-    /// The values that the sensor sent, where those of the channel are what remains beyond an answer to a motion.
+    /// Returns the values that the sensor sent, if the channel's values are the remainder beyond a response to a
+    /// motion.
     pub fn sent(&self, channel: Channel) -> Option<&[f64]> {
         self.sent.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
-    /// A part of its places.
+    /// Returns the part of the recording at these places.
     pub fn part(&self, within: std::ops::Range<usize>) -> Self {
         let cut = |values: &[f64]| values.get(within.clone()).unwrap_or_default().to_vec();
         let all = |of: &[(Channel, Vec<f64>)]| of.iter().map(|(channel, values)| (*channel, cut(values))).collect();
-        // One stamp per place, or per sample that is there.
+        // One stamp per place, or per present sample.
         let there = |until: usize| (0..until.min(self.len())).filter(|place| !self.is_missing(*place)).count();
         let stamps = match self.time_s.len() == self.len() {
             true => within.clone(),
@@ -66,12 +67,13 @@ impl Recording {
         }
     }
 
-    /// Whether the sample at a place is missing.
+    /// Returns whether the sample at a place is missing.
     pub fn is_missing(&self, place: usize) -> bool {
         self.missing.get(place).copied().unwrap_or(false)
     }
 
-    /// The lowest and the highest temperature from one time to another, s from the first sample; None if none was measured.
+    /// Returns the lowest and the highest temperature from one time to another, s from the first sample; `None` if none
+    /// was measured.
     pub fn temperatures_between(&self, from_s: f64, to_s: f64) -> Option<[f64; 2]> {
         let place = |time_s: f64| ((time_s * self.rate_hz).round().max(0.0) as usize).min(self.len());
         let there = |t: &usize| !self.missing.get(*t).copied().unwrap_or(false);
@@ -84,7 +86,7 @@ impl Recording {
         })
     }
 
-    /// Its length in s.
+    /// Returns the length, s.
     pub fn length_s(&self) -> f64 {
         self.len() as f64 / self.rate_hz
     }

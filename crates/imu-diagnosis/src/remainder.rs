@@ -3,11 +3,13 @@
 use super::report::{Of, Place, Remainder, Verdict};
 use std::collections::BTreeSet;
 
-/// Part of the gap from which on what remains makes a verdict `unknown_effect`, unless the caller chooses another.
+/// If the remainder exceeds this part of the gap, the verdict is `unknown_effect`, unless the caller chooses another
+/// part.
 pub const MATERIAL: f64 = 0.02;
 
 impl Remainder {
-    /// From the places of a record; `all` is the number of its samples on all channels. None if nothing remains.
+    /// Creates the remainder from the places of a record. `all` is the number of its samples on all channels. `None` if
+    /// nothing remains.
     pub(super) fn of(places: &[Place], what: BTreeSet<String>, all: f64) -> Option<Self> {
         let own = || places.iter().filter(|place| place.of == Of::Remainder);
         let channels: BTreeSet<&str> = own().map(|place| place.channel.as_str()).collect();
@@ -20,7 +22,7 @@ impl Remainder {
     }
 }
 
-/// The verdict: unknown only if what remains is more than a part of the gap.
+/// Returns the verdict: unknown only if the remainder exceeds a part of the gap.
 pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: bool, has_parameters: bool) -> Verdict {
     match (remainder.is_some_and(|of| of.share > above), has_causes, has_parameters) {
         (true, ..) => Verdict::UnknownEffect,
@@ -30,8 +32,9 @@ pub(super) fn verdict(remainder: Option<&Remainder>, above: f64, has_causes: boo
     }
 }
 
-/// Nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), that of one regressor among `samples`
-/// normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without end; a likelihood does not.
+/// Returns the nats of a likelihood ratio whose local value is half of a square z²: n/2·ln(1 + z²/n), as for one
+/// regressor among `samples` normal values (Seber & Lee 2003, Linear Regression Analysis, 4.3). Moments grow without
+/// bound; a likelihood does not.
 pub(super) fn bounded(half_square: f64, samples: f64) -> f64 {
     // A value that is not a number counts as 0; an infinite value counts as a finite maximum.
     let half_square = if half_square.is_nan() { 0.0 } else { half_square.min(0.25 * f64::MAX) };

@@ -20,7 +20,7 @@ pub enum Verdict {
     Parameters,
     /// The effects that were found explain the discrepancy down to the floor.
     Effects,
-    /// A discrepancy remains that no known effect explains, and it is more than a small part of the gap.
+    /// A discrepancy remains that no known effect explains, and it exceeds a small part of the gap.
     UnknownEffect,
 }
 
@@ -29,10 +29,10 @@ pub enum Verdict {
 pub struct Discrepancy {
     /// Always `nats/sample`.
     pub unit: Cow<'static, str>,
-    /// Under the model as it came.
+    /// Under the original model.
     #[serde(deserialize_with = "numbers")]
     pub before: f64,
-    /// With its parameters corrected.
+    /// With the model's parameters corrected.
     #[serde(deserialize_with = "numbers")]
     pub after_parameters: f64,
     /// With the effects found as well.
@@ -41,18 +41,18 @@ pub struct Discrepancy {
     /// The discrepancy of a true model.
     #[serde(deserialize_with = "numbers")]
     pub floor: f64,
-    /// Chance that a true model shows as much as is left.
+    /// Chance that a true model shows as large a discrepancy as the remaining one.
     #[serde(deserialize_with = "numbers")]
     pub p_value_after: f64,
     /// (after_parameters − after)/(after_parameters − floor); none if no effect was added or if there was no gap to close.
     pub closed: Option<f64>,
-    /// Its 95 % interval.
+    /// The 95 % interval of `closed`.
     pub closed_ci95: Option<[f64; 2]>,
-    /// On which data.
+    /// The data on which it was measured.
     pub measured_on: String,
 }
 
-/// What lies in a place.
+/// The finding that lies in a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Of {
     /// The cause of this number in the list.
@@ -85,7 +85,7 @@ impl<'de> Deserialize<'de> for Of {
     }
 }
 
-/// Reports of earlier versions do not state what lies in a place: no cause has this number.
+/// Returns a cause number that no cause has: reports of earlier versions do not state the finding of a place.
 fn untold() -> Of {
     Of::Cause(usize::MAX)
 }
@@ -93,7 +93,7 @@ fn untold() -> Of {
 /// A place where real and simulated samples differ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
-    /// What lies in it.
+    /// The finding at the place.
     #[serde(default = "untold")]
     pub of: Of,
     /// The channel.
@@ -101,37 +101,37 @@ pub struct Place {
     /// Frequencies.
     #[serde(deserialize_with = "numbers")]
     pub band_hz: [f64; 2],
-    /// Averaging times that see them.
+    /// Averaging times that cover these frequencies.
     #[serde(deserialize_with = "numbers")]
     pub tau_s: [f64; 2],
-    /// Begin, s after that of what was compared, or of the capture ([`Diagnosis::begins_at`]).
+    /// Start, s after that of the compared samples, or of the capture ([`Diagnosis::begins_at`]).
     #[serde(deserialize_with = "numbers")]
     pub from_s: f64,
     /// End, s.
     #[serde(deserialize_with = "numbers")]
     pub to_s: f64,
-    /// Temperatures, where the discrepancy depends on them.
+    /// Temperatures, if the discrepancy depends on them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub temperature_c: Option<[f64; 2]>,
-    /// The course of the motion at the place, if the gap is the motion's.
+    /// The course of the motion at the place, if the motion drives the gap.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at: Option<Driver>,
     /// Part of the nats of all places.
     #[serde(deserialize_with = "numbers")]
     pub share: f64,
-    /// Nats that lie in it.
+    /// Nats at the place.
     #[serde(default, deserialize_with = "numbers")]
     pub nats: f64,
-    /// Chance that noise alone makes one as heavy anywhere in the record.
+    /// Chance that noise alone makes as heavy a place anywhere in the record.
     #[serde(default, deserialize_with = "numbers")]
     pub p_value: f64,
-    /// `real noisier` or `real quieter`; of what a motion drives `real higher` or `real lower`.
+    /// `real noisier` or `real quieter`; for a gap that a motion drives, `real higher` or `real lower`.
     pub sign: Cow<'static, str>,
 }
 
 #[cfg(test)]
 impl Place {
-    /// A place on gyro_x over all times and frequencies of 1000 s at 40 Hz, with 1000 nats in all places.
+    /// Creates a place on gyro_x over all times and frequencies of 1000 s at 40 Hz, with 1000 nats in all places.
     pub(crate) fn in_tests(of: Of, share: f64) -> Self {
         Self {
             of,
@@ -155,14 +155,14 @@ impl Place {
 pub struct Driver {
     /// `rate` or `acceleration` (specific force).
     pub quantity: Cow<'static, str>,
-    /// x, y or z of the sensor.
+    /// The sensor's axis: x, y or z.
     pub axis: Cow<'static, str>,
-    /// Its unit.
+    /// The unit of the quantity.
     pub unit: Cow<'static, str>,
-    /// From and to.
+    /// The lower and the upper end.
     #[serde(deserialize_with = "numbers")]
     pub range: [f64; 2],
-    /// The pose at rest, such as `z down`, where it lies in one.
+    /// The pose at rest, such as `z down`, if the range lies in one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pose: Option<String>,
 }
@@ -170,19 +170,19 @@ pub struct Driver {
 /// A parameter that is merely off.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
-    /// The channel; `sensor` for what belongs to all.
+    /// The channel; `sensor` for a parameter of the whole sensor.
     pub channel: String,
-    /// N, B, K, bias, rate_hz.
+    /// N, B, K, bias or rate_hz.
     pub parameter: Cow<'static, str>,
     /// The model's value.
     #[serde(deserialize_with = "numbers")]
     pub model: f64,
-    /// The capture's; 0 if it shows none of it, below the upper end of its interval.
+    /// The capture's value; 0 if the capture shows none, which limits it to the upper end of its interval.
     #[serde(deserialize_with = "numbers")]
     pub capture: f64,
-    /// The second over the first; none if one of them is 0.
+    /// The capture's value over the model's; none if one of them is 0.
     pub ratio: Option<f64>,
-    /// Nats that the model's value loses against the best one; 0 if they are not measured.
+    /// Nats that the model's value loses against the best one; 0 if not measured.
     #[serde(default, deserialize_with = "numbers")]
     pub nats: f64,
     /// 95 % interval of the capture's value.
@@ -190,7 +190,7 @@ pub struct Parameter {
     pub ci95: Option<[f64; 2]>,
 }
 
-/// A mean of the capture that is another than the model states, beyond turn-on bias and pose.
+/// A mean of the capture that differs from the model's by more than turn-on bias and pose explain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// The channel.
@@ -198,7 +198,7 @@ pub struct Offset {
     /// The model's `bias`, U.
     #[serde(deserialize_with = "numbers")]
     pub model: f64,
-    /// The capture's mean without what is explained of it, U.
+    /// The capture's mean without its explained part, U.
     #[serde(deserialize_with = "numbers")]
     pub capture: f64,
     /// The part that turn-on bias explains, U.
@@ -210,7 +210,7 @@ pub struct Offset {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HintKind {
-    /// The root of the rate is in it once too often or too rarely.
+    /// The root of the rate is applied once too often or once too rarely.
     SqrtRate,
     /// Another unit.
     Unit,
@@ -218,7 +218,7 @@ pub enum HintKind {
     Sign,
     /// Another axis.
     Axes,
-    /// A prefix.
+    /// Another prefix of the unit.
     Scale,
 }
 
@@ -227,13 +227,13 @@ pub enum HintKind {
 pub struct Hint {
     /// The quantity that differs, such as `accel_x N`.
     pub about: String,
-    /// Which meaning.
+    /// The meaning.
     pub kind: HintKind,
-    /// A sentence.
+    /// The hint as a sentence.
     pub text: String,
 }
 
-/// On which side an effect is.
+/// The side on which an effect is.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sense {
@@ -249,50 +249,50 @@ pub enum Sense {
 /// An effect in which sensor and model differ.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Cause {
-    /// Which.
+    /// The effect.
     pub effect: EffectKind,
-    /// Who has it.
+    /// The side that has it.
     #[serde(default)]
     pub sense: Sense,
-    /// The triad that it belongs to as a whole.
+    /// The triad, if the effect belongs to it as a whole.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triad: Option<Cow<'static, str>>,
-    /// The channels it is on.
+    /// The channels of the effect.
     pub channels: Vec<String>,
-    /// Chance that it is this one.
+    /// Chance that this is the cause.
     #[serde(deserialize_with = "numbers")]
     pub confidence: f64,
     /// The part of the gap that it closes; none if nothing could be measured.
     pub closes: Option<f64>,
     /// By channel (or triad): the sensor's parameters, a list if there are several.
     pub parameters: BTreeMap<String, Value>,
-    /// The model's in the same form, where it has the effect.
+    /// The model's parameters in the same form, if it has the effect.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub model: BTreeMap<String, Value>,
     /// 95 % intervals in the same form, if they are known.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub uncertainty: Map<String, Value>,
-    /// Sentences with figures.
+    /// The evidence, in sentences with figures.
     pub evidence: Vec<String>,
 }
 
 /// An effect that was weighed and not named.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alternative {
-    /// Which.
+    /// The effect.
     pub effect: EffectKind,
     /// The channels.
     pub channels: Vec<String>,
     /// The part of the gap that it would close alone.
     pub closes: Option<f64>,
-    /// A sentence.
+    /// The reason, as a sentence.
     pub why_not: String,
 }
 
 /// One channel's discrepancy, nats per sample.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ChannelGap {
-    /// Under the model as it came.
+    /// Under the original model.
     #[serde(deserialize_with = "numbers")]
     pub before: f64,
     /// With all effects that were found.
@@ -311,9 +311,9 @@ pub struct Remainder {
     /// Nats per sample.
     #[serde(deserialize_with = "numbers")]
     pub nats: f64,
-    /// The channels it is on.
+    /// The channels of the remainder.
     pub channels: Vec<String>,
-    /// The evidence, a sentence each.
+    /// The evidence, one sentence each.
     pub what: Vec<String>,
 }
 
@@ -322,17 +322,17 @@ pub struct Remainder {
 pub struct Diagnosis {
     /// [`FORMAT`].
     pub format: Cow<'static, str>,
-    /// In all.
+    /// The overall result.
     pub verdict: Verdict,
     /// One sentence for a person.
     pub summary: String,
-    /// How much.
+    /// The size of the gap.
     pub discrepancy: Discrepancy,
-    /// The places, heaviest first: of each cause, of the parameters that are off, of the remainder.
+    /// The places, heaviest first: of each cause, of the parameters that are off, and of the remainder.
     pub r#where: Vec<Place>,
     /// The parameters that are merely off.
     pub parameters: Vec<Parameter>,
-    /// Means that differ from those that the model states.
+    /// Means that differ from the model's.
     #[serde(default)]
     pub offsets: Vec<Offset>,
     /// The possible meanings of the sizes of these differences.
@@ -344,19 +344,19 @@ pub struct Diagnosis {
     pub remainder: Option<Remainder>,
     /// The effects that were weighed and not named.
     pub alternatives: Vec<Alternative>,
-    /// Per channel.
+    /// The gap per channel.
     pub per_channel: BTreeMap<String, ChannelGap>,
-    /// Notes for the reader: channels that were not compared, effects larger than which are excluded, pairs that this record
-    /// cannot distinguish, and the measurement that would distinguish them.
+    /// Notes for the reader: channels that were not compared, the sizes above which effects are excluded, and pairs of
+    /// causes that this record cannot distinguish, with the measurement that would distinguish them.
     pub notes: Vec<String>,
-    /// The program.
+    /// The program and its version.
     pub software: String,
     /// The inputs that were compared.
     pub inputs: BTreeMap<Cow<'static, str>, String>,
 }
 
 impl Diagnosis {
-    /// States all times from the capture's begin on, of which the diagnosis saw the part from `from_s` on.
+    /// States all times relative to the capture's start. The diagnosis saw the capture from `from_s` on.
     pub fn begins_at(&mut self, from_s: f64) {
         for place in &mut self.r#where {
             place.from_s += from_s;

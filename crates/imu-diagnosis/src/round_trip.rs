@@ -1,4 +1,4 @@
-//! Round trips: what is simulated with an effect is found again, with its parameters inside their intervals.
+//! Round trips: a simulated effect is found again, with its parameters inside their intervals.
 
 use super::{Options, Recording, diagnose};
 use imu_core::sample::Channel;
@@ -9,13 +9,14 @@ use std::collections::BTreeMap;
 pub(super) const RATE_HZ: f64 = 40.0;
 pub(super) const CHANNELS: [Channel; 3] = [Channel::AccelX, Channel::AccelY, Channel::AccelZ];
 
-/// A temperature that rises, falls and rises: no drift.
+/// Returns a temperature that rises, falls and rises: no drift.
 fn temperature_c(time_s: f64, length_s: f64) -> f64 {
     let turn = std::f64::consts::TAU * time_s / length_s;
     25.0 + 3.0 * (1.7 * turn).sin() + 2.0 * (3.1 * turn + 1.0).sin()
 }
 
-/// A model of three accelerometer axes, of which the first and the last have the effect (all, where it belongs to the triad).
+/// Returns a model of three accelerometer axes, of which the first and the last have the effect (all, if it belongs to
+/// the triad).
 pub(super) fn model(effect: Option<&Value>) -> SensorModel {
     let own = |index: usize| match effect {
         Some(effect) if index != 1 || of_triad(effect) => vec![effect.clone()],
@@ -60,7 +61,7 @@ pub(super) fn recording(model: &SensorModel, seed: u64, samples: usize) -> Recor
     recording
 }
 
-/// How many of an effect's parameters were inside their intervals, and how many there were; what failed.
+/// Counts of an effect's parameters inside their intervals and in total, and the failures.
 #[derive(Debug, Default)]
 struct Tally {
     inside: usize,
@@ -104,7 +105,7 @@ fn truth(effect: &Value, parameter: &str) -> f64 {
     effect[parameter].as_f64().unwrap()
 }
 
-/// The documented effects, at sizes that the record shows.
+/// Returns the documented effects, at sizes that the record shows.
 fn effects() -> Vec<Value> {
     vec![
         json!({"effect": "quantization_noise", "Q": 1.2e-4}),
@@ -136,7 +137,7 @@ fn parameters_are_inside_their_intervals() {
         (inside, of) = (inside + tally.inside, of + tally.of);
         said.extend(tally.missed);
     }
-    // 95 % of them; a binomial's 0.1 % below that.
+    // 95 % of them, less the margin of a binomial's 0.1 %.
     let least = 0.95 * of as f64 - 3.1 * (0.95 * 0.05 * of as f64).sqrt();
     assert!(inside as f64 >= least, "{inside} of {of}: {said:#?}");
 }
@@ -173,7 +174,8 @@ fn exact_parameters_are_found() {
     }
 }
 
-/// The coverage of every interval over many seeds; `-- --ignored --nocapture` prints the table of docs/validation.md.
+/// Measures the coverage of every interval over many seeds; `-- --ignored --nocapture` prints the table of
+/// docs/validation.md.
 #[test]
 #[ignore = "minutes"]
 fn coverage() {
@@ -201,7 +203,7 @@ fn a_filter_and_a_limit_behind_it_are_both_named_and_nothing_else() {
     {
         let mut real = recording(&model(Some(&filter)), 5, 40_000);
         let name = filter["effect"].as_str().unwrap();
-        // One value in forty is beyond.
+        // One value in forty exceeds it.
         let values = &mut real.channels[0].1;
         let mut sorted = values.clone();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -236,7 +238,7 @@ fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
         }
         let outcome = diagnose(&real, &model(None), &Options::default()).unwrap();
         let names: Vec<&str> = outcome.diagnosis.causes.iter().map(|cause| cause.effect.name()).collect();
-        // Of sizes that spread over two values alone, tails are named besides.
+        // Sizes that take two values alone look like tails as well.
         assert_eq!(names.first(), Some(&"spikes"), "{count} of {far}: {:#?}", outcome.diagnosis.parameters);
         let n = outcome.augmented.channels[&Channel::AccelX].n;
         assert!((n / 2e-3 - 1.0).abs() < 0.03, "{count} of {far}: N {n}");

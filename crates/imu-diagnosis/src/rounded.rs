@@ -13,29 +13,31 @@ use imu_model::simulator::SensorModel;
 use statrs::distribution::{ContinuousCDF, Normal};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Random stream of what is drawn.
+/// Random stream of the draws.
 const ROUNDED: u16 = 5;
 
 /// The information of rounded values about white noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct White {
-    /// Its standard deviation, U.
+    /// The standard deviation, U.
     pub(super) deviation: f64,
-    /// The part of the information on its logarithm in the values before rounding that those drawn in their place have.
+    /// The information on the logarithm of the deviation in the drawn values, as a part of that in the values before
+    /// rounding.
     pub(super) share: f64,
 }
 
-/// The white noise of values (U) that are coarse: so many neighbours are equal that rounding shows as more than noise, from steps
-/// of about 1.3 standard deviations on; None of others. `left_out`, in order, do not count.
+/// Returns the white noise of coarse values (U): so many neighbours are equal that rounding shows as more than noise,
+/// from steps of about 1.3 standard deviations on. `None` for other values. The places `left_out`, in order, do not
+/// count.
 ///
-/// The likelihood of the counts, by blocks of time with separate levels. If only two levels are sent, a wider noise and another
-/// level look the same: the estimate is then about the model's `declared` (a standard deviation, U).
+/// Maximises the likelihood of the counts, by blocks of time with separate levels. If only two levels are sent, a wider
+/// noise and another level look the same: the estimate is then about the model's `declared` (a standard deviation, U).
 pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: f64) -> Option<White> {
     const EQUAL: f64 = 0.35;
     const BLOCKS: usize = 8;
-    /// Standard deviation of the belief in the model's deviation, ln.
+    /// Standard deviation of the prior of the model's deviation, ln.
     const ABOUT: f64 = 0.7;
-    /// Standard deviations in steps.
+    /// Range of the standard deviation, in steps.
     const RANGE: [f64; 2] = [1.0 / 12.0, 1.5];
     const AROUND: f64 = 0.05;
     let known = |t: &usize| left_out.binary_search(t).is_err() && values[*t].is_finite();
@@ -45,7 +47,7 @@ pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: 
         return None;
     }
     let normal = Normal::standard();
-    // Levels in steps and how often each was sent.
+    // Levels in steps, and how often each was sent.
     let first = (0..values.len()).find(known).map(|t| values[t])?;
     let size = values.len().div_ceil(BLOCKS);
     let of_block = |block: usize| {
@@ -61,7 +63,7 @@ pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: 
             let (sum, count) = counts.iter().fold((0.0, 0.0), |(s, c), (level, n)| (s + n * *level as f64, c + n));
             let at = |middle: f64| -> f64 {
                 let of = |(level, count): (&i64, &f64)| {
-                    // The nearer side of both, where the share is exact.
+                    // The side nearer to the middle, where the share is exact.
                     let far = (*level as f64 - middle).abs();
                     let [near, beyond] = [0.5 - far, -0.5 - far].map(|end| normal.cdf(end / deviation));
                     count * (near - beyond).max(1e-12).ln()
@@ -78,11 +80,11 @@ pub(super) fn white_of(values: &[f64], step: f64, left_out: &[usize], declared: 
     let beside = |by: f64| likelihood((logarithm + by).exp());
     let curvature = (2.0 * most - beside(AROUND) - beside(-AROUND)) / (AROUND * AROUND);
     let share = (curvature / (2.0 * values.len() as f64)).clamp(1e-6, 1.0);
-    // What is hidden is drawn, and is uncertain by that once more.
+    // Hidden values are drawn, which adds as much uncertainty again.
     Some(White { deviation: step * logarithm.exp(), share: share / (2.0 - share) })
 }
 
-/// The place of the maximum of a function with one maximum, and the maximum, by the golden section.
+/// Returns the place and the value of the maximum of a function with one maximum, by the golden section.
 fn greatest([mut low, mut high]: [f64; 2], of: impl Fn(f64) -> f64) -> (f64, f64) {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     const ROUNDS: usize = 22;
@@ -106,14 +108,15 @@ fn greatest([mut low, mut high]: [f64; 2], of: impl Fn(f64) -> f64) -> (f64, f64
 /// Draws samples that were rounded to multiples of `step` (U) from their distribution given the sent values. Samples that are
 /// left out may take any value.
 ///
-/// Gibbs sampling (Tanner and Wong 1987, J. Am. Stat. Assoc. 82) under the model's own law, its levels fitted on the way: what is
-/// above the white part, lines included, is drawn given all samples, then each sample given that and its bounds.
+/// Gibbs sampling (Tanner and Wong 1987, J. Am. Stat. Assoc. 82) under the model's own law, with its levels fitted on
+/// the way: the part above the white part, lines included, is drawn given all samples; then each sample is drawn given
+/// that part and its bounds.
 pub(super) fn unround(prepared: &mut Prepared, sim: &SensorModel, step: f64, white: White) {
     const ROUNDS: usize = 25;
-    /// Samples that all rounds together draw.
+    /// The number of samples that all rounds together may draw.
     const WORK: usize = 20_000_000;
     const FEWEST: usize = 5;
-    /// A coefficient is a line's if chance makes none as large, in nats beyond.
+    /// A coefficient belongs to a line if it exceeds the largest one of chance by this many nats.
     const BEYOND: f64 = 12.0;
     let n = prepared.samples.len();
     let normal = Normal::standard();
@@ -155,7 +158,7 @@ pub(super) fn unround(prepared: &mut Prepared, sim: &SensorModel, step: f64, whi
         for ((value, level), (sent, known)) in drawn.iter_mut().zip(&above).zip(&sent) {
             let bound = |side: f64| if *known { (sent + side * width - level) / spread } else { side * f64::INFINITY };
             let (low, high) = (bound(-0.5), bound(0.5));
-            // Above the middle the mirror image's share is the exact one.
+            // Above the middle, the mirror image's share is the exact one.
             let sign = if low > 0.0 { -1.0 } else { 1.0 };
             let [from, to] = if low > 0.0 { [-high, -low] } else { [low, high] };
             let (below, within) = (normal.cdf(from), normal.cdf(to) - normal.cdf(from));

@@ -1,4 +1,4 @@
-//! The search: the effects in which a series and its model differ, one after the other, each at its price.
+//! The search: finds the effects in which a series and its model differ, one after the other, each at its price.
 
 use super::course::Course;
 use super::evidence::declared;
@@ -20,33 +20,34 @@ use super::taken_back::{
 pub struct Step {
     /// Its kind.
     pub kind: Kind,
-    /// Nats.
+    /// Nats gained.
     pub gain: f64,
-    /// Nats that it had to give.
+    /// Nats that the effect had to gain.
     pub price: f64,
     /// The other effects that would have been worth their price, best first.
     pub others: Vec<(Kind, f64)>,
-    /// Which of the model's own effects was changed, by its place in the list, and how; none of what the model lacks.
+    /// The model's own effect that was changed, by its place in the list, and how; none for an effect that the model
+    /// lacks.
     pub of_model: Option<(usize, Sense)>,
 }
 
 impl Step {
-    /// The chance that noise alone gains as much somewhere in a record, given that it gains the price with chance
-    /// `level`.
+    /// Returns the chance that noise alone gains as much somewhere in a record, given that it gains the price with
+    /// chance `level`.
     pub(super) fn chance(&self, level: f64) -> f64 {
         (level * (self.price - self.gain).exp()).min(1.0)
     }
 
-    /// Whether the law has a term of this kind.
+    /// Returns whether the law has a term of this kind.
     pub(super) fn has_term(&self) -> bool {
         self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)
     }
 }
 
-/// Nats by which a filter with a cutoff has to be better than a boxcar.
+/// Nats by which a filter with a cutoff has to exceed a boxcar.
 const BOXCAR: f64 = 6.0;
 
-/// A complex kind that stands in for a simple one has to be better by some nats.
+/// Pairs of a complex kind and a simple one; the complex kind has to be better by some nats.
 const SIMPLER: [(Kind, Kind, f64); 17] = [
     (Kind::WarmUp, Kind::RateRamp, 4.0),
     (Kind::BiasStep, Kind::RateRamp, 2.0),
@@ -70,16 +71,15 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
 
 /// The levels have no prior.
 pub(super) const FREE: Beliefs = [None, None, None];
-/// Nats that B and K of any size have to give: the model's statement about them is rarely wrong by a large factor.
+/// Nats that B and K of any size have to gain: the model's statement about them is rarely wrong by a large factor.
 const ANY_LEVELS: f64 = 12.0;
 
-/// From so many named effects on, no more are looked for on a channel.
+/// Maximum number of named effects on a channel; no more are searched.
 const EFFECTS_MAX: usize = 12;
 
 /// Explains a series as far as effects are worth their prices.
 pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
-    /// Steps may be taken back after they are made, and found again. After this number of turns the search ends in its
-    /// current state.
+    /// Steps may be taken back and found again. After this number of turns the search ends in its current state.
     const TURNS: usize = 3 * EFFECTS_MAX;
     let start = series.explanation.clone();
     let mut steps: Vec<Step> = Vec::new();
@@ -91,7 +91,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         series.explanation.leave_out(peaks.iter().copied());
         series.rebuild(true);
     }
-    // An effect that was taken back at once would be found again.
+    // An effect that was just taken back would be found again at once.
     let mut refused: Vec<Kind> = Vec::new();
     for _ in 0..TURNS {
         if steps.len() >= EFFECTS_MAX {
@@ -127,7 +127,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                     before.into_iter().for_each(|before| *series = before);
                 }
             }
-            // Tails that were found before may have been of these, and of what they hid.
+            // Tails that were found before may belong to these stretches or to effects that they hid.
             Kind::Bursts if steps.iter().any(|step| step.kind == Kind::HeavyTails && step.of_model.is_none()) => {
                 steps.retain(|step| step.kind != Kind::HeavyTails || step.of_model.is_some());
                 series.explanation.tails = start.tails;
@@ -135,7 +135,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
                 more_bursts(series, prices, &mut steps);
             }
             Kind::Bursts => more_bursts(series, prices, &mut steps),
-            // A course of the variance that it does not include would look like tails.
+            // A course of the variance outside this effect would look like tails.
             Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
             _ => {}
         }
@@ -160,7 +160,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model states. White noise of the model's
 /// size and a process of short correlation look like the noise behind a filter and the noise that the filter passes.
 fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
-    /// ln of how many times as large N² may be without doubt, and of an N that is none.
+    /// ln of the ratio up to which a larger N² raises no doubt, and the power below which the model has no white noise.
     const AS_LARGE: f64 = 2.5;
     const NONE: f64 = -50.0;
     const MOST: f64 = 20.0;
@@ -171,10 +171,10 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
 }
 
-/// Whether a candidate is slow noise that is no larger than the part of a level following the temperature that rounded readings
-/// do not show.
+/// Returns whether a candidate is slow noise that is no larger than the part of a level following the temperature that
+/// rounded readings do not show.
 fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
-    /// Parts of a step of the readings.
+    /// Limit as a part of a step of the readings.
     const UNSAID: f64 = 0.4;
     let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
     let per_c = of.explanation.courses.iter().map(follows).fold(0.0, f64::max);
@@ -185,14 +185,14 @@ fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
         && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unsaid)
 }
 
-/// Subtracts this doubt from the gains of filters.
+/// Subtracts the doubt from the gains of filters.
 fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
     for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
         of.gain -= louder_before(series, &of.explanation);
     }
 }
 
-/// The effects that the model may lack, and those that it may have with other numbers than the series.
+/// Returns candidates for effects that the model lacks, and for effects that it has with other numbers than the series.
 fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     let mut found = evidence::all(series);
     doubt_filters(series, &mut found);
@@ -204,11 +204,12 @@ fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     found
 }
 
-/// Whether B and K that are far off do as well as an effect. In that case, the prior on them is dropped.
+/// Returns whether B and K that are far off explain as much as an effect. In that case, the prior on them is dropped.
 fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
-    /// Nats that slow noise of another form has to be better by.
+    /// Nats by which slow noise of another form has to be better.
     const CLEARLY: f64 = 3.0;
-    /// Sessions differ by up to 30 times. From 100 times on, 10⁴ in power, whose ln this is, there is further doubt.
+    /// Sessions differ by up to 30 times. From 100 times on there is further doubt: this is ln of 10⁴, the ratio in
+    /// power.
     const FAR_LARGER: f64 = 9.2;
     if series.beliefs == FREE {
         return false;
@@ -230,7 +231,7 @@ fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     do_as_well
 }
 
-/// Once effects are known, B and K beside them may be about the model's values after all.
+/// Resets B and K to the model's values if these fit about as well, because known effects may explain the difference.
 fn believe_again(series: &mut Series<'_>) {
     if series.beliefs == series.setting().beliefs {
         return;
@@ -261,8 +262,8 @@ fn lean(series: &mut Series<'_>) {
     }
 }
 
-/// The course of a step until it is over is not another effect. The largest of several large steps hide the others' until they
-/// are left out.
+/// Leaves out the course of steps during their rise, which is not another effect. The largest of several large steps
+/// hide the others' until they are left out.
 pub(super) fn leave_rises_out(series: &mut Series<'_>) {
     const ROUNDS: usize = 6;
     for _ in 0..ROUNDS {
@@ -275,8 +276,8 @@ pub(super) fn leave_rises_out(series: &mut Series<'_>) {
     }
 }
 
-/// Effects on single samples that were chosen early are chosen again: a spike behind a filter looks like a burst before the
-/// filter is known, and stretches look like tails. `peaks` were left out until now.
+/// Effects on single samples that were chosen early are chosen again. A spike behind a filter looks like a burst before
+/// the filter is known, and stretches look like tails. The samples `peaks` were left out until now.
 fn samples_again(
     series: &mut Series<'_>,
     prices: &Prices,
@@ -296,7 +297,7 @@ fn samples_again(
     if peaks.is_empty() {
         return;
     }
-    // Such as the rest has as well, or none that are worth it, are looked at with all others.
+    // Peaks like those among the other samples, or not worth their price, are examined together with all other samples.
     let is_of_rest = is_named(Kind::Spikes) || is_named(Kind::HeavyTails);
     match (!is_of_rest).then(|| evidence::outlier::spikes_at(series, peaks)).flatten() {
         Some(of) => {
@@ -347,7 +348,7 @@ fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step
     }
 }
 
-/// Leaves out spikes beside those that were found.
+/// Leaves out spikes beside the found ones.
 fn more_spikes(series: &mut Series<'_>) {
     const ROUNDS: usize = 4;
     for _ in 0..ROUNDS {
@@ -364,7 +365,7 @@ fn more_spikes(series: &mut Series<'_>) {
     }
 }
 
-/// Adds stretches to those that were found last: beside the loudest the others do not show.
+/// Adds stretches to the found ones: beside the loudest, the others do not show.
 fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     const ROUNDS: usize = 3;
     /// Nats beyond the price.
@@ -379,9 +380,10 @@ fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     }
 }
 
-/// The candidate to be added next from those that were not named yet. None if no candidate is worth its price.
+/// Returns the candidate to be added next from those that were not named yet. `None` if no candidate is worth its
+/// price.
 fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
-    // An effect that is named is named once: more of the same would be a failure to explain it.
+    // An effect is named once: several effects of a kind would be a failure to explain it.
     let curve = |kind: Kind| kind == Kind::TemperatureCurve;
     let apart = |step: &Step, of: &Candidate| curve(step.kind) != curve(of.kind);
     let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect() || apart(step, of));
@@ -390,7 +392,8 @@ fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> O
     Some((step, candidates.swap_remove(place)))
 }
 
-/// Chosen before all else was known, a filter may be of the other kind or order: what is in front of it shapes the spectrum too.
+/// Tries filters of another kind or order in place of one that was chosen before all other effects were known, because
+/// effects in front of a filter shape the spectrum too.
 fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     let filters = [Kind::LowPass, Kind::MovingAverage];
     let last = steps.len().saturating_sub(1);
@@ -428,10 +431,10 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     *series = kept;
 }
 
-/// Several processes and filters that were named one after the other may be one density that falls as a power. If that density
-/// explains as much as all of them, it replaces them.
+/// Replaces several processes and filters that were named one after the other by one density that falls as a power, if
+/// that density explains as much as all of them.
 fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    /// Nats that it has to be better by.
+    /// Nats by which it has to be better.
     const CLEARLY: f64 = 3.0;
     let replaced = |kind: Kind| {
         let spectral = [
@@ -473,7 +476,7 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
 /// Samples beyond a limit are drawn as if there were no filter until one is known, and that may make the filter look like the
 /// other kind. Each kind is therefore compared with the other on samples that are drawn under its own law.
 fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
-    /// Nats that the other has to be better by.
+    /// Nats by which the other kind has to be better.
     const CLEARLY: f64 = 3.0;
     let kept = series.clone();
     series.explanation.law.terms.retain(|term| !term.is_filter());
@@ -498,7 +501,7 @@ fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
 
 pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     const MOST: usize = 24;
-    /// Beyond the price: what is hardly worth it is weighed against the other effects again.
+    /// Nats beyond the price: an effect that is hardly worth its price is compared with the other effects again.
     const CLEAR: f64 = 10.0;
     for _ in 0..MOST {
         let Some(tone) = evidence::line::tone(series) else { break };
@@ -512,18 +515,18 @@ pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
     }
 }
 
-/// Nats by which what the model lacks has to be better than another reading of what it has.
+/// Nats by which an effect that the model lacks has to exceed another reading of the model's own effects.
 const NEWER: f64 = 4.0;
 
-/// The change to be made next, and the candidate that makes it. None if no change is worth its price.
+/// Returns the change to be made next, and the candidate that makes it. `None` if no change is worth its price.
 fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
     let score = |at: usize| candidates[at].gain - prices.of(candidates[at].kind);
     let mut order: Vec<usize> = (0..candidates.len()).filter(|at| candidates[*at].gain.is_finite()).collect();
     order.sort_by(|a, b| score(*b).total_cmp(&score(*a)));
     let kind = |at: usize| candidates[at].kind;
     let mut best = *order.first().filter(|best| score(**best) > 0.0)?;
-    // A change of variance and bursts beside it look like tails or like a course of the variance, and those give at
-    // once what they give one by one.
+    // A change of variance with bursts looks like tails or like a course of the variance. Those gain at once as much as
+    // the stretches gain one by one.
     let is_stretch = |at: &&usize| matches!(kind(**at), Kind::Bursts | Kind::VarianceInterval) && score(**at) > 0.0;
     let looks_like_stretches = |kind: Kind| matches!(kind, Kind::HeavyTails | Kind::VarianceProfile);
     let stretches = order.iter().filter(is_stretch);

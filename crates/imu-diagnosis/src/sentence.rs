@@ -1,11 +1,11 @@
-//! Sentences: a diagnosis in one, for a person who has ten seconds.
+//! Sentences: summarises a diagnosis in one sentence for a hurried reader.
 
 use super::report::{Cause, Diagnosis, Of, Parameter, Sense, Verdict};
 use imu_model::effects::EffectKind;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// The one sentence: what makes most of the gap first, be it an effect or a parameter.
+/// Returns the summary: the effect or parameter that makes most of the gap comes first.
 pub(super) fn summary(of: &Diagnosis) -> String {
     let nats =
         |of_what: Of| -> f64 { of.r#where.iter().filter(|place| place.of == of_what).map(|place| place.nats).sum() };
@@ -70,10 +70,10 @@ pub(super) fn summary(of: &Diagnosis) -> String {
     }
 }
 
-/// The parameters that are off, each with its nats, the largest first; axes on which the same parameter is off by about
-/// the same ratio are one.
+/// Returns the parameters that are off, each with its nats, the largest first; axes on which the same parameter is off
+/// by about the same ratio form one entry.
 fn parameters(of: &Diagnosis) -> Vec<(String, f64)> {
-    /// Ratios that are one, ln.
+    /// Ratios within this distance are equal, ln.
     const SAME: f64 = 0.1;
     let mut groups: Vec<(Vec<&Parameter>, f64)> = Vec::new();
     for one in &of.parameters {
@@ -116,7 +116,7 @@ fn channels(cause: &Cause) -> String {
     }
 }
 
-/// An effect in a few words, with its main numbers, and who has it.
+/// Returns an effect in a few words, with its main numbers, and the side that has it.
 fn phrase(cause: &Cause) -> String {
     let of = |parameters: &BTreeMap<String, Value>| words(cause.effect, parameters.values().next());
     match cause.sense {
@@ -126,7 +126,7 @@ fn phrase(cause: &Cause) -> String {
     }
 }
 
-/// An effect in a few words, with its main numbers.
+/// Returns an effect in a few words, with its main numbers.
 fn words(effect: EffectKind, first: Option<&Value>) -> String {
     let (of, count) = match first {
         Some(Value::Array(list)) => (list.first(), list.len()),

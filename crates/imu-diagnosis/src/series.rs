@@ -1,4 +1,4 @@
-//! A series: one channel's samples, their explanation so far, and the residual, which ought to be white.
+//! A series: one channel's samples, their explanation so far, and the residual, which should be white.
 
 use super::censored::{self, Censored};
 use super::course::{Course, Courses};
@@ -15,20 +15,20 @@ use std::borrow::Cow;
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 
-/// Spectra on a grid without the model's effects at these places of its list.
+/// Returns spectra on a grid, without the model's effects at these places of its list.
 pub type BaseOf<'a> = &'a (dyn Fn(&Grid, &BTreeSet<usize>) -> Base + Sync);
 
 /// The data of the whole record.
 pub struct Setting<'a> {
-    /// Courses.
+    /// The courses.
     pub courses: &'a Courses,
-    /// Spectra of N, B, K and the model's own effects but those left out, at any frequencies.
+    /// Spectra at any frequencies of N, B, K and the model's own effects except those left out.
     pub base: BaseOf<'a>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub declared: &'a [(usize, Term)],
     /// ln of the power of the model's white noise.
     pub white: f64,
-    /// Beliefs about the levels, with which a search begins.
+    /// Priors of the levels with which a search begins.
     pub beliefs: Beliefs,
     /// Samples per second.
     pub rate_hz: f64,
@@ -36,7 +36,7 @@ pub struct Setting<'a> {
     pub bursts: &'a [std::ops::Range<usize>],
     /// Samples that the model's own filters reach.
     pub reach: usize,
-    /// Number of the channel: whose random draws stand for excluded samples.
+    /// Number of the channel whose random draws replace excluded samples.
     pub owner: u32,
 }
 
@@ -52,22 +52,22 @@ pub struct Series<'a> {
     setting: &'a Setting<'a>,
     pub(super) transform: Cosines,
     pub(super) samples: Vec<f64>,
-    /// What explains it.
+    /// The explanation of the samples.
     pub explanation: Explanation,
-    /// Bins.
+    /// The bins.
     pub grid: Grid,
     base: Base,
-    /// Beliefs about the levels: the setting's, unless the record speaks against them.
+    /// Priors of the levels: the setting's, unless the record contradicts them.
     pub(super) beliefs: Beliefs,
     /// The samples less the explained part.
     pub rest: Vec<f64>,
-    /// The mean that was taken off them.
+    /// The mean that was subtracted from the samples.
     pub(super) mean: f64,
-    /// The samples among them that stand at a limit.
+    /// The samples at a limit.
     pub(super) censored: Vec<Censored>,
-    /// Its transform.
+    /// The transform of the rest.
     pub coefficients: Vec<f64>,
-    /// Power in bins.
+    /// Power in the bins.
     pub power: Vec<f64>,
     /// The number of independent coefficients in each bin.
     worth: Vec<f64>,
@@ -77,20 +77,20 @@ pub struct Series<'a> {
     pub spectrum: Vec<f64>,
     /// Coefficients over the root of the spectrum.
     pub whitened: Vec<f64>,
-    /// Their inverse transform: about white noise of variance 1.
+    /// The inverse transform of [`Self::whitened`]: about white noise of variance 1.
     pub residual: Vec<f64>,
-    /// The same with the filters' phase undone; empty if there are no filters.
+    /// The residual with the filters' phase undone; empty if there are no filters.
     unfiltered: Vec<f64>,
     /// The variance that the explanation gives the residual at each sample; empty if it is 1.
     pub variance: Vec<f64>,
-    /// What [`Series::raw_variances`] computed last.
+    /// The last result of [`Series::raw_variances`].
     pub(super) varied: RefCell<Option<Varied>>,
     /// The equaliser of the white noise, if there is one.
     pub(super) equaliser: Option<Equaliser>,
 }
 
 impl<'a> Series<'a> {
-    /// A series of samples with what is known to explain them.
+    /// Creates a series of samples with their known explanation.
     pub fn new(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, start);
         series.rebuild(true);
@@ -133,46 +133,46 @@ impl<'a> Series<'a> {
         }
     }
 
-    /// The record's setting.
+    /// Returns the record's setting.
     pub fn setting(&self) -> &'a Setting<'a> {
         self.setting
     }
 
-    /// How many samples.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.samples.len()
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.samples.is_empty()
     }
 
-    /// The samples as they came.
+    /// Returns the original samples.
     pub fn samples(&self) -> &[f64] {
         &self.samples
     }
 
-    /// The data that a law is fitted to, with the bins' power as it is.
+    /// Returns the data that a law is fitted to, with the bins' actual power.
     pub fn data(&self) -> Data<'_> {
         self.data_of(&self.power)
     }
 
-    /// The same with another power in the bins.
+    /// Returns the data with another power in the bins.
     pub fn data_of<'b>(&'b self, power: &'b [f64]) -> Data<'b> {
         Data { grid: &self.grid, power, worth: &self.worth, base: &self.base, beliefs: &self.beliefs }
     }
 
-    /// Standard deviation of the white part, per sample.
+    /// Returns the standard deviation of the white part, per sample.
     pub fn white(&self) -> f64 {
         (0.5 * self.explanation.law.levels[0]).exp() * self.setting.rate_hz.sqrt()
     }
 
-    /// Builds the state again from samples and explanation; `several`: from several starts of the law.
+    /// Builds the state again from samples and explanation. If `several`, the law is fitted from several starts.
     pub fn rebuild(&mut self, several: bool) {
-        /// From this part of a record on (one in so many) what is filled in counts in its law.
+        /// Filled-in samples count in the law if at least one sample in this many is filled in.
         const MANY: usize = 50;
-        /// By how much ln N² may still move.
+        /// Maximum remaining change of ln N².
         const AGREE: f64 = 1e-3;
         self.resolve_lines();
         self.fit_means();
@@ -203,7 +203,7 @@ impl<'a> Series<'a> {
         self.measure_loud();
     }
 
-    /// The samples less the explanation, whitened by the law as it is.
+    /// Whitens the samples less the explanation by the present law.
     pub(super) fn rewhiten(&mut self) {
         self.fit_means();
         self.interpolate();
@@ -212,7 +212,7 @@ impl<'a> Series<'a> {
         self.whiten();
     }
 
-    /// Measures again how loud the excluded stretches are, against the noise without them.
+    /// Measures again the loudness of excluded stretches relative to the noise without them.
     fn measure_loud(&mut self) {
         if self.explanation.loud.iter().all(|loud| loud.ratio <= LOUD) {
             return;
@@ -239,7 +239,7 @@ impl<'a> Series<'a> {
         }
     }
 
-    /// Transforms the rest and fits the law to it. What is whitened stays that of the law before.
+    /// Transforms the rest and fits the law to it. The whitened values stay those of the previous law.
     fn refit(&mut self, several: bool) {
         self.transformed();
         self.worth = self.worth_on(&self.grid, &self.base);
@@ -250,12 +250,12 @@ impl<'a> Series<'a> {
         self.spectrum = self.grid.fill(&self.fitted.logarithms);
     }
 
-    /// The number of independent coefficients in the bins of a grid.
+    /// Returns the number of independent coefficients in the bins of a grid.
     ///
     /// The mean square of n coefficients of white noise whose variance v changes over a record has the scatter of n·⟨v⟩²/⟨v²⟩
     /// coefficients of even noise (the moments of its sum of squares). The replacement of loud stretches has no weight.
     pub(super) fn worth_on(&self, grid: &Grid, base: &Base) -> Vec<f64> {
-        /// Bins are worth half at least: else bands that are there would be taken for white noise of another level.
+        /// Bins count for at least half; otherwise, existing bands would be taken for white noise of another level.
         const MOST: f64 = 1.0;
         let variance = self.variances();
         let there = 1.0 - (self.loud_samples() as f64 / self.len().max(1) as f64).min(0.9);
@@ -285,8 +285,8 @@ impl<'a> Series<'a> {
         self.explanation.law = law;
     }
 
-    /// A series under an explanation that is no longer fitted, except for the phases of its sines, which cannot be known in
-    /// advance. Its level of white noise is the level at times when nothing changes the variance.
+    /// Returns a series under an explanation that is no longer fitted, except for the phases of its sines, which cannot
+    /// be known in advance. Its level of white noise is the level at times when nothing changes the variance.
     pub fn frozen(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, explanation: Explanation) -> Self {
         let mut series = Self::unbuilt(setting, transform, samples, explanation);
         series.explanation.law.levels[0] += series.average_variance().ln();
@@ -317,7 +317,7 @@ impl<'a> Series<'a> {
         series
     }
 
-    /// ln of density in nats, in as many blocks of time as are asked for; without what belongs to spikes and tails.
+    /// Returns ln of the density in nats, in `blocks` blocks of time, without the parts of spikes and tails.
     pub fn density(&self, blocks: usize) -> Vec<f64> {
         let n = self.len();
         let constant: f64 = self.spectrum.iter().skip(1).map(|s| s.ln()).sum::<f64>() / n as f64;
@@ -334,18 +334,18 @@ impl<'a> Series<'a> {
         (0..blocks).map(of).collect()
     }
 
-    /// Whether a sine has so few periods in the record that it is none behind the whitening: its ends count.
+    /// Returns whether a sine has so few periods in the record that whitening distorts it, because its ends count.
     pub(super) fn is_slow(&self, cycles: f64) -> bool {
         const PERIODS: f64 = 64.0;
         cycles * (self.len() as f64) < PERIODS
     }
 
-    /// Twice the gain in nats of a slow sine at the present law, and the factors of its cosine and sine.
+    /// Returns twice the gain in nats of a slow sine at the present law, and the factors of its cosine and sine.
     pub(super) fn turn(&self, cycles: f64) -> (f64, [f64; 2]) {
         self.turn_of(&self.setting.courses.turning(cycles))
     }
 
-    /// The same from the transforms of the products of its cosine and sine with the rest.
+    /// Computes [`Self::turn`] from the transforms of the products of the sine's cosine and sine with the rest.
     fn turn_of(&self, columns: &[Vec<f64>; 2]) -> (f64, [f64; 2]) {
         let product = |a: &[f64], b: &[f64]| -> f64 {
             a.iter().zip(b).zip(&self.spectrum).skip(1).map(|((a, b), s)| a * b / s).sum()
@@ -361,7 +361,7 @@ impl<'a> Series<'a> {
         (a * factors[0] + b * factors[1], factors)
     }
 
-    /// Whether what is fitted to depends on the law besides.
+    /// Returns whether the data that is fitted depends on the law as well.
     fn depends_on_law(&self) -> bool {
         self.has_odd_parts() || !self.raw_variances().is_empty()
     }
@@ -400,13 +400,13 @@ impl<'a> Series<'a> {
         }
     }
 
-    /// Fits the factors of courses and sines once more, all together, at the law as it is now, and whitens the rest.
+    /// Fits the factors of courses and sines again, all together, at the present law, and whitens the rest.
     fn refine_means(&mut self) {
         if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
             return self.whiten();
         }
-        /// Standard deviations of white noise that a step may still move by: its size and what is filled in about it
-        /// depend on each other.
+        /// Maximum remaining movement of a step, in standard deviations of white noise: its size and the filled-in
+        /// samples about it depend on each other.
         const SETTLED: f64 = 0.2;
         const ROUNDS: usize = 8;
         let has_steps = self.explanation.courses.iter().any(|(course, _)| matches!(course, Course::Step(_)));
@@ -422,7 +422,7 @@ impl<'a> Series<'a> {
             self.fit_means();
             self.interpolate();
             self.refit(false);
-            // A step that moves more and more is left.
+            // A step whose movement increases is left as it is.
             if moved < SETTLED * self.white() || moved > before {
                 break;
             }
@@ -431,7 +431,7 @@ impl<'a> Series<'a> {
         self.whiten();
     }
 
-    /// Fits the factors of courses once more; the most that a step of the level moves by.
+    /// Fits the factors of courses again. Returns the largest movement of a step of the level.
     fn refine_courses(&mut self) -> f64 {
         let courses: Vec<Course> = self.explanation.courses.iter().map(|(course, _)| *course).collect();
         let mut moved = 0.0f64;
@@ -454,7 +454,8 @@ impl<'a> Series<'a> {
         moved
     }
 
-    /// The transforms of the equalised functions of the record; None if there is none, or where it fails.
+    /// Returns the transforms of the equalised functions of the record; `None` if there is no equaliser, or if it
+    /// fails.
     fn equalised<T: AsMut<[Vec<f64>]>>(&mut self, functions: impl FnOnce() -> T) -> Option<T> {
         let equaliser = self.equaliser.take()?;
         let mut functions = functions();
@@ -472,7 +473,7 @@ impl<'a> Series<'a> {
         done.then_some(functions)
     }
 
-    /// A grid that resolves these and the narrow bands of the law and of the model.
+    /// Returns a grid that resolves these narrow bands and those of the law and of the model.
     pub(super) fn resolving(&self, more: &[Narrow]) -> Grid {
         let rate_hz = self.setting.rate_hz;
         let declared = self.setting.declared.iter().map(|(_, term)| term);
@@ -481,8 +482,9 @@ impl<'a> Series<'a> {
         Grid::new(self.len(), rate_hz, &lines)
     }
 
-    /// The series as if its model had no spectral effect at this place of its list. Excluded samples that were replaced under a
-    /// wrong filter may have any value, and are drawn again. Otherwise, the law is fitted again to its current input.
+    /// Returns the series as if its model had no spectral effect at this place of its list. Excluded samples that were
+    /// replaced under a wrong filter may have any value, and are drawn again. Otherwise, the law is fitted again to its
+    /// current input.
     pub(super) fn without_declared(&self, place: usize) -> Self {
         let mut bare = self.clone();
         bare.explanation.without.insert(place);
@@ -493,7 +495,8 @@ impl<'a> Series<'a> {
         bare
     }
 
-    /// ln of the spectrum of a law in each bin if the model's effect at this place, which is left out, acted as well.
+    /// Returns ln of the spectrum of a law in each bin if the model's effect at this place, which is left out, acted as
+    /// well.
     pub(super) fn logarithms_with_declared(&self, place: usize, law: &Law) -> Vec<f64> {
         let mut without = self.explanation.without.clone();
         without.remove(&place);
@@ -504,7 +507,7 @@ impl<'a> Series<'a> {
     /// Fits the law again beside the remaining effects of the model.
     pub(super) fn relaw(&mut self) {
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);
-        // A wrong filter may have driven the levels far away: white noise is about 1 in this scale.
+        // A wrong filter may have moved the levels far away: white noise is about 1 in this scale.
         let mut usual = self.explanation.law.clone();
         usual.levels[0] = -self.setting.rate_hz.ln();
         for (level, belief) in usual.levels.iter_mut().zip(self.setting.beliefs) {
@@ -525,12 +528,12 @@ impl<'a> Series<'a> {
         self.worth = self.worth_on(&self.grid, &self.base);
     }
 
-    /// The rest without means, given the present law: samples with outliers filled in, less sines and courses.
+    /// Computes the rest without means under the present law: samples with outliers filled in, less sines and courses.
     fn fit_means(&mut self) {
         self.fit_means_but(true);
     }
 
-    /// The same; `quiet`: with loud stretches filled in.
+    /// Computes the rest as [`Self::fit_means`] does; if `quiet`, with loud stretches filled in.
     fn fit_means_but(&mut self, quiet: bool) {
         let mut rest = self.samples.clone();
         let explanation = &self.explanation;
@@ -557,7 +560,7 @@ impl<'a> Series<'a> {
         self.centre();
     }
 
-    /// Takes the mean off the rest, and off the limits in it.
+    /// Subtracts the mean from the rest and from its limits.
     pub(super) fn centre(&mut self) {
         let mean = self.rest.iter().sum::<f64>() / self.len().max(1) as f64;
         self.mean += mean;
@@ -584,30 +587,30 @@ impl<'a> Series<'a> {
         self.residual = residual;
     }
 
-    /// The residual as it was before the filters: each value is the input of its time.
+    /// Returns the residual before the filters: each value is the input at its time.
     pub fn innovations(&self) -> &[f64] {
         if self.unfiltered.is_empty() { &self.residual } else { &self.unfiltered }
     }
 
-    /// Samples that the filters reach, the model's and those found.
+    /// Returns the number of samples that the filters of the model and the found ones reach.
     pub fn reach(&self) -> usize {
         let found = self.explanation.law.terms.iter().map(|term| term.reach(self.setting.rate_hz));
         // For a slower filter, too few samples are left to determine it.
         found.max().unwrap_or(0).max(self.setting.reach).min(self.len() / 32)
     }
 
-    /// Samples in stretches that are so loud that they are left out.
+    /// Returns the samples in stretches that are so loud that they are left out.
     fn loud_samples(&self) -> usize {
         let loud = self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD);
         loud.map(|loud| self.spoilt(loud).len()).sum()
     }
 
-    /// The samples that a stretch spoils: behind filters it lasts longer.
+    /// Returns the samples that a stretch spoils; behind filters it lasts longer.
     pub(super) fn spoilt(&self, loud: &Loud) -> std::ops::Range<usize> {
         loud.from..(loud.to + self.reach()).min(self.len())
     }
 
-    /// Power gain of all filters, the model's and those found, at each coefficient; None if there is none.
+    /// Returns the power gain of the model's and the found filters at each coefficient; `None` if there are none.
     pub fn filters(&self) -> Option<Vec<f64>> {
         let found = self.explanation.law.terms.iter().filter(|term| term.is_filter());
         let mut gain: Vec<f64> = self.base.gain.iter().zip(&self.base.passed).map(|(one, other)| one * other).collect();
@@ -622,13 +625,13 @@ impl<'a> Series<'a> {
         Some(self.grid.fill(&logarithms))
     }
 
-    /// The transform for records of this length.
+    /// Returns the transform for records of this length.
     pub fn transform(&mut self) -> &mut Cosines {
         &mut self.transform
     }
 
-    /// The residual as what does not mind its tails should see it: where the explanation has Student's t, normal scores, the
-    /// values that a normal distribution has at the residual's ranks. Their order in time stays.
+    /// Returns the residual for methods that must not depend on its tails. If the explanation has Student's t, these
+    /// are normal scores: the values that a normal distribution has at the residual's ranks, in their order in time.
     pub fn scores(&self) -> Cow<'_, [f64]> {
         use statrs::distribution::{ContinuousCDF, Normal};
         if self.explanation.tails.is_none() {
@@ -645,8 +648,8 @@ impl<'a> Series<'a> {
         Cow::Owned(scores)
     }
 
-    /// Covariance of factors of courses whose transforms are `columns`, at the present law. None if the factors cannot be
-    /// separated.
+    /// Returns the covariance of the factors of courses whose transforms are `columns`, at the present law. `None` if
+    /// the factors cannot be separated.
     pub fn covariance(&self, columns: &[Vec<f64>]) -> Option<DMatrix<f64>> {
         let product = |i: usize, j: usize| -> f64 {
             let places = columns[i].iter().zip(&columns[j]).zip(&self.spectrum).skip(1);
@@ -659,13 +662,13 @@ impl<'a> Series<'a> {
         normal.cholesky().map(|factor| factor.inverse())
     }
 
-    /// The gain in nats, the factors, their covariance and the law if courses are added to the level.
+    /// Returns the gain in nats, the factors, their covariance and the law after adding courses to the level.
     pub fn with_courses(&self, courses: &[Course]) -> Drift {
         let columns: Vec<Vec<f64>> = courses.iter().map(|course| self.setting.courses.coefficients(*course)).collect();
         self.with_columns(&columns)
     }
 
-    /// The same of courses of which the first coefficients are given.
+    /// Returns the result of [`Self::with_courses`] for courses whose first coefficients are given.
     pub fn with_columns(&self, columns: &[Vec<f64>]) -> Drift {
         const ROUNDS: usize = 4;
         let kept = columns.first().map_or(0, Vec::len).min(self.len());
@@ -725,15 +728,15 @@ impl<'a> Series<'a> {
     }
 }
 
-/// The gain of adding courses.
+/// The result of adding courses.
 #[derive(Debug, Clone)]
 pub struct Drift {
-    /// Nats.
+    /// Nats gained.
     pub gain: f64,
-    /// Of each course.
+    /// Factor of each course.
     pub factors: Vec<f64>,
-    /// Theirs.
+    /// Covariance of the factors.
     pub covariance: DMatrix<f64>,
-    /// The law beside them.
+    /// The law beside the courses.
     pub law: Law,
 }

@@ -8,17 +8,17 @@ use nalgebra::DMatrix;
 pub struct Whitened {
     /// Coefficients over the root of the spectrum.
     pub coefficients: Vec<f64>,
-    /// Share of the spectrum's root that white noise has, at each.
+    /// White noise's share of the root of the spectrum at each coefficient.
     pub white: Vec<f32>,
     /// The residual in time.
     pub residual: Vec<f64>,
 }
 
 impl Whitened {
-    /// Of a series.
+    /// Whitens a series.
     pub fn of(series: &Series<'_>) -> Self {
         let white = series.white().powi(2);
-        // Noise that comes in behind a filter is no part of what was shared in front of it.
+        // Noise that enters behind a filter is not part of noise shared in front of it.
         let gain = series.filters();
         let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
         let share =
@@ -49,15 +49,15 @@ pub struct Shared {
     pub errors: Vec<f64>,
     /// 95 % intervals of the parts' sizes.
     pub ci95: Vec<[f64; 2]>,
-    /// Nats.
+    /// Nats gained.
     pub gain: f64,
 }
 
-/// The noise that channels share, if it is worth `price` nats a pair: one source for each group of channels that are
-/// linked.
+/// Returns the noise that channels share, if it is worth `price` nats per pair: one source for each group of channels
+/// that are linked.
 ///
-/// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One shared
-/// source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in all.
+/// Two channels' correlation r of white parts gives −n/2·ln(1 − r²), n the coefficients that are white in both. One
+/// shared source makes r_ij = a_i·a_j; the a are fitted to the pairs, and give −n/2·ln det(1 + aaᵀ − diag a²) in total.
 pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     let count = channels.len();
     let mut correlation = DMatrix::zeros(count, count);
@@ -97,9 +97,9 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     sources.map(|of| with_part(source(&of, &correlation, white))).filter(|of| of.parts.len() > 1).collect()
 }
 
-/// Without the channels that are linked to others and yet have almost none of the source.
+/// Drops the channels that are linked to others but have almost none of the source.
 fn with_part(mut of: Shared) -> Shared {
-    /// The least part that counts, and the same in standard errors.
+    /// The smallest part that counts, and the same in standard errors.
     const LEAST: f64 = 0.02;
     const ERRORS: f64 = 4.0;
     let counts: Vec<bool> =
@@ -111,13 +111,13 @@ fn with_part(mut of: Shared) -> Shared {
     of
 }
 
-/// One source of channels that are linked, each to one of the others at least; n is the number of informative
+/// Returns one source of linked channels, each linked to at least one other; n is the number of informative
 /// coefficients.
 fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
     const ROUNDS: usize = 300;
     let count = members.len();
     let r = |i: usize, j: usize| correlation[(members[i], members[j])];
-    // Signs along the strongest links, from the first member on.
+    // Signs follow the strongest links, starting from the first member.
     let mut parts = vec![0.0f64; count];
     let strongest = |i: usize| (0..count).filter(|j| *j != i).map(|j| r(i, j).abs()).fold(0.0, f64::max).sqrt();
     parts[0] = strongest(0);
@@ -128,7 +128,7 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
         let Some((i, j)) = links.max_by(|a, b| r(a.0, a.1).abs().total_cmp(&r(b.0, b.1).abs())) else { break };
         parts[i] = strongest(i) * (r(i, j) * parts[j]).signum();
     }
-    // Two channels alone determine only the product of the parts: equal shares are assumed.
+    // Two channels alone determine only the product of the parts; equal shares are assumed.
     for _ in 0..if count > 2 { ROUNDS } else { 0 } {
         for i in 0..count {
             let others = (0..count).filter(|j| *j != i);
@@ -140,7 +140,7 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
     }
     let model = DMatrix::from_fn(count, count, |i, j| if i == j { 1.0 } else { parts[i] * parts[j] });
     let gain = -0.5 * n * model.determinant().max(1e-12).ln();
-    // Each pair's correlation has an error of (1 − r²)/√n; two channels alone are taken to share alike.
+    // Each pair's correlation has an error of (1 − r²)/√n; two channels alone are assumed to have equal shares.
     let weight = |i: usize, j: usize| n / (1.0 - (parts[i] * parts[j]).powi(2)).powi(2);
     let normal = DMatrix::from_fn(count, count, |i, j| {
         if i == j {
@@ -161,8 +161,8 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
     Shared { parts: members.iter().copied().zip(parts).collect(), errors, ci95, gain }
 }
 
-/// The 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in √(2n). Two channels
-/// show only the product of their parts: each part may lie anywhere from that product to 1.
+/// Returns the 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in
+/// √(2n). Two channels show only the product of their parts: each part may lie anywhere from that product to 1.
 fn interval(part: f64, error: f64, count: usize, n: f64) -> [f64; 2] {
     const NORMAL_95: f64 = 1.959_964;
     let size = part.abs();

@@ -13,13 +13,13 @@ pub struct Spread {
     pub courses: Vec<(f64, f64)>,
     /// The errors of each sine's frequency in cycles per sample and of its amplitude.
     pub sines: Vec<(f64, f64)>,
-    /// Of each term's numbers.
+    /// The errors of each term's numbers.
     pub terms: Vec<Vec<f64>>,
     /// The error of ln of the degrees of freedom.
     pub tails: f64,
     /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
-    /// Of ln of each stretch's factor.
+    /// The errors of ln of each stretch's factor.
     pub loud: Vec<f64>,
 }
 
@@ -34,11 +34,12 @@ fn factor_error(series: &Series<'_>, loud: &Loud) -> f64 {
 }
 
 impl Spread {
-    /// Of a series' explanation.
+    /// Computes the errors of a series' explanation.
     ///
-    /// Courses: generalised least squares, a warm-up's time constant beside its amplitude. A step's place: about 11 times
-    /// the squared ratio of noise to step holds it in 95 % (Yao 1987, Ann. Stat. 15). Sines: the Cramér–Rao bound (Rife and
-    /// Boorstyn 1974, IEEE Trans. IT 20) at the law's density. Spectral terms: the inverse of Fisher's information.
+    /// Courses: generalised least squares, with a warm-up's time constant beside its amplitude. A step's place: about
+    /// 11 times the squared ratio of noise to step holds it in 95 % (Yao 1987, Ann. Stat. 15). Sines: the Cramér–Rao
+    /// bound (Rife and Boorstyn 1974, IEEE Trans. IT 20) at the law's density. Spectral terms: the inverse of Fisher's
+    /// information.
     pub fn of(series: &Series<'_>) -> Self {
         let explanation = &series.explanation;
         let n = series.len() as f64;
@@ -52,13 +53,13 @@ impl Spread {
                 slopes.push((at, columns.len() - 1));
             }
         }
-        // Twice the gain in nats of moving a step of 1 by one sample: behind filters less than at its full height.
+        // Twice the gain in nats of moving a step of 1 by one sample; behind filters, it is less than at full height.
         let gain = series.filters();
         let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k].min(1.0));
         let worth = |(k, s): (usize, &f64)| passed(k) / s;
         let sharpness = series.spectrum.iter().enumerate().skip(1).map(worth).sum::<f64>() / n;
         let covariance = series.covariance(&columns);
-        // The place of a step among samples that are left out is not known.
+        // The place of a step among excluded samples is unknown.
         let excluded = series.excluded();
         let unknown = |at: usize| {
             let place = excluded.partition_point(|of| *of < at);
@@ -111,12 +112,12 @@ impl Spread {
     }
 }
 
-/// Standard error of ln ν for n samples of Student's t with its scale free.
+/// Returns the standard error of ln ν for n samples of Student's t with a free scale.
 ///
 /// Fisher's information of ν and scale: Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84, appendix B.
 fn tails(degrees: f64, n: f64) -> f64 {
     let trigamma = |x: f64| {
-        // By the recurrence up to where the asymptotic series is exact to 1e-10.
+        // Uses the recurrence up to where the asymptotic series is exact to 1e-10.
         let (mut x, mut sum) = (x, 0.0);
         while x < 20.0 {
             sum += 1.0 / (x * x);
@@ -139,7 +140,7 @@ mod tests {
 
     #[test]
     fn tails_are_known_as_well_as_fishers_information_says() {
-        // Against a numerical integral of the squared score of ν, the scale profiled out.
+        // Compares with a numerical integral of the squared score of ν, with the scale profiled out.
         let of = |nu: f64| {
             let steps = 200_000;
             let density = |t: f64, nu: f64, s: f64| {

@@ -9,19 +9,19 @@ use serde_json::{Value, json};
 
 const SAMPLES: usize = 40_000;
 
-/// The findings on an effect that the model lacks.
+/// Returns the findings on an effect that the model lacks.
 fn found(effect: &Value, seed: u64) -> Outcome {
     diagnosed(&recording(&model(Some(effect)), seed, SAMPLES), &model(None))
 }
 
-/// Expects that an effect that the model lacks is named, and no other.
+/// Expects that the diagnosis names one effect that the model lacks, and no other.
 fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
     let found = found(effect, seed);
     let is_right = names(&found) == [effect["effect"].as_str().unwrap()] && found.diagnosis.verdict == Verdict::Effects;
     wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
 }
 
-/// Expects that two effects of one channel that the model lacks are named, and no others.
+/// Expects that the diagnosis names two effects of one channel that the model lacks, and no others.
 fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
     let mut truth = model(Some(one));
     let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
@@ -34,8 +34,8 @@ fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
     wrong.expect(named == expected, || format!("{one} {other} seed {seed}: {named:?}"));
 }
 
-/// A cosine transform mirrors a record at its ends, which a strong line does not do; what is far from it depends on what it is
-/// the line of.
+/// A cosine transform mirrors a record at its ends, unlike a strong line. Values far from the line in the spectrum
+/// depend on the kind of line.
 #[test]
 fn a_strong_band_is_no_burst_at_the_ends_and_no_filter() {
     let mut wrong = Wrong::default();
@@ -61,7 +61,7 @@ fn strong_lines_are_no_filter() {
     wrong.none();
 }
 
-/// White noise whose variance changes lies on noise whose variance does not.
+/// White noise of changing variance is added to noise of constant variance.
 #[test]
 fn a_variance_that_changes_a_thousandfold_is_no_other_effect() {
     let mut wrong = Wrong::default();
@@ -175,7 +175,7 @@ fn a_level_that_follows_a_rounded_temperature_steeply_follows_it_alone() {
     wrong.none();
 }
 
-/// Bursts in a record of which N is not the model's, so that most of the noise is not what it is held against.
+/// Bursts in a record whose N is not the model's, so that most of the noise differs from the expected noise.
 #[test]
 fn all_of_many_bursts_are_found() {
     let mut wrong = Wrong::default();
@@ -200,7 +200,7 @@ fn all_of_many_bursts_are_found() {
     wrong.none();
 }
 
-/// The transform has what lies before the first sample of white angle noise as the first sample itself.
+/// The transform represents the part before the first sample of white angle noise as the first sample itself.
 #[test]
 fn strong_quantization_noise_is_no_burst_at_the_ends() {
     let mut wrong = Wrong::default();
@@ -267,7 +267,7 @@ fn a_filter_with_nothing_behind_it_is_alone() {
     wrong.none();
 }
 
-/// A dead band leaves out a piece of the distribution's middle and piles it up on one value: no distribution of tails does.
+/// A dead band moves a piece of the distribution's middle onto one value; no distribution of tails does.
 #[test]
 fn a_band_in_which_the_sensor_does_not_move_is_no_heavy_tails() {
     let mut wrong = Wrong::default();
@@ -288,7 +288,7 @@ fn a_band_in_which_the_sensor_does_not_move_is_no_heavy_tails() {
     wrong.none();
 }
 
-/// In a stretch in which the white noise almost vanishes, the rest of the noise is most of what is there.
+/// In a stretch in which the white noise almost vanishes, most of the signal is the rest of the noise.
 #[test]
 fn the_factor_of_a_quiet_stretch_is_that_of_the_white_noise() {
     let mut wrong = Wrong::default();

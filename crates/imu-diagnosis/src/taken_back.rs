@@ -1,4 +1,4 @@
-//! Taken back: effects that were named early, and that are not worth their price beside all effects found later.
+//! Taken back: removes effects that were named early and are not worth their price beside all effects found later.
 
 use super::course::Course;
 use super::evidence::declared::kind_of;
@@ -39,7 +39,8 @@ pub(super) fn weak_steps(series: &mut Series<'_>, steps: &mut Vec<Step>, known: 
     }
 }
 
-/// Takes back stretches that are as loud as the rest once all else is known; the first `known` are the model's.
+/// Takes back stretches that are as loud as the rest once all else is known. The first `known` stretches are the
+/// model's.
 pub(super) fn weak_stretches(series: &mut Series<'_>, steps: &mut Vec<Step>, known: usize) {
     let (samples, bursts_of_model) = (series.len(), series.setting().bursts);
     let is_named = |kind: Kind| steps.iter().any(|step| step.kind == kind && step.of_model.is_none());
@@ -65,7 +66,7 @@ pub(super) fn weak_stretches(series: &mut Series<'_>, steps: &mut Vec<Step>, kno
     });
 }
 
-/// Makes one of steps between which every sample is left out: only what they are together is known. Whether there are such.
+/// Joins steps between which every sample is left out: only their sum is known. Returns whether there were such steps.
 fn join_across_gaps(series: &mut Series<'_>, known: usize) -> bool {
     let excluded = series.excluded();
     let nothing_between = |from: usize, to: usize| {
@@ -95,15 +96,15 @@ fn join_across_gaps(series: &mut Series<'_>, known: usize) -> bool {
     !gone.is_empty()
 }
 
-/// Takes back tails and bursts that are not worth their price any more: a variance, a step or a limit whose numbers were not yet
-/// those that they are now leaves both.
+/// Takes back tails and bursts that are not worth their price any more: an early estimate of a variance, a step or a
+/// limit leaves both.
 pub(super) fn tails_and_bursts_again(
     series: &mut Series<'_>,
     prices: &Prices,
     steps: &mut Vec<Step>,
     start: &Explanation,
 ) {
-    /// Nats beyond the price beside others that leave them.
+    /// Nats beyond the price, if effects are known that leave tails or bursts.
     const CLEARLY: f64 = 6.0;
     let leaves = |step: &Step| {
         use Kind::{BiasStep, VarianceInterval, VariancePerDegree, VarianceProfile};
@@ -141,10 +142,10 @@ pub(super) fn tails_and_bursts_again(
 /// Takes back steps about a far larger one that are not needed once the samples of its rise are left out; the first `known`
 /// courses are the model's.
 pub(super) fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
-    /// Samples about the larger one, and its size over theirs.
+    /// Samples about the larger step, and the ratio of its size to theirs.
     const NEAR: usize = 512;
     const LARGER: f64 = 5.0;
-    /// Nats that one has to give.
+    /// Nats that a step has to gain.
     const WORTH: f64 = 14.0;
     let is_minor = |courses: &[(Course, f64)], at: usize| {
         let (Course::Step(place), size) = courses[at] else { return false };
@@ -169,7 +170,7 @@ pub(super) fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
     }
 }
 
-/// Takes back spectral terms that, beside what was named after them, are not worth their price any more.
+/// Takes back spectral terms that are not worth their price any more beside effects named later.
 pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     if steps.len() < 2 {
         return;
@@ -200,7 +201,8 @@ pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Ve
     }
 }
 
-/// Takes back tones that were chance's under a law that did not know a filter yet; `known`: the model's own.
+/// Takes back tones that were chance under a law without a filter that is now known. The first `known` tones are the
+/// model's.
 pub(super) fn weak_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, known: usize) {
     let worth = |series: &Series<'_>, at: usize| {
         let sine = &series.explanation.sines[at];
@@ -243,7 +245,7 @@ pub(super) fn same_as_the_models(series: &mut Series<'_>, prices: &Prices, steps
     }
 }
 
-/// Puts back the model's effect, if it does as well beside the effects that were found after it was changed.
+/// Puts back the model's effect if it explains as much beside the effects found after it was changed.
 pub(super) fn put_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     let changed = |step: &Step| step.of_model.is_some();
     while let Some((at, as_stated)) =

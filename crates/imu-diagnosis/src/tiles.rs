@@ -1,4 +1,4 @@
-//! Tiles: where in time and frequency a residual is louder or quieter than it should be.
+//! Tiles: where in time and frequency a residual is louder or quieter than expected.
 
 use super::series::Series;
 use super::transform::Cosines;
@@ -10,34 +10,34 @@ pub struct Tiles {
     pub edges_hz: Vec<f64>,
     /// Edges of the stretches, s.
     pub edges_s: Vec<f64>,
-    /// Nats beyond what chance gives on average: stretch by stretch, band after band.
+    /// Nats beyond the average of chance: stretch by stretch, band after band.
     pub excess: Vec<f64>,
-    /// Variance over what it should be.
+    /// Variance over the expected variance.
     pub ratio: Vec<f64>,
 }
 
 /// A rectangle of tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rectangle {
-    /// Hz.
+    /// Frequencies, Hz.
     pub band_hz: [f64; 2],
-    /// s.
+    /// Times, s.
     pub time_s: [f64; 2],
-    /// Nats in it.
+    /// Nats in the rectangle.
     pub excess: f64,
-    /// Mean ratio.
+    /// Mean ratio of the tiles.
     pub ratio: f64,
-    /// A bound of the chance that noise alone makes a rectangle as heavy anywhere: the chance of its tiles' sum of squares, times
-    /// the number of rectangles.
+    /// A bound on the chance that noise alone makes as heavy a rectangle anywhere: the chance of its tiles' sum of
+    /// squares, times the number of rectangles.
     pub p_value: f64,
 }
 
-/// Calls with the mean square of each tile over what it should be, and its coefficients: `edges` in coefficients of a stretch,
-/// stretch by stretch, band after band.
+/// Calls `tile` with the ratio of each tile's mean square to its expected value, and its coefficients. `edges` are in
+/// coefficients of a stretch; the order is stretch by stretch, band after band.
 pub(super) fn each(series: &Series<'_>, stretches: usize, edges: &[usize], mut tile: impl FnMut(f64, usize)) {
     let size = series.len() / stretches;
     let mut transform = Cosines::new(size);
-    // A change of variance is the white part's alone: its share of each band.
+    // A change of variance concerns the white part alone: its share of each band.
     let white = series.white().powi(2);
     let share = |span: &[usize]| {
         let of = series.spectrum.get(span[0] * stretches..span[1] * stretches).unwrap_or_default();
@@ -65,7 +65,7 @@ pub(super) fn each(series: &Series<'_>, stretches: usize, edges: &[usize], mut t
 impl Tiles {
     const STRETCHES: usize = 32;
 
-    /// Of a series' residual.
+    /// Returns the tiles of a series' residual.
     pub fn of(series: &Series<'_>) -> Self {
         let rate_hz = series.setting().rate_hz;
         let size = series.len() / Self::STRETCHES;
@@ -89,16 +89,16 @@ impl Tiles {
         }
     }
 
-    /// Nats in all.
+    /// Returns the nats in total.
     pub fn total(&self) -> f64 {
         self.excess.iter().sum()
     }
 
-    /// The rectangle of tiles that holds most of the excess for its size.
+    /// Returns the rectangle of tiles that holds most of the excess for its size.
     pub fn heaviest(&self) -> Option<Rectangle> {
         let bands = self.edges_hz.len().checked_sub(1).filter(|bands| *bands > 0)?;
         let stretches = self.edges_s.len() - 1;
-        // A tile of chance has 0.7 nats' standard deviation: each costs a little.
+        // A tile of chance has a standard deviation of 0.7 nats: each tile costs a little.
         const COST: f64 = 1.0;
         let of_band = |band: usize, times: &std::ops::Range<usize>| -> f64 {
             times.clone().map(|stretch| self.excess[stretch * bands + band] - COST).sum()

@@ -32,7 +32,7 @@ impl std::fmt::Debug for Cosines {
 }
 
 impl Cosines {
-    /// For records of `length` samples, at least 1.
+    /// Creates a transform for records of `length` samples, at least 1.
     pub fn new(length: usize) -> Self {
         let length = length.max(1);
         let (forward, backward) = (plans::forward(length), plans::backward(length));
@@ -47,8 +47,8 @@ impl Cosines {
         }
     }
 
-    /// The periodogram of `values` with as many zeros behind them: |Σ x_j e^(−2πijk/2n)|²/n for k from 0 to n, at the
-    /// frequencies rate·k/2n. A record of another length has none.
+    /// Returns the periodogram of `values` followed by as many zeros: |Σ x_j e^(−2πijk/2n)|²/n for k from 0 to n, at
+    /// the frequencies rate·k/2n. Empty for a record of another length.
     pub fn periodogram(&mut self, values: &[f64]) -> Vec<f64> {
         let n = self.length;
         if values.len() != n {
@@ -57,17 +57,17 @@ impl Cosines {
         let plan = plans::forward(2 * n);
         let (mut input, mut output) = (plan.make_input_vec(), plan.make_output_vec());
         input[..n].copy_from_slice(values);
-        // It fails only for buffers of a wrong length, and these are the plan's own.
+        // This fails only for buffers of a wrong length; these are the plan's own.
         let _ = plan.process(&mut input, &mut output);
         output.iter().map(|value| value.norm_sqr() / n as f64).collect()
     }
 
-    /// How many samples a record has.
+    /// Returns the number of samples in a record.
     pub fn length(&self) -> usize {
         self.length
     }
 
-    /// The coefficients of `values`, in place. A record of another length is left alone.
+    /// Transforms `values` to their coefficients, in place. A record of another length is left unchanged.
     pub fn forward(&mut self, values: &mut [f64]) {
         let n = self.length;
         if values.len() != n {
@@ -77,7 +77,7 @@ impl Cosines {
             let place = if j % 2 == 0 { j / 2 } else { n - 1 - j / 2 };
             self.real[place] = *value;
         }
-        // It fails only for buffers of a wrong length, and these are the plan's own.
+        // This fails only for buffers of a wrong length; these are the plan's own.
         let _ = self.forward.process_with_scratch(&mut self.real, &mut self.complex, &mut self.scratch);
         let scale = (2.0 / n as f64).sqrt();
         for (k, (of, (cosine, sine))) in self.complex.iter().zip(self.turns.iter()).enumerate() {
@@ -90,7 +90,7 @@ impl Cosines {
         values[0] *= 0.5f64.sqrt();
     }
 
-    /// The values that have these coefficients, in place. A record of another length is left alone.
+    /// Transforms coefficients to their values, in place. A record of another length is left unchanged.
     pub fn backward(&mut self, coefficients: &mut [f64]) {
         let n = self.length;
         if coefficients.len() != n {
@@ -101,7 +101,7 @@ impl Cosines {
             let (re, im) = (coefficients[k], if k > 0 { -coefficients[n - k] } else { 0.0 });
             *of = Complex::new(re * cosine - im * sine, re * sine + im * cosine);
         }
-        // The ends are real but for rounding.
+        // The ends are real except for rounding.
         self.complex[0].im = 0.0;
         if n.is_multiple_of(2) {
             self.complex[n / 2].im = 0.0;
@@ -145,7 +145,7 @@ mod tests {
         let n = 1000;
         let values: Vec<f64> = (0..n).map(|t| 2.0 * (PI * 0.2 * t as f64 + 0.3).cos()).collect();
         let power = Cosines::new(n).periodogram(&values);
-        // A²n/4 at 0.1 cycles a sample, which is the 200th of 2n; about none far off.
+        // A²n/4 at 0.1 cycles per sample, which is coefficient 200 of 2n; almost none far off.
         assert!((power[200] / n as f64 - 1.0).abs() < 1e-6 && power[600] < 1e-3 && power.len() == n + 1);
     }
 

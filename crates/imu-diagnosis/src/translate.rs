@@ -21,7 +21,7 @@ use std::sync::Arc;
 pub(super) struct Units<'a> {
     /// The channel.
     pub prepared: &'a Prepared,
-    /// Samples.
+    /// The number of samples.
     pub samples: usize,
     /// Mean temperature, °C.
     pub temperature_c: f64,
@@ -29,13 +29,13 @@ pub(super) struct Units<'a> {
     pub average_variance: f64,
     /// Bands whose level changes.
     pub levels: &'a [Levels],
-    /// The model, and the rate of what it sends.
+    /// The model, and its output rate.
     pub sim: &'a SensorModel,
 }
 
 impl Units<'_> {
-    /// The part of a line's amplitude that passes all filters: the model's own but those `without` which it is, and `further`
-    /// ones, as the simulator has them.
+    /// Returns the part of a line's amplitude that passes all filters as the simulator has them: the model's own except
+    /// `without`, plus `further` ones.
     fn passed(&self, without: &BTreeSet<usize>, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
         let channel = self.prepared.channel;
         let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
@@ -49,7 +49,7 @@ impl Units<'_> {
         (2.0 * power).sqrt().max(LEAST_PASSED)
     }
 
-    /// By how much all filters delay a step, s: the model's that are left and those found.
+    /// Returns the delay of a step by all filters, s: the remaining ones of the model and the found ones.
     fn delay_s(&self, explanation: &Explanation) -> f64 {
         let own = self.sim.channels.get(&self.prepared.channel).map(|model| model.effects.as_slice());
         let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
@@ -61,8 +61,8 @@ impl Units<'_> {
     }
 }
 
-/// By how much a filter delays what changes slowly, s: (w − 1)/2 samples of a moving average; of Butterworth's filter of order n
-/// and cutoff ω 1/(ω·sin(π/2n)).
+/// Returns a filter's delay of slow signals, s: (w − 1)/2 samples for a moving average; 1/(ω·sin(π/2n)) for
+/// Butterworth's filter of order n and cutoff ω.
 fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
     let number = |name: &str| effect.number(name);
     match effect.kind() {
@@ -80,34 +80,34 @@ fn delay_s(effect: &dyn Effect, rate_hz: f64) -> f64 {
 pub struct Translated {
     /// Its kind.
     pub kind: Kind,
-    /// It.
+    /// The effect.
     pub effect: Arc<dyn Effect>,
     /// 95 % intervals of its parameters, if they are known.
     pub ci95: Vec<(&'static str, [f64; 2])>,
 }
 
-/// 97.5 % of a normal distribution.
+/// The 97.5 % point of the normal distribution.
 const NORMAL_95: f64 = 1.959_964;
 
-/// value ± 1.96 standard errors.
+/// Returns value ± 1.96 standard errors.
 fn about(value: f64, error: f64) -> [f64; 2] {
     [value - NORMAL_95 * error.abs(), value + NORMAL_95 * error.abs()]
 }
 
-/// The same on a logarithmic scale, `error` that of the logarithm.
+/// Returns the interval on a logarithmic scale; `error` is the standard error of the logarithm.
 fn times(value: f64, error: f64) -> [f64; 2] {
     let factor = (NORMAL_95 * error).min(50.0).exp();
     [value / factor, value * factor]
 }
 
-/// Part of a filter's delay by which a step's place behind it may be wrong.
+/// Possible error of a step's place behind a filter, as a part of the filter's delay.
 const DELAY_ERROR: f64 = 0.25;
-/// Samples by which the middle of a step's rise may be off though no sample of it is seen.
+/// Possible error of the middle of a step's rise, in samples, if no sample of the rise is visible.
 const RISE: f64 = 4.0;
 
-/// The first and last sample of a step's rise: those about it that are left out, one beside the other.
+/// Returns the first and last sample of a step's rise: the adjacent excluded samples about it.
 fn rise(left_out: &[usize], at: usize) -> (usize, usize) {
-    /// Samples between two that belong to one rise, and the longest rise to either side.
+    /// Maximum number of samples between two samples of one rise, and longest rise to either side.
     const APART: usize = 2;
     const LONGEST: usize = 40;
     let middle = left_out.partition_point(|own| *own < at);
@@ -128,11 +128,11 @@ fn rise(left_out: &[usize], at: usize) -> (usize, usize) {
 
 /// If less than this part of a line passes the filters, its amplitude in front of them is not known: it has no interval.
 pub(super) const LEAST_PASSED: f64 = 1e-4;
-/// The highest frequency of a tone in a model, over the rate: it has to be below half the rate, and no record shows the
+/// The highest frequency of a tone in a model, over the rate. It has to be below half the rate; no record shows the
 /// difference.
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
-/// The effects of an explanation; those that the model has already are left out.
+/// Returns the effects of an explanation; effects that the model has already are left out.
 pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
     let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
     let rate_hz = sim.rate_hz;
@@ -183,12 +183,12 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
                 add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
             }
             Course::Step(at) => {
-                // It is seen half way up, behind all filters.
+                // The step shows half way up, behind all filters.
                 let delay_s = units.delay_s(explanation);
                 let (first, last) = rise(&explanation.outliers, *at);
                 let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
                 let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
-                // Its course is unknown until it is over.
+                // Its course is unknown until the end of the rise.
                 let rises_s = (0.5 * (last - first) as f64).max(RISE) / rate_hz / NORMAL_95;
                 let at_error = (second / rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
                 let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
@@ -209,7 +209,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         })
         .collect();
     let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
-    // The same a standard error off.
+    // The filters with numbers off by a standard error.
     let off = |(term, errors): (&Term, &Vec<f64>)| {
         let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
         self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz, internal_hz])
@@ -222,7 +222,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         .iter()
         .zip(errors)
         .map(|(sine, (frequency, amplitude))| {
-            // The record has it behind the filters, the model in front of them.
+            // The record has the line behind the filters, the model in front of them.
             let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
             let gain = units.passed(&explanation.without, &filters, frequency_hz);
             let is_known = gain > LEAST_PASSED;
@@ -316,9 +316,10 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     found
 }
 
-/// Nats by which one sample distinguishes two variances of this ratio, for the variance that it distinguishes less (Kullback and
-/// Leibler 1951). The place of a change is known within 5.5 over that in 95 %, as that of a small step is within 11 times the
-/// squared ratio of noise to step (Yao 1987): both are a random walk's with that drift.
+/// Returns the nats by which one sample distinguishes two variances of this ratio, for the variance that it
+/// distinguishes less (Kullback and Leibler 1951). The place of a change is known within 5.5 over that in 95 %, as that
+/// of a small step is within 11 times the squared ratio of noise to step (Yao 1987): both follow from a random walk
+/// with that drift.
 fn divergence(ratio: f64) -> f64 {
     let of = |ratio: f64| 0.5 * (ratio - 1.0 - ratio.ln());
     of(ratio).min(of(1.0 / ratio)).max(1e-4)
@@ -338,7 +339,7 @@ type Intervals = Vec<(&'static str, [f64; 2])>;
 /// An effect of the spectrum with the intervals of its parameters.
 type Spectral = (Kind, Arc<dyn Effect>, Intervals);
 
-/// A band whose level changes.
+/// Translates a band whose level changes.
 fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
     let band = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp() * scale);
@@ -348,7 +349,8 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
 }
 
-/// A term in the channel's unit. `units`: its scale, N of the channel in U/√Hz, the output's rate and the internal one in Hz.
+/// Translates a term to the channel's unit. `units` are its scale, N of the channel in U/√Hz, and the output's and the
+/// internal rate in Hz.
 fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
     let [scale, white, rate_hz, internal_hz] = units;
     /// White noise behind a filter below this part of N (ln of the squares) counts as absent: the record does not show
@@ -375,8 +377,8 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
             let (sigma, frequency_hz, bandwidth_hz) = (size(0), at(1), at(2).exp());
             let line = Resonance::new(frequency_hz, bandwidth_hz, sigma);
             let most = line.most_asymmetric(rate_hz);
-            // A resonance found at the output's rate acts at the internal one. A standard error off it may be beyond half the
-            // rate.
+            // A resonance found at the output's rate acts at the internal one. A standard error away, it may be beyond
+            // half the rate.
             let possible = line.most_asymmetric(internal_hz);
             let asymmetry = (at(3) * most).max(-possible).min(possible);
             let mut ci95 = vec![
@@ -408,8 +410,8 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
     })
 }
 
-/// Lines at whole multiples of the lowest of them, within the resolution of a record of 1/`resolution_hz`, are one comb, with the
-/// standard error of its fundamental. The others are tones.
+/// Splits lines into combs and tones. Lines at whole multiples of the lowest of them, within the resolution of a record
+/// of 1/`resolution_hz`, are one comb, with the standard error of its fundamental. The others are tones.
 fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<LineFound>) {
     const HARMONICS: f64 = 12.0;
     let mut left: Vec<LineFound> = lines.to_vec();
@@ -450,7 +452,7 @@ fn combs(lines: &[LineFound], resolution_hz: f64) -> (Vec<(Comb, f64)>, Vec<Line
 mod tests {
     use super::*;
 
-    /// A filter's amplitude is looked at with every number a standard error off.
+    /// The filter's amplitude is computed with every number a standard error off.
     #[test]
     fn a_band_beyond_half_the_rate_has_an_effect_and_no_panic() {
         let term = Term { shape: Shape::Resonance, numbers: vec![0.0, 20.5, 0.0, 0.5] };

@@ -4,8 +4,8 @@ use super::explanation::{LOUD, Loud, Scedasticity, profile};
 use super::series::Series;
 use std::rc::Rc;
 
-/// The variances that parts of an explanation give: they are asked for many times while those parts stay. They also depend on the
-/// number of samples and on the temperature, which stay as long as the series.
+/// The variances that parts of an explanation give, cached while those parts stay. They also depend on the number of
+/// samples and on the temperature, which stay as long as the series.
 #[derive(Debug, Clone)]
 pub(super) struct Varied {
     scedasticity: Option<Scedasticity>,
@@ -14,19 +14,20 @@ pub(super) struct Varied {
 }
 
 impl Series<'_> {
-    /// By how much the white part's variance is on average above its variance at times when nothing changes it: the law's level
-    /// of white noise is the average.
+    /// Returns the ratio of the white part's average variance to its variance at times when nothing changes it: the
+    /// law's level of white noise is the average.
     pub fn average_variance(&self) -> f64 {
         let raw = self.raw_variances();
         if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
     }
 
-    /// The variance that the explanation gives each sample of the residual, 1 on average; empty if it is the same.
+    /// Returns the variance that the explanation gives each sample of the residual, 1 on average; empty if it is
+    /// constant.
     pub(super) fn variances(&self) -> Vec<f64> {
         normalised(self.raw_variances().to_vec())
     }
 
-    /// The same over the variance at times when nothing changes it.
+    /// Returns the variance that the explanation gives each sample, over the variance at times when nothing changes it.
     pub(super) fn raw_variances(&self) -> Rc<[f64]> {
         let own = &self.explanation;
         let quiet: Vec<Loud> = own.loud.iter().copied().filter(|loud| loud.ratio <= LOUD).collect();
@@ -42,7 +43,7 @@ impl Series<'_> {
         }
     }
 
-    /// `quiet`: the stretches that are not so loud that they are left out.
+    /// Computes the variances. `quiet` are the stretches that are not so loud that they are left out.
     fn computed_variances(&self, quiet: &[Loud]) -> Vec<f64> {
         let n = self.len();
         let temperature = self.setting().courses.temperature().unwrap_or_default();
@@ -74,7 +75,7 @@ mod tests {
     use crate::round_trip::{model, recording};
     use std::collections::BTreeSet;
 
-    /// Calls with a series whose variance changes, and that has a sine and samples that are left out.
+    /// Calls `each` with a series that has a changing variance, a sine and excluded samples.
     fn with_uneven(each: impl FnOnce(Series<'_>)) {
         let model = model(None);
         let ready = prepare::prepare(&recording(&model, 3, 8_000), &model).unwrap();

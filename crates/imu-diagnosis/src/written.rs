@@ -1,12 +1,12 @@
-//! Written numbers: reads documents in which a number that is not finite was written as null.
+//! Written numbers: reads documents in which numbers that are not finite are null.
 
 use serde::{Deserialize, Deserializer};
 
 /// Numbers that become NaN if they were written as null.
 pub(crate) trait Numbers: Sized {
-    /// Their form in a document.
+    /// The form of the numbers in a document.
     type Written: for<'de> Deserialize<'de>;
-    /// The numbers.
+    /// Returns the numbers of a written form.
     fn of(written: Self::Written) -> Self;
 }
 
@@ -41,7 +41,7 @@ impl<T: Numbers> Numbers for Option<T> {
 /// Reads numbers.
 ///
 /// # Errors
-/// The error of a value that is no such numbers.
+/// The error of a value that does not hold such numbers.
 pub(crate) fn numbers<'de, T: Numbers, D: Deserializer<'de>>(from: D) -> Result<T, D::Error> {
     T::Written::deserialize(from).map(T::of)
 }

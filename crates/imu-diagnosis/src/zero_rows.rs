@@ -6,7 +6,7 @@ use std::borrow::Cow;
 
 /// Finds rows that hold exactly 0 on every channel, if a channel's level is so far from 0 that no noise leads there.
 pub(super) fn rows(real: &Recording) -> Vec<usize> {
-    /// Standard deviations of the white noise.
+    /// Minimum distance of the level from 0, in standard deviations of the white noise.
     const FAR: f64 = 8.0;
     let is_blank =
         |t: &usize| !real.is_missing(*t) && real.channels.iter().all(|(_, values)| values.get(*t) == Some(&0.0));
@@ -26,14 +26,14 @@ pub(super) fn rows(real: &Recording) -> Vec<usize> {
     if is_known && real.channels.iter().any(|(_, values)| is_far(values)) { rows } else { Vec::new() }
 }
 
-/// Makes these rows missing ones.
+/// Marks these rows as missing.
 pub(super) fn without<'a>(real: &'a Recording, rows: &[usize]) -> Cow<'a, Recording> {
     if rows.is_empty() {
         return Cow::Borrowed(real);
     }
     let mut other = real.clone();
     if other.time_s.len() != other.len() {
-        // Stamps are those of the samples that are there.
+        // Stamps belong to the present samples.
         let there: Vec<usize> = (0..real.len()).filter(|t| !real.is_missing(*t)).collect();
         let kept = there.iter().zip(&real.time_s).filter(|(t, _)| rows.binary_search(t).is_err());
         other.time_s = kept.map(|(_, time_s)| *time_s).collect();

@@ -1,5 +1,5 @@
-//! The effects of an inertial sensor, each with one law ([`effects`]), the simulator that they make ([`simulator`]), and the
-//! motions that it goes through ([`motion`]).
+//! The effects of an inertial sensor, each with one law ([`effects`]), the simulator built from them ([`simulator`]),
+//! and motions of the sensor ([`motion`]).
 //!
 //! Numbers, randomness and text are arguments: nothing here reads a file or a clock.
 //!

@@ -1,25 +1,26 @@
-//! Contradiction: the prediction of a fit, compared with the Allan deviation that was measured.
+//! Contradiction: compares the prediction of a fit with the measured Allan deviation.
 //!
-//! A fit that departs from the measured curve is wrong, even if its own residuals are small. The parameters that are responsible
-//! are then withheld. The values that the curve alone supports replace them, and are marked.
+//! A fit that departs from the measured curve is wrong, even if its own residuals are small. The responsible parameters
+//! are then withheld. Values that the curve alone supports replace them and are marked.
 //!
 //! # Validation
-//! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused, docs/validation.md has its table.
+//! `tests` below; `examples/noise_worlds.rs` counts how often a fit of the true law is refused; docs/validation.md has
+//! the table.
 
 use super::allan::{AllanCurve, AllanPoint, NoiseType, confidence_factors, first_fall};
 use super::fit::{Bandwidth, Estimate, FittedCurve, Minimum, NoiseParameters, Term, response};
 use super::needed::{RecordNeeded, walk_shows_beyond_s};
 use imu_core::sample::Channel;
 
-/// How often a true prediction may leave the measured curve at any averaging time.
+/// The chance with which a true prediction may leave the measured curve at any averaging time.
 const LEVEL: f64 = 0.01;
-/// A prediction's own error, as a share of the deviation: smaller departures are ignored.
+/// The error of the prediction itself, as a share of the deviation: smaller departures are ignored.
 const TOLERANCE: f64 = 0.01;
 /// A term is responsible if it makes up more than this of the predicted or the missing variance.
 const SHARE: f64 = 0.1;
 /// The mark of a value that the curve alone supports.
 const SOURCE: &str = "allan deviation";
-/// How far from −½ the slope between two octaves of white noise may be.
+/// Maximum deviation from −½ of the slope between two octaves of white noise.
 const SLOPE: f64 = 0.05;
 
 /// An averaging time at which the prediction leaves the measured interval.
@@ -32,12 +33,12 @@ struct Place {
     at: usize,
 }
 
-/// Holds the parameters against the measured points, and notes the lowest of these beside B, how long a record
-/// has to be, and from where on a walk would show.
+/// Compares the parameters with the measured points, and records the lowest point beside B, how long a record has to
+/// be, and from which averaging time on a walk would show.
 ///
-/// All averaging times together are one test at 1 %: each has its share of it (Bonferroni). `rate_hz` finite and above 0.
-/// `excluded_bands_hz`: bands in which samples were brought down to a background that is known in part only. The contribution of
-/// white noise in these bands to the variance of an averaging time widens its interval.
+/// All averaging times together are one test at 1 %: each has its share (Bonferroni). `rate_hz` is finite and above 0.
+/// `excluded_bands_hz` are bands in which samples were reduced to a background that is only partly known. The
+/// contribution of white noise in these bands to the variance of an averaging time widens its interval.
 pub fn hold_against(
     parameters: &mut NoiseParameters,
     points: &[AllanPoint],
@@ -59,7 +60,7 @@ fn contradict(
     channel: Channel,
     excluded_bands_hz: &[[f64; 2]],
 ) {
-    // At short averaging times a filter takes of all terms: they hold no lowest point.
+    // At short averaging times, a filter reduces all terms, so that the lowest point does not count there.
     let settled_s = parameters.bandwidth.as_ref().map_or(0.0, |of| settled_s(of, rate_hz));
     let settled: Vec<AllanPoint> =
         points.iter().filter(|point| point.m as f64 / rate_hz >= settled_s).copied().collect();
@@ -67,7 +68,7 @@ fn contradict(
         .minimum(5.0)
         .filter(|(_, deviation)| *deviation > 0.0)
         .map(|(tau_s, deviation)| Minimum { deviation, tau_s, over_0_664: deviation / 0.664 });
-    // Frequencies that took no part are not known either.
+    // Frequencies that took no part are also unknown.
     let beyond = parameters.bandwidth.as_ref().and_then(|of| of.up_to_hz).map(|up_to_hz| [up_to_hz, rate_hz]);
     let unknown_hz: Vec<[f64; 2]> = excluded_bands_hz.iter().copied().chain(beyond).collect();
     let unknown = |tau_s: f64| share_of((tau_s * rate_hz).round() as usize, rate_hz, &unknown_hz);
@@ -82,12 +83,12 @@ fn contradict(
          {high:.2e}] was measured: the model does not describe this record"
     ));
     withhold(parameters, &Supported::of(points, rate_hz), channel, &found);
-    // A filter that was fitted with them goes with them; one that is known stays.
+    // A filter that was fitted with the parameters is withheld with them; a known filter stays.
     parameters.bandwidth = parameters.bandwidth.take().filter(|of| of.internal_rate_hz.is_some());
 }
 
-/// The averaging time from which on a filter passes the noise that the curve shows, s: a mean's length, half a period of a
-/// cutoff.
+/// Returns the averaging time from which on a filter passes the noise that the curve shows, s: a mean's length, half a
+/// period of a cutoff.
 fn settled_s(bandwidth: &Bandwidth, rate_hz: f64) -> f64 {
     match (bandwidth.kind.as_str(), bandwidth.value) {
         ("moving_average", Some(window)) => window / bandwidth.internal_rate_hz.unwrap_or(rate_hz),
@@ -96,10 +97,10 @@ fn settled_s(bandwidth: &Bandwidth, rate_hz: f64) -> f64 {
     }
 }
 
-/// The places where the prediction leaves the curve.
+/// Returns the places where the prediction leaves the curve.
 ///
-/// The degrees of freedom are those of the noise that the prediction has there: were it true, the measured slope would
-/// only add chance. `unknown`: by averaging time the share of the variance that is known in part only.
+/// The degrees of freedom are those of the noise that the prediction has there: for a true prediction, the measured
+/// slope would only add chance. `unknown` is the share of the variance that is only partly known, by averaging time.
 fn places(
     parameters: &NoiseParameters,
     points: &[AllanPoint],
@@ -132,7 +133,7 @@ fn places(
     pairs.into_iter().filter_map(place).collect()
 }
 
-/// Slopes of the fitted Allan variance in double logarithms, at each of its averaging times.
+/// Returns the slopes of the fitted Allan variance in double logarithms, at each of its averaging times.
 fn slopes(fitted: &FittedCurve) -> Vec<f64> {
     let logs: Vec<(f64, f64)> = fitted
         .tau_s
@@ -148,13 +149,13 @@ fn slopes(fitted: &FittedCurve) -> Vec<f64> {
     (0..logs.len()).map(at).collect()
 }
 
-/// The share of the Allan variance of white noise at averaging factor `m` that lies in bands.
+/// Returns the share of the Allan variance of white noise at averaging factor `m` that lies in bands.
 fn share_of(m: usize, rate_hz: f64, bands_hz: &[[f64; 2]]) -> f64 {
     const POINTS: usize = 4096;
     if bands_hz.is_empty() {
         return 0.0;
     }
-    // The response falls into lobes of width 1/m: the grid reaches over the first few.
+    // The response has lobes of width 1/m: the grid covers the first few.
     let end = (8.0 / m as f64).min(0.5);
     let (mut inside, mut all) = (0.0, 0.0);
     for point in 0..POINTS {
@@ -168,7 +169,7 @@ fn share_of(m: usize, rate_hz: f64, bands_hz: &[[f64; 2]]) -> f64 {
     if all > 0.0 { inside / all } else { 0.0 }
 }
 
-/// Withdraws the responsible parameters and replaces them with values that the curve alone supports.
+/// Withholds the responsible parameters and replaces them with values that the curve alone supports.
 fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Channel, found: &[Place]) {
     let lowest_s = parameters.minimum.map_or(f64::INFINITY, |minimum| minimum.tau_s);
     let share = |letter: &str, place: &Place| {
@@ -176,7 +177,8 @@ fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Cha
         let own = *curve.parts.get(letter)?.get(place.at)?;
         Some((own / place.predicted).powi(2) > SHARE)
     };
-    // The missing variance may be of any term that could stand there: N and Q before the lowest point, the others from there on.
+    // The missing variance may belong to any term that is possible there: N and Q before the lowest point, the others
+    // from it on.
     let lacks = |term: Term, place: &Place| {
         place.predicted < place.measured && (place.tau_s < lowest_s) == matches!(term, Term::N | Term::Q)
     };
@@ -189,7 +191,7 @@ fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Cha
                 internal: parameters.n.internal.zip(parameters.n.value).map(|(internal, of)| value * internal / of),
                 ..Estimate::identified(channel, term, value, ci95)
             }),
-            // With the scatter of the curve: its lowest point alone is often below what B makes.
+            // With the scatter of the curve, whose lowest point alone is often below the level of B.
             Term::B => {
                 limit(measured, |_| 0.664 * 0.664).map(|limit| Estimate::unidentified(channel, term, Some(limit)))
             }
@@ -215,9 +217,10 @@ fn withhold(parameters: &mut NoiseParameters, measured: &Supported, channel: Cha
     }
 }
 
-/// The measured curve with as few degrees of freedom as any noise leaves: the noise of a withheld fit is not to be relied on.
+/// The measured curve with the smallest degrees of freedom that any noise leaves, because the noise of a withheld fit
+/// is not reliable.
 struct Supported {
-    /// τ in s, deviation, degrees of freedom.
+    /// τ in s, deviation and degrees of freedom.
     rows: Vec<(f64, f64, f64)>,
 }
 
@@ -232,8 +235,8 @@ impl Supported {
     }
 }
 
-/// White noise's density from the longest run of octaves whose slope is −½, with the range of their 95 % intervals. These reach
-/// down to where flicker has all of the lowest point.
+/// Returns the density of white noise from the longest run of octaves whose slope is −½, with the range of their 95 %
+/// intervals. These reach down to the value at which flicker makes the whole lowest point.
 fn white(measured: &Supported) -> Option<(f64, [f64; 2])> {
     let rows = measured.rows.iter().copied();
     let all: Vec<(f64, f64, f64)> = rows.filter(|(_, deviation, edf)| *deviation > 0.0 && *edf >= 5.0).collect();
@@ -262,7 +265,7 @@ fn white(measured: &Supported) -> Option<(f64, [f64; 2])> {
     let density = |(tau_s, deviation, _): &(f64, f64, f64)| deviation * tau_s.sqrt();
     let weight: f64 = run.iter().map(|row| row.2).sum();
     let value = run.iter().map(|row| density(row) * row.2).sum::<f64>() / weight;
-    // All that the curve holds at its lowest point may be in front of the white noise.
+    // All of the curve's lowest point may be noise that reduces the white noise.
     let lowest = all.iter().fold(f64::INFINITY, |lowest, row| lowest.min(row.1));
     let ends = run.iter().filter_map(|row| {
         let factors = confidence_factors(row.2, 0.95)?;
@@ -273,13 +276,14 @@ fn white(measured: &Supported) -> Option<(f64, [f64; 2])> {
     Some((value, ci95))
 }
 
-/// The coefficient above which a term of variance `square`(τ) alone would exceed the measured curve, with 97.5 % confidence: the
-/// lowest over all averaging times, of which each has its share of the rest.
+/// Returns the coefficient above which a term of variance `square`(τ) alone would exceed the measured curve, with 97.5
+/// % confidence: the lowest coefficient over all averaging times, each of which has its share of the remaining
+/// probability.
 fn limit(measured: &Supported, square: impl Fn(f64) -> f64) -> Option<f64> {
     let octaves =
         measured.rows.first().zip(measured.rows.last()).map_or(0.0, |(first, last)| (last.0 / first.0).log2());
     let level = 0.05 / (octaves + 1.0);
-    // In front of that a filter may have taken most of the term.
+    // At shorter averaging times, a filter may have removed most of the term.
     let from = first_fall(measured.rows.iter().map(|(_, deviation, edf)| (*deviation, *edf)));
     let limits = measured.rows.iter().skip(from).filter_map(|(tau_s, deviation, edf)| {
         Some(deviation * confidence_factors(*edf, 1.0 - level)?.high / square(*tau_s).sqrt())
@@ -320,7 +324,7 @@ mod tests {
 
     #[test]
     fn bands_that_are_known_in_part_widen_what_they_touch() {
-        // All of the band is all of the variance; the upper half matters at one sample and hardly at sixteen.
+        // The whole band has the whole variance; the upper half matters at one sample and hardly at sixteen.
         assert!((share_of(1, RATE_HZ, &[[0.0, 50.0]]) - 1.0).abs() < 1e-12);
         let (short, long) = (share_of(1, RATE_HZ, &[[25.0, 50.0]]), share_of(16, RATE_HZ, &[[25.0, 50.0]]));
         assert!(short > 0.7 && short < 0.95 && long < 0.05, "{short} {long}");
@@ -334,7 +338,7 @@ mod tests {
         assert!((lowest.over_0_664 * 0.664 / lowest.deviation - 1.0).abs() < 1e-12 && lowest.tau_s > 10.0);
     }
 
-    /// y += a (x − y) of white noise of that density, beside a walk.
+    /// Returns y += a (x − y) of white noise of that density, plus a walk.
     fn smoothed(count: usize, a: f64, density: f64, walk: f64, seed: u64) -> Vec<f64> {
         let (mut y, mut drift) = (0.0, 0.0);
         let steps = white(count, walk / RATE_HZ, seed + 1);
@@ -346,7 +350,7 @@ mod tests {
         white(count, density, seed).into_iter().zip(steps).map(sum).collect()
     }
 
-    /// The part that a filter removes at short averaging times was taken for the lowest deviation, and B had to be
+    /// The part that a filter removes at short averaging times was mistaken for the lowest deviation, and B had to be
     /// below it.
     #[test]
     fn what_a_filter_takes_is_no_lowest_point() {
@@ -354,16 +358,16 @@ mod tests {
         assert_eq!(parameters.bandwidth.as_ref().map(|of| of.kind.as_str()), Some("low_pass"), "{parameters:?}");
         let (lowest, shortest) = (parameters.minimum.unwrap(), points[0].variance.sqrt());
         assert!(lowest.tau_s > 0.5 && lowest.deviation > 1.1 * shortest, "{lowest:?} {shortest}");
-        // A walk that hides the fall of the filtered noise leaves the same.
+        // A walk that hides the fall of the filtered noise has the same result.
         let (parameters, points) = fitted(smoothed(120_000, 0.05, 1e-3, 1e-3, 5));
         let (lowest, shortest) = (parameters.minimum.unwrap(), points[0].variance.sqrt());
         assert!(lowest.tau_s > 0.5 && lowest.deviation > 2.0 * shortest, "{lowest:?} {shortest}");
-        // Of white noise, and of a walk by itself, all counts.
+        // For white noise, and for a walk alone, all averaging times count.
         assert!(fitted(white(4000, 1e-3, 4)).0.minimum.unwrap().tau_s > 1.0);
         assert_eq!(first_fall([(1.0, 1000.0), (2.0, 500.0), (2.9, 20.0), (2.8, 5.0)].into_iter()), 0);
     }
 
-    /// Only a record with a knock in it had its filters looked for if a process describes the record as well.
+    /// Filters were only searched in a record with a knock if a process describes the record as well.
     #[test]
     fn a_process_in_place_of_white_noise_is_a_filter_in_a_clean_record_too() {
         for seed in 0..4 {
@@ -374,7 +378,7 @@ mod tests {
         }
     }
 
-    /// N lay between that without spikes and that with them, and its interval held neither.
+    /// N lay between the value without spikes and the value with them, and its interval contained neither.
     #[test]
     fn spikes_too_many_to_be_events_widen_the_interval_of_n() {
         for (every, size) in [(700, 0.2), (500, 0.2), (200, 1.0)] {
@@ -396,7 +400,7 @@ mod tests {
 
     #[test]
     fn true_fits_are_refused_no_more_often_than_the_test_says() {
-        // None of 600 is: the prediction follows the record that it is held against.
+        // None of 600 is refused: the prediction follows the record with which it is compared.
         let refused = (0..600).filter(|seed| !fitted(white(4000, 1e-3, 100 + seed)).0.usable).count();
         assert!(refused <= 2, "{refused}");
     }
@@ -404,7 +408,7 @@ mod tests {
     #[test]
     fn a_fit_that_leaves_the_curve_is_withheld_and_the_curve_speaks_instead() {
         let (mut parameters, points) = fitted(white(60_000, 1e-3, 2));
-        // As if a walk had been made of the filter of a sensor: finding A1.
+        // As if a walk had been fitted in place of the sensor's filter: finding A1.
         let tau_s: Vec<f64> = (0..12).map(|octave| f64::from(1 << octave) / RATE_HZ).collect();
         let walk: Vec<f64> = tau_s.iter().map(|tau_s| 0.05 * (tau_s / 3.0).sqrt()).collect();
         let parts = [("K".to_owned(), walk.clone())].into();
@@ -420,7 +424,7 @@ mod tests {
         hold_against(&mut parameters, &points, RATE_HZ, Channel::GyroX, &[]);
         assert!(!parameters.usable, "{parameters:?}");
         assert!(parameters.reason.as_ref().unwrap().contains("was measured"), "{:?}", parameters.reason);
-        // No value that follows from the fit is left.
+        // No value that follows from the fit remains.
         assert_eq!((parameters.bandwidth.as_ref(), parameters.walk_shows_beyond_s), (None, None));
         assert_eq!(parameters.record_needed, RecordNeeded::default());
         let n = &parameters.n;

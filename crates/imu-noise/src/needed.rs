@@ -1,11 +1,11 @@
 //! How long to record: the time at rest after which B and K are known to ±20 %, and the averaging time from which on a
 //! walk would show.
 //!
-//! The expected information of the squared coefficients in a record of n samples without a gap is that of the sine transform's
-//! coefficients (`whittle`): each z_k² contributes a half of (∂ln λ_k)² for k = 1 to n − 1. N, B and K are free, whether named or
-//! not, as they are for the intervals; one that is not named counts with its size of 0. The filter in front of the samples is
-//! left out, because frequencies far below it determine B and K. Records whose law misfits need longer by as much as their
-//! intervals are widened.
+//! The expected information of the squared coefficients in a record of n samples without a gap is that of the sine
+//! transform's coefficients (`whittle`): each z_k² contributes a half of (∂ln λ_k)² for k = 1 to n − 1. N, B and K are
+//! free, whether named or not, as for the intervals; a parameter that is not named counts with size 0. The filter in
+//! front of the samples is left out, because frequencies far below it determine B and K. Records whose law misfits need
+//! more time, in proportion to the widening of their intervals.
 
 use super::fit::{Estimate, NoiseParameters, Term};
 use super::whittle::MISFIT;
@@ -16,23 +16,23 @@ use std::f64::consts::PI;
 const WANTED: f64 = 0.2 / 1.96;
 /// The longest time that is reported, s: 1000 h.
 const LONGEST_S: f64 = 3.6e6;
-/// Fewest samples for a fit.
+/// Minimum number of samples for a fit.
 const LEAST: f64 = 64.0;
 
-/// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not identify the
-/// parameter, so that nothing is known of its size, and beyond 1000 h.
+/// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not
+/// identify the parameter, so that its size is unknown, and beyond 1000 h.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct RecordNeeded {
-    /// For bias instability.
+    /// The time for bias instability.
     #[serde(rename = "B")]
     pub b: Option<f64>,
-    /// For rate random walk.
+    /// The time for rate random walk.
     #[serde(rename = "K")]
     pub k: Option<f64>,
 }
 
 impl RecordNeeded {
-    /// The times for noise of these parameters, sampled at `rate_hz`; rounded up to two digits.
+    /// Returns the times for noise of these parameters, sampled at `rate_hz`; rounded up to two digits.
     ///
     /// # Validation
     /// `estimates_scatter_by_a_tenth_after_the_time_that_is_said`: the scatter of fits of simulated records of that length.
@@ -42,8 +42,9 @@ impl RecordNeeded {
     }
 }
 
-/// The averaging time at which a walk as large as its upper limit would reach the lowest deviation, s: K²τ/3 is its Allan
-/// variance (IEEE Std 952-1997, annex C). None if a walk is identified, or if limit or lowest deviation are not known.
+/// Returns the averaging time at which a walk as large as its upper limit would reach the lowest deviation, s: K²τ/3 is
+/// its Allan variance (IEEE Std 952-1997, annex C). `None` if a walk is identified, or if limit or lowest deviation are
+/// unknown.
 pub fn walk_shows_beyond_s(parameters: &NoiseParameters) -> Option<f64> {
     let limit = parameters.k.upper_limit95.filter(|limit| !parameters.k.identified && *limit > 0.0)?;
     let tau_s = 3.0 * (parameters.minimum?.deviation / limit).powi(2);
@@ -58,7 +59,7 @@ struct Column<'a> {
     is_slope: bool,
 }
 
-/// The law of a record, the wanted unknown last.
+/// The law of a record, with the wanted unknown last.
 struct Law<'a> {
     columns: Vec<Column<'a>>,
     rate_hz: f64,
@@ -66,7 +67,7 @@ struct Law<'a> {
 }
 
 impl<'a> Law<'a> {
-    /// None if `wanted` has no value.
+    /// Returns the law; `None` if `wanted` has no value.
     fn of(parameters: &NoiseParameters, rate_hz: f64, wanted: Term) -> Option<Law<'a>> {
         let size = |of: &Estimate| of.value.filter(|value| of.identified && value.is_finite());
         size(parameters.estimate(wanted)).filter(|value| *value > 0.0)?;
@@ -96,12 +97,12 @@ impl<'a> Law<'a> {
         Some(Law { columns, rate_hz, widen })
     }
 
-    /// The relative standard error of the wanted coefficient in a record of so many samples.
+    /// Returns the relative standard error of the wanted coefficient in a record of `samples` samples.
     ///
-    /// The error of a coefficient is half that of its square. Its information is what Cholesky's last pivot leaves
-    /// beside all others.
+    /// The error of a coefficient is half that of its square. Its information given all others is Cholesky's last
+    /// pivot.
     fn error(&self, samples: f64) -> Option<f64> {
-        /// Coefficients that are taken one by one; beyond, groups of 5 % of their frequency.
+        /// Coefficients that are taken one by one; beyond them, in groups of 5 % of their frequency.
         const SINGLE: f64 = 40.0;
         const RATIO: f64 = 1.05;
         let size = self.columns.len();
@@ -141,8 +142,8 @@ impl<'a> Law<'a> {
     }
 }
 
-/// The part of a positive matrix that remains for its last unknown when all others are free. None if the unknowns
-/// cannot be separated.
+/// Returns the part of a positive matrix that remains for its last unknown when all others are free. `None` if the
+/// unknowns cannot be separated.
 fn last_pivot(matrix: &[Vec<f64>]) -> Option<f64> {
     /// If the rest is smaller than this share of the whole, the unknowns cannot be separated.
     const DEPENDENT: f64 = 1e-12;
@@ -202,7 +203,8 @@ mod tests {
         values
     }
 
-    /// Five hours of a sensor: the Cramér–Rao bound of an independent program for N 3.5e-3, B 1e-3, K 5e-5 is 3.83 % and 21.95 %.
+    /// For five hours of a sensor, an independent program gives a Cramér–Rao bound of 3.83 % and 21.95 % for N 3.5e-3,
+    /// B 1e-3, K 5e-5.
     #[test]
     fn errors_are_those_of_the_bound() {
         let of = parameters([3.5e-3, 1e-3, 5e-5]);
@@ -211,7 +213,8 @@ mod tests {
             assert!((error / bound - 1.0).abs() < 0.05, "{term:?}: {error}");
         }
         let needed = RecordNeeded::of(&of, RATE_HZ);
-        // An error falls with the root of the time: (3.83/10.2)² of five hours, and more than (21.95/10.2)² of them.
+        // An error decreases with the root of the time: (3.83/10.2)² of five hours, and more than (21.95/10.2)² of
+        // them.
         assert!((2000.0..3500.0).contains(&needed.b.unwrap()), "{needed:?}");
         assert!((60_000.0..130_000.0).contains(&needed.k.unwrap()), "{needed:?}");
     }
@@ -242,7 +245,7 @@ mod tests {
     fn what_is_not_identified_has_no_time_and_a_misfit_takes_longer() {
         let white = parameters([3.5e-3, 0.0, 0.0]);
         assert_eq!(RecordNeeded::of(&white, RATE_HZ), RecordNeeded::default());
-        // A walk that weak takes more than a thousand hours.
+        // Such a weak walk takes more than a thousand hours.
         assert_eq!(RecordNeeded::of(&parameters([3.5e-3, 1e-3, 1e-8]), RATE_HZ).k, None);
         let of = parameters([3.5e-3, 1e-3, 0.0]);
         let mut misfit = of.clone();

@@ -1,19 +1,19 @@
 //! Moments, histogram and a test for normality of one channel, streaming and mergeable.
 //!
-//! Samples enter in any portions ([`Accumulator::push`]) and order; accumulators of parts add ([`Accumulator::merge`]).
-//! Samples that are not finite are counted and left out. Memory is a fixed few kilobytes.
+//! Samples enter in any portions ([`Accumulator::push`]) and order; accumulators of parts can be added
+//! ([`Accumulator::merge`]). Samples that are not finite are counted and left out. Memory is a fixed few kilobytes.
 
 mod checkpoint;
 
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Bins that a histogram has at most; ranges double, so that at least half of them are in use.
+/// Maximum number of bins in a histogram; ranges double, so that at least half of the bins are in use.
 const BINS: usize = 128;
-/// Samples after which the first bins are laid out.
+/// Number of samples after which the first bins are laid out.
 const SEED: usize = 64;
 
-/// Central moments to the fourth, combined without loss of digits.
+/// Central moments up to the fourth, combined without loss of digits.
 ///
 /// # Source
 /// P. Pébay, Formulas for robust, one-pass parallel computation of covariances and arbitrary-order statistical moments,
@@ -43,37 +43,38 @@ impl Moments {
         self.mean += step;
     }
 
-    /// Their mean; `None` without a value.
+    /// Returns the mean; `None` without a value.
     pub fn mean(&self) -> Option<f64> {
         (self.count > 0).then_some(self.mean)
     }
-    /// Standard deviation, divided by n − 1; `None` below two values.
+    /// Returns the standard deviation, divided by n − 1; `None` below two values.
     pub fn std(&self) -> Option<f64> {
         (self.count > 1).then(|| (self.m2 / (self.count as f64 - 1.0)).max(0.0).sqrt())
     }
-    /// Third standardised moment, divided by n; `None` for constant data.
+    /// Returns the third standardised moment, divided by n; `None` for constant data.
     pub fn skewness(&self) -> Option<f64> {
         let spread = self.spread()?;
         Some(self.m3 / self.count as f64 / spread.powf(1.5)).filter(|value| value.is_finite())
     }
-    /// Fourth standardised moment, divided by n, less the 3 of a normal distribution; `None` for constant data.
+    /// Returns the fourth standardised moment, divided by n, less the 3 of a normal distribution; `None` for constant
+    /// data.
     pub fn excess_kurtosis(&self) -> Option<f64> {
         let spread = self.spread()?;
         Some(self.m4 / self.count as f64 / (spread * spread) - 3.0).filter(|value| value.is_finite())
     }
-    /// Variance divided by n, where it is more than rounding.
+    /// Returns the variance divided by n, if it is more than rounding.
     fn spread(&self) -> Option<f64> {
         let variance = self.m2 / self.count as f64;
         (self.count > 1 && variance > (self.mean * 1e-15).powi(2)).then_some(variance)
     }
 }
 
-/// Equal bins over the data's range; the range doubles when a value falls outside, so that bins join in pairs and no value
-/// has to be seen twice.
+/// Equal bins over the data's range; the range doubles when a value falls outside, so that bins are joined in pairs and
+/// each value is needed only once.
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Bins {
-    /// Bin `i` reaches from `(first + i) · 2^exponent` to the next, its lower edge included: edges are those of a fixed
-    /// lattice, so that the bins of different parts coincide.
+    /// Bin `i` extends from `(first + i) · 2^exponent`, inclusive, to the next edge: edges belong to a fixed lattice,
+    /// so that the bins of different parts coincide.
     first: i64,
     exponent: i32,
     counts: Vec<u64>,
@@ -87,7 +88,7 @@ impl Bins {
     fn add(&mut self, value: f64, count: u64) {
         loop {
             let lattice = value / self.width();
-            // Beyond 2^53 steps neighbouring edges are one number.
+            // Beyond 2^53 steps, neighbouring edges are equal numbers.
             if lattice.abs() < 9e15 {
                 let cell = lattice.floor() as i64;
                 if self.counts.is_empty() {
@@ -141,7 +142,7 @@ pub struct Accumulator {
 }
 
 impl Accumulator {
-    /// An accumulator without samples.
+    /// Creates an accumulator without samples.
     pub fn new() -> Self {
         Self::default()
     }
@@ -172,20 +173,20 @@ impl Accumulator {
                     self.bins = Some(self.lay_out());
                     self.seed = Vec::new();
                 } else if self.seed.len() >= 1 << 16 {
-                    // Constant so far: one value stands for all, and its count is the moments'.
+                    // Constant so far: one value represents all, and the moments have its count.
                     self.seed.truncate(1 << 15);
                 }
             }
         }
     }
 
-    /// Bins of a sixty-fourth of the seed's range, from which doubling goes on.
+    /// Returns bins of a sixty-fourth of the seed's range, from which doubling continues.
     fn lay_out(&self) -> Bins {
-        // Divided before subtracted: the range of the largest doubles is itself beyond them.
+        // Divided before subtracted: the range of the largest doubles would overflow.
         let width = self.max / SEED as f64 - self.min / SEED as f64;
         let exponent = if width > 0.0 { (width.log2().floor() as i32).clamp(-1000, 1000) } else { -40 };
         let mut bins = Bins { first: 0, exponent, counts: Vec::new() };
-        // If values were constant, more of them came than were kept.
+        // If values were constant, more of them arrived than were kept.
         let surplus = self.moments.count - self.seed.len() as u64;
         for (index, value) in self.seed.iter().enumerate() {
             bins.add(*value, if index == 0 { 1 + surplus } else { 1 });
@@ -193,7 +194,7 @@ impl Accumulator {
         bins
     }
 
-    /// The statistics so far.
+    /// Returns the statistics so far.
     pub fn statistics(&self, unit: &str) -> Statistics {
         let moments = self.moments;
         let any = moments.count > 0;
@@ -226,36 +227,36 @@ impl Accumulator {
 /// Counts in equal bins.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Histogram {
-    /// Edges of the bins, one more than there are bins, ascending; a bin holds its lower edge.
+    /// Edges of the bins, one more than the number of bins, ascending; a bin includes its lower edge.
     pub edges: Vec<f64>,
-    /// Samples in each bin.
+    /// Number of samples in each bin.
     pub counts: Vec<u64>,
 }
 
-/// Whether the samples are as a normal distribution's.
+/// Whether the samples are normally distributed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Normality {
-    /// `jarque-bera`.
+    /// The test: `jarque-bera`.
     pub test: String,
-    /// Its statistic.
+    /// The statistic of the test.
     pub statistic: f64,
-    /// How often a normal distribution gives as much.
+    /// How often a normal distribution gives as large a statistic.
     pub p_value: f64,
-    /// `normal` (p ≥ 0.01) or `not_normal`.
+    /// The verdict: `normal` (p ≥ 0.01) or `not_normal`.
     pub verdict: String,
 }
 
 impl Normality {
     /// Below this p-value the verdict is `not_normal`.
     const LEVEL: f64 = 0.01;
-    /// Values that the asymptotic distribution asks for.
+    /// Minimum number of values for the asymptotic distribution.
     const LEAST: u64 = 100;
 
-    /// The test of Jarque and Bera: n/6 (skewness² + excess²/4) against χ² with two degrees of freedom.
+    /// Computes the test of Jarque and Bera: n/6 (skewness² + excess²/4) against χ² with two degrees of freedom.
     ///
-    /// The test takes samples as independent. A slow walk or flicker beside the noise reduces their effective number and can fail
-    /// the test although every contribution is normal; skewness and kurtosis show by how much it matters. `None` below 100
-    /// samples or for constant data.
+    /// The test assumes independent samples. A slow walk or flicker beside the noise reduces their effective number and
+    /// can fail the test although every contribution is normal; skewness and kurtosis show how much it matters. `None`
+    /// below 100 samples or for constant data.
     ///
     /// # Source
     /// C. M. Jarque and A. K. Bera, International Statistical Review 55 (1987) 163.
@@ -276,14 +277,14 @@ impl Normality {
     }
 }
 
-/// What is known about the distribution of one channel's samples; null where there is too little data to say.
+/// The distribution of one channel's samples; values are null if there is too little data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Statistics {
-    /// Unit of mean, std, min, max and the histogram's edges.
+    /// Unit of mean, std, min and max, and of the histogram's edges.
     pub unit: String,
-    /// Samples.
+    /// Number of samples.
     pub n: u64,
-    /// Samples that were not finite and left out.
+    /// Number of samples that were not finite and were left out.
     pub not_finite: u64,
     /// Mean.
     pub mean: Option<f64>,

@@ -4,28 +4,29 @@
 //! In: samples of the six inertial channels in order of time. Only their half-second means are kept ([`Stillness::push`]). Out:
 //! the stretches in motion ([`Stillness::settle`]). All of these channels that the capture has are used.
 //!
-//! A sensor at rest shows its bias and one direction of gravity. A cause of motion (a hand, legs, a vehicle) changes the *means*
-//! over half a second; vibration, knocks and noise leave them nearly alone. The test therefore uses means, not variances: a fan
-//! on the desk is not motion, though it makes samples ten times as noisy. A window departs if
+//! A sensor at rest shows its bias and one direction of gravity. A cause of motion (a hand, legs, a vehicle) changes
+//! the *means* over half a second; vibration, knocks and noise hardly change them. The test therefore uses means, not
+//! variances: a fan on the desk is not motion, though it makes samples ten times as noisy. A window departs if
 //! - its mean rate differs from the bias by more than 6 of its standard deviations, at least 0.5 and at most 1 °/s; or
-//! - its mean acceleration differs from the median over 3.5 s by more than 6 of its standard deviations, at least 0.1 and at most
-//!   0.3 m/s²; or that median itself changes by as much within four seconds.
+//! - its mean acceleration differs from the median over 3.5 s by more than 6 of its standard deviations, at least 0.1
+//!   and at most 0.3 m/s²; or that median itself changes by as much within four seconds.
 //!
-//! Four departures among seven windows are motion: a knock of less than a second touches three. The standard deviation is learned
-//! from the record's quietest tenth, so that a record that moves for four fifths of its time is still divided. The upper ends
-//! hold if no part of a record is quiet. The bias is learned from the steady windows and followed as fast as electronics warm up.
+//! Four departures among seven windows are motion: a knock of less than a second touches three. The standard deviation
+//! is estimated from the record's quietest tenth, so that a record that moves for four fifths of its time is still
+//! divided. The upper bounds apply if no part of a record is quiet. The bias is estimated from the steady windows and
+//! followed at the rate at which electronics warm up.
 //!
-//! A slow tilt is motion if two independent quantities agree: the change of gravity's direction, and the integral of the rate
-//! across it. Neither alone is: an accelerometer's bias creeps, and so does a gyroscope's.
+//! A slow tilt is motion if two independent quantities agree: the change of gravity's direction, and the integral of
+//! the rate across it. Neither suffices alone: an accelerometer's bias creeps, and so does a gyroscope's.
 //!
 //! # Source
 //! Detection by windows of mean and energy: Skog, Händel, Nilsson, Rantakokko, "Zero-velocity detection: an algorithm
 //! evaluation", IEEE Trans. Biomed. Eng. 57 (2010) 2657–2666 (the test of angular rate energy, of the acceleration's
-//! moving variance, and SHOE, which joins both). Bounds: at rest the means over half a second of the noisiest sensors
-//! tried (ADIS16405, 0.04 °/s/√Hz; MPU-9150) scatter by 0.06 °/s and 0.01 m/s², a VN-100's (datasheet PB-12-0002:
-//! 0.0035 °/s/√Hz, 0.14 mg/√Hz) by a twentieth of that rate; handling, walking and driving make 5 °/s and 0.3 m/s² or
-//! more at the median. In between lie the bounds; the earth's 0.004 °/s lies far below. A zero-rate offset is up to 20
-//! °/s (MPU-6050 datasheet): a steady rate beyond [`OFFSET_MAX`] is no bias.
+//! moving variance, and SHOE, which combines both). Bounds: at rest the means over half a second of the noisiest
+//! sensors tried (ADIS16405, 0.04 °/s/√Hz; MPU-9150) scatter by 0.06 °/s and 0.01 m/s², a VN-100's (datasheet
+//! PB-12-0002: 0.0035 °/s/√Hz, 0.14 mg/√Hz) by a twentieth of that rate; handling, walking and driving make 5 °/s and
+//! 0.3 m/s² or more at the median. The bounds lie in between; the earth's 0.004 °/s is far below. A zero-rate offset is
+//! up to 20 °/s (MPU-6050 datasheet): a steady rate beyond [`OFFSET_MAX`] is not a bias.
 //!
 //! # Validation
 //! The tests below, and `docs/noise-model.md` for real recordings.
@@ -36,53 +37,54 @@ use std::ops::Range;
 /// The channels that show motion, in the order of [`Stillness::push`].
 pub const TELLING: [Channel; 6] =
     [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
-/// Beyond this no value is a measurement: rad/s, m/s².
+/// Larger values are not measurements: rad/s, m/s².
 const MEASURED_MAX: [f64; 6] = [100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0];
-/// Least length of a window, s.
+/// Minimum length of a window, s.
 const WINDOW_S: f64 = 0.5;
-/// Least samples of a window: at rates below 16 Hz it lasts longer.
+/// Minimum number of samples in a window: at rates below 16 Hz a window is longer.
 const WINDOW_SAMPLES: u64 = 8;
-/// Windows of a capture without gaps at most: 36 h of half seconds; those of longer captures are longer. Each takes 56
-/// bytes. Among gaps there are four times as many at most, since one that is kept is filled by a quarter.
+/// Maximum number of windows of a capture without gaps: 36 h of half seconds; longer captures have longer windows. Each
+/// takes 56 bytes. With gaps there are at most four times as many, because every kept window is at least a quarter
+/// full.
 const WINDOWS_MAX: u64 = 1 << 18;
 /// A window departs beyond this many standard deviations of its mean, within the bounds below.
 const DEVIATIONS: f64 = 6.0;
-/// Least and greatest departure of the mean rate, rad/s: 0.5 and 1 °/s.
+/// Lower and upper bound of the departure of the mean rate, rad/s: 0.5 and 1 °/s.
 const RATE: [f64; 2] = [0.0087, 0.0175];
-/// Least and greatest departure of the mean acceleration, m/s².
+/// Lower and upper bound of the departure of the mean acceleration, m/s².
 const ACCELERATION: [f64; 2] = [0.1, 0.3];
-/// If there is a gyroscope, an acceleration counts beside a rate of this share of the rate that counts by itself.
+/// With a gyroscope, an acceleration counts only beside a rate of at least this share of the rate that counts alone.
 const STIR: f64 = 0.5;
-/// Windows of a neighbourhood, and how many of them have to depart.
+/// Number of windows in a neighbourhood, and how many of them have to depart.
 const NEIGHBOURS: usize = 7;
 const DEPARTING: usize = 4;
-/// No zero-rate offset is beyond this, rad/s: 25 °/s.
+/// No zero-rate offset is larger than this, rad/s: 25 °/s.
 const OFFSET_MAX: f64 = 0.44;
-/// A bias is followed with this share of each window's difference,
+/// A bias follows this share of each window's difference,
 const FOLLOW: f64 = 0.05;
-/// at most so fast, rad/s per s: 0.34 °/s a minute.
+/// but at most this fast, rad/s per s: 0.34 °/s per minute.
 const FOLLOW_MAX: f64 = 1e-4;
-/// The largest change of a bias while the sensor moves, rad/s per s, and altogether.
+/// The largest change of a bias while the sensor moves, rad/s per s, and in total.
 const UNSEEN: [f64; 2] = [1e-5, 0.0087];
-/// Left out before and after motion, windows.
+/// Number of windows left out before and after motion.
 const GUARD: usize = 2;
-/// A shorter rest between two motions is none, windows.
+/// A shorter rest between two motions does not count, windows.
 const REST_MIN: usize = 10;
-/// Windows of a block when slow tilts are looked for.
+/// Number of windows per block in the search for slow tilts.
 const BLOCK: usize = 8;
-/// Least tilt, rad: 0.17°.
+/// Smallest tilt, rad: 0.17°.
 const TILT_MIN: f64 = 3e-3;
 
 /// Means of a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Window {
-    /// Place of its first sample over the window's length.
+    /// Place of the window's first sample over the window's length.
     index: u64,
     /// Means of gyro x, y, z in rad/s and accel x, y, z in m/s²; NaN if there is none.
     means: [f32; 6],
 }
 
-/// The window in the making.
+/// The present window.
 #[derive(Debug, Clone, Copy, Default)]
 struct Open {
     index: u64,
@@ -94,25 +96,25 @@ struct Open {
 #[derive(Debug, Clone)]
 pub struct Stillness {
     rate_hz: f64,
-    /// Samples of a window.
+    /// Samples per window.
     length: u64,
     windows: Vec<Window>,
     open: Open,
-    /// Values beyond any measurement, and all values.
+    /// Number of values beyond any measurement, and number of all values.
     beyond: [(u64, u64); 6],
 }
 
 impl Stillness {
-    /// For a capture of which that many samples were received. Missing samples take no window: a clock that jumps makes no window
-    /// longer.
+    /// Creates the means for a capture with that many received samples. Missing samples take no window, so that a clock
+    /// that jumps makes no window longer.
     pub fn new(rate_hz: f64, samples: u64) -> Self {
         let length = ((WINDOW_S * rate_hz).ceil() as u64).max(WINDOW_SAMPLES).max(samples.div_ceil(WINDOWS_MAX));
         Self { rate_hz, length, windows: Vec::new(), open: Open::default(), beyond: [(0, 0); 6] }
     }
 
-    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones included):
-    /// gyro x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN marks a missing value. A value beyond
-    /// any measurement (100 rad/s, 1000 m/s²) counts as missing.
+    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones
+    /// included): gyro x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN marks a missing
+    /// value. A value beyond any measurement (100 rad/s, 1000 m/s²) counts as missing.
     pub fn push(&mut self, place: u64, columns: [&[f64]; 6]) {
         let rows = columns.iter().map(|column| column.len()).max().unwrap_or(0);
         let mut from = 0;
@@ -144,7 +146,7 @@ impl Stillness {
         }
     }
 
-    /// Of each channel, how many values were beyond any measurement, and how many values there were.
+    /// Returns, for each channel, the number of values beyond any measurement, and the number of all values.
     pub fn beyond(&self) -> [(u64, u64); 6] {
         self.beyond
     }
@@ -164,8 +166,8 @@ impl Stillness {
         }
     }
 
-    /// The stretches in motion: places from–to in order, disjoint; windows that were too sparse go with their neighbours. `None`
-    /// if there is no window.
+    /// Returns the stretches in motion: places from–to in order, disjoint; windows that are too sparse follow their
+    /// neighbours. `None` if there is no window.
     pub fn settle(mut self) -> Option<Vec<Range<u64>>> {
         self.close();
         if self.windows.is_empty() {
@@ -188,7 +190,7 @@ impl Stillness {
     }
 }
 
-/// A window's means; `None` if a triad lacks an axis altogether is spelled as zeros: they never depart.
+/// A window's means. A triad that lacks an axis entirely has zeros, which never depart.
 #[derive(Debug, Clone, Copy)]
 struct Means {
     gyro: [f64; 3],
@@ -202,12 +204,13 @@ impl Means {
     }
 }
 
-/// Euclidean distance over the axes that both have.
+/// Returns the Euclidean distance over the axes that both have.
 fn distance(one: [f64; 3], other: [f64; 3]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b).powi(2)).filter(|square| square.is_finite()).sum::<f64>().sqrt()
 }
 
-/// Standard deviation per axis of a window's mean: from the lowest tenth of the differences of neighbours, of `axes` axes.
+/// Returns the standard deviation per axis of a window's mean, from the lowest tenth of the differences of neighbours
+/// over `axes` axes.
 fn learned(values: impl Iterator<Item = [f64; 3]>, bounds: [f64; 2]) -> f64 {
     let values: Vec<[f64; 3]> = values.collect();
     let axes = (0..3).filter(|axis| values.iter().any(|value| value[*axis].is_finite())).count();
@@ -223,7 +226,7 @@ fn learned(values: impl Iterator<Item = [f64; 3]>, bounds: [f64; 2]) -> f64 {
     (DEVIATIONS * *tenth / chi / std::f64::consts::SQRT_2).clamp(bounds[0], bounds[1])
 }
 
-/// Medians of the axes over windows.
+/// Returns the medians of the axes over windows.
 fn median(windows: &[Means], of: impl Fn(&Means) -> [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| {
         let mut values: Vec<f64> = windows.iter().map(|window| of(window)[axis]).filter(|v| v.is_finite()).collect();
@@ -235,7 +238,7 @@ fn median(windows: &[Means], of: impl Fn(&Means) -> [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// Which windows are in motion by their departures.
+/// Returns which windows are in motion according to their departures.
 fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     let rate = learned(means.iter().map(|window| window.gyro), RATE);
     let acceleration = learned(means.iter().map(|window| window.accel), ACCELERATION);
@@ -252,7 +255,7 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     let steady: Vec<usize> = (0..means.len()).filter(|at| steady(*at)).collect();
     let bias = followed(means, &steady, rate, window_s);
     let turning = |at: usize| bias[at].is_none_or(|bias| distance(means[at].gyro, bias) > rate);
-    // A push turns too, however little; a line folded to a slow one shakes the accelerometer alone.
+    // A push also turns the sensor, however little; a line folded to a low frequency only shakes the accelerometer.
     let turns = |at: usize| !has_gyro || bias[at].is_none_or(|bias| distance(means[at].gyro, bias) > STIR * rate);
     let departs: Vec<bool> = (0..means.len()).map(|at| turning(at) || far(at) && turns(at)).collect();
     let mut moving = vec![false; means.len()];
@@ -263,14 +266,14 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
             moving[*first..=*last].fill(true);
         }
     }
-    // The pose before and after: medians that share no window.
+    // The poses before and after: medians that share no window.
     let turned = |at: usize| {
         if at < 4 || at + 4 >= levels.len() {
             return false;
         }
         let (before, after) = (levels[at - 4], levels[at + 4]);
         let apart = distance(before, after);
-        // The direction that follows from the rate: a direction that rests in the world turns against the sensor, du/dt
+        // The direction that follows from the rate: a direction fixed in the world turns relative to the sensor, du/dt
         // = −ω × u.
         let turn = (at - 4..at + 4).filter_map(|at| {
             let bias = bias[at]?;
@@ -284,15 +287,15 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
     };
     let turned: Vec<bool> = (0..means.len()).map(turned).collect();
     for run in runs(&turned) {
-        // A change in an instant is seen from eight windows.
+        // An instantaneous change shows in eight windows.
         let middle = usize::midpoint(run.start, run.end);
         moving[(run.start + 4).min(middle)..run.end.saturating_sub(4).max(middle + 1)].fill(true);
     }
     moving
 }
 
-/// The bias at each window: learned from the steady ones of least rate and followed from there to both ends. None if no window is
-/// steady, and then every window is in motion.
+/// Returns the bias at each window: estimated from the steady windows of smallest rate, and followed from there to both
+/// ends. `None` if no window is steady; then every window is in motion.
 fn followed(means: &[Means], steady: &[usize], rate: f64, window_s: f64) -> Vec<Option<[f64; 3]>> {
     if means.iter().all(|window| window.gyro.iter().all(|axis| axis.is_nan())) {
         return vec![Some([0.0; 3]); means.len()];
@@ -314,7 +317,7 @@ fn followed(means: &[Means], steady: &[usize], rate: f64, window_s: f64) -> Vec<
             let allowance = (UNSEEN[0] * unseen_s).min(UNSEEN[1]);
             let away = distance(means[at].gyro, bias);
             if away > rate && away <= rate + allowance {
-                // Seen again after a long motion: the bias has gone on meanwhile.
+                // The bias appears again after a long motion and has changed meanwhile.
                 bias =
                     std::array::from_fn(|axis| bias[axis] + (means[at].gyro[axis] - bias[axis]) * (1.0 - rate / away));
             }
@@ -340,10 +343,11 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Slow tilts among windows at rest: windows in which gravity's direction turned and the rate shows the same turn.
+/// Returns slow tilts among windows at rest: windows in which gravity's direction turned and the rate shows the same
+/// turn.
 ///
-/// Both are taken as an episode's change less the mean of those before and after it, of equal length: a bias and its
-/// straight drift cancel. Each is measured by its own median over the record.
+/// Both are computed as an episode's change less the mean change of equally long episodes before and after, so that a
+/// bias and its linear drift cancel. Each is compared with its own median over the record.
 fn tilts(means: &[Means], moving: &[bool], block_s: f64) -> Vec<Range<usize>> {
     let there = |window: &Means| window.gyro.iter().chain(&window.accel).all(|axis| axis.is_finite());
     let mut found = Vec::new();
@@ -354,12 +358,12 @@ fn tilts(means: &[Means], moving: &[bool], block_s: f64) -> Vec<Range<usize>> {
         let (mut direction, mut turned) = (Vec::with_capacity(blocks), vec![[0.0; 3]]);
         for block in 0..blocks {
             let windows = &means[run.start + block * BLOCK..run.start + (block + 1) * BLOCK];
-            // Medians: a knock is no tilt.
+            // Medians, because a knock is not a tilt.
             let accel = median(windows, |window| window.accel);
             let gyro = median(windows, |window| window.gyro);
             let g = distance(accel, [0.0; 3]).max(1.0);
             let unit = accel.map(|axis| axis / g);
-            // A direction that rests in the world turns against the sensor: du/dt = −ω × u.
+            // A direction fixed in the world turns relative to the sensor: du/dt = −ω × u.
             let change = cross(gyro, unit).map(|axis| -axis * block_s);
             let last: [f64; 3] = turned.last().copied().unwrap_or_default();
             turned.push(std::array::from_fn(|axis| last[axis] + change[axis]));
@@ -378,9 +382,9 @@ fn tilts(means: &[Means], moving: &[bool], block_s: f64) -> Vec<Range<usize>> {
     found
 }
 
-/// Tilts that last about `length` blocks.
+/// Returns tilts that last about `length` blocks.
 fn tilts_of(direction: &[[f64; 3]], turned: &[[f64; 3]], length: usize) -> Vec<Range<usize>> {
-    // Gravity's direction at the boundary before a block: the mean of those around it.
+    // Gravity's direction at the boundary before a block: the mean of the blocks around it.
     let around = (length / 3).clamp(1, 5);
     let mut sums = vec![[0.0; 3]];
     for unit in direction {
@@ -421,7 +425,7 @@ fn tilts_of(direction: &[[f64; 3]], turned: &[[f64; 3]], length: usize) -> Vec<R
     found
 }
 
-/// Runs of `true`.
+/// Returns the runs of `true`.
 fn runs(of: &[bool]) -> Vec<Range<usize>> {
     let mut from = 0;
     let mut found = Vec::new();
@@ -434,7 +438,7 @@ fn runs(of: &[bool]) -> Vec<Range<usize>> {
     found
 }
 
-/// Motion with its guards, and with the rests between that are too short.
+/// Returns motion with its guards, and with rests in between that are too short.
 fn widened(moving: &[bool]) -> Vec<Range<usize>> {
     let mut found: Vec<Range<usize>> = Vec::new();
     for run in runs(moving) {
@@ -459,7 +463,7 @@ mod tests {
 
     const RATE_HZ: f64 = 40.0;
 
-    /// White noise of a VN-100 on a desk, accel z at −g.
+    /// Returns white noise of a VN-100 on a desk, with accel z at −g.
     fn at_rest(seconds: usize, seed: u64) -> [Vec<f64>; 6] {
         let mut state = seed;
         let mut uniform = || {
@@ -474,11 +478,11 @@ mod tests {
         })
     }
 
-    /// Motion in s.
+    /// Returns the motion in s.
     fn moving(columns: &[Vec<f64>; 6]) -> Vec<(f64, f64)> {
         let samples = columns.iter().map(Vec::len).max().unwrap();
         let mut stillness = Stillness::new(RATE_HZ, samples as u64);
-        // In pieces, as they are read.
+        // In pieces, as when reading.
         for from in (0..samples).step_by(777) {
             let to = samples.min(from + 777);
             stillness.push(from as u64, columns.each_ref().map(|column| column.get(from..to).unwrap_or_default()));
@@ -559,7 +563,8 @@ mod tests {
         assert_eq!(moved(|_| false), [(0.0, 300.0)]);
     }
 
-    /// A table that tilts by 3° within 200 s is motion if the rate shows the same turn, and creep of the accelerometer is not.
+    /// A table that tilts by 3° within 200 s is motion if the rate shows the same turn; creep of the accelerometer is
+    /// not.
     #[test]
     fn a_slow_tilt_counts_where_both_witnesses_agree() {
         let angle = |t: f64| 0.052 * ((t - 500.0) / 200.0).clamp(0.0, 1.0);
@@ -572,7 +577,7 @@ mod tests {
         assert!((440.0..560.0).contains(&from) && (640.0..760.0).contains(&to), "{found:?}");
     }
 
-    /// A clock that jumps by four weeks leaves windows as long as they are, and a turn of three seconds is found.
+    /// If the clock jumps by four weeks, windows keep their length, and a turn of three seconds is found.
     #[test]
     fn a_clock_that_jumps_makes_no_window_longer() {
         let mut columns = at_rest(300, 10);

@@ -1,4 +1,4 @@
-//! Welch's averaged periodogram: Hann windows of half overlap, each less its straight line.
+//! Welch's averaged periodogram with half-overlapping Hann windows, each less its straight line.
 //!
 //! # Source
 //! P. D. Welch, IEEE Trans. Audio Electroacoustics AU-15 (1967) 70.
@@ -19,7 +19,7 @@ pub(super) struct Windows {
 }
 
 impl Windows {
-    /// Of so many samples, an even number.
+    /// Creates windows of `window` samples, an even number.
     pub(super) fn new(window: usize, rate_hz: f64) -> Self {
         let transform = RealFftPlanner::<f64>::new().plan_fft_forward(window);
         let hann: Vec<f64> = (0..window).map(|i| 0.5 - 0.5 * (2.0 * PI * i as f64 / window as f64).cos()).collect();
@@ -29,7 +29,8 @@ impl Windows {
         Self { hann, transform, input, output, scratch, norm }
     }
 
-    /// Adds the one-sided power density of a window of samples to that of its bins, U²/Hz; None if its length is another.
+    /// Adds the one-sided power density of a window of samples to the sums of its bins, U²/Hz; `None` if its length
+    /// differs.
     pub(super) fn add(&mut self, values: &[f64], sums: &mut [f64]) -> Option<()> {
         if values.len() != self.hann.len() {
             return None;
@@ -39,7 +40,7 @@ impl Windows {
         for (sum, value) in sums.iter_mut().zip(&self.output) {
             *sum += value.norm_sqr() * self.norm;
         }
-        // At half the rate both sides are one.
+        // At half the rate, both sides are the same.
         if let Some((sum, value)) = sums.last_mut().zip(self.output.last()) {
             *sum -= 0.5 * value.norm_sqr() * self.norm;
         }
@@ -47,7 +48,7 @@ impl Windows {
     }
 }
 
-/// Windowed samples less their straight line, so that a drift does not leak into every bin.
+/// Subtracts the straight line from samples and applies the window, so that a drift does not leak into every bin.
 fn detrended(values: &[f64], hann: &[f64], out: &mut [f64]) {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -64,12 +65,13 @@ fn detrended(values: &[f64], hann: &[f64], out: &mut [f64]) {
     }
 }
 
-/// The spectrum of a channel whose samples come one after the other; memory is that of two windows, however many they are.
+/// The spectrum of a channel whose samples arrive one after the other; it needs the memory of two windows for any
+/// number of samples.
 pub struct Welch {
     windows: Windows,
     window: usize,
     rate_hz: f64,
-    /// Samples since the last whole window's middle.
+    /// Samples since the middle of the last complete window.
     held: Vec<f64>,
     sums: Vec<f64>,
     count: u64,
@@ -82,13 +84,13 @@ impl std::fmt::Debug for Welch {
 }
 
 impl Welch {
-    /// Samples of the shortest and of the longest window.
+    /// Number of samples in the shortest and in the longest window.
     const ENDS: (usize, usize) = (256, 1 << 16);
-    /// Windows that are wanted of a record.
+    /// Intended number of windows of a record.
     const WANTED: u64 = 16;
 
-    /// For stretches of about so many samples each, without a gap inside, at a rate: the longest window of which there are
-    /// enough, as no window goes across a gap.
+    /// Creates a spectrum for stretches of about these numbers of samples without gaps, at a rate. It uses the longest
+    /// window of which there are enough, because no window spans a gap.
     pub fn new(stretches: &[u64], rate_hz: f64) -> Self {
         let (shortest, longest) = Self::ENDS;
         let mut window = longest;
@@ -99,7 +101,7 @@ impl Welch {
         Self { windows, window, rate_hz, held: Vec::with_capacity(window), sums: vec![0.0; window / 2 + 1], count: 0 }
     }
 
-    /// The next samples, without a gap after those before; one that is no number interrupts.
+    /// Takes the next samples, which follow the previous ones without a gap; a sample that is not a number interrupts.
     pub fn push(&mut self, samples: &[f64]) {
         for sample in samples {
             if !sample.is_finite() {
@@ -115,13 +117,13 @@ impl Welch {
         }
     }
 
-    /// Samples are missing here: no window goes across.
+    /// Marks a gap, which no window spans.
     pub fn interrupt(&mut self) {
         self.held.clear();
     }
 
-    /// Frequencies above 0 in Hz and the root of the one-sided power density there, U/√Hz: means over bins that lie closer than a
-    /// share `apart` of their frequency. None if there was no whole window.
+    /// Returns frequencies above 0 in Hz and the root of the one-sided power density there, U/√Hz: means over bins that
+    /// lie closer than a share `apart` of their frequency. `None` if there was no complete window.
     pub fn density(&self, apart: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let step_hz = self.rate_hz / self.window as f64;
         let mut at = (Vec::new(), Vec::new());

@@ -1,11 +1,11 @@
-//! Words: a channel's parameters beside their table, as sentences for people.
+//! Words: the parameters of a channel beside their table, as sentences for people.
 //!
-//! They have neither a capital at their beginning nor a full stop, so that they may follow a channel's name.
+//! They begin without a capital and end without a full stop, so that they may follow a channel's name.
 
 use super::fit::{Bandwidth, Flag, NoiseParameters};
 
 impl Bandwidth {
-    /// The filter: `a moving average of 4 samples (register 85)`.
+    /// Returns the filter: `a moving average of 4 samples (register 85)`.
     pub fn words(&self) -> String {
         let kind = match self.kind.as_str() {
             "moving_average" => "a moving average",
@@ -24,7 +24,8 @@ impl Bandwidth {
 }
 
 impl Flag {
-    /// The flag's kind, its time and its note: `spike at 108.30–108.33 s: 7.9 standard deviations from its neighbours`.
+    /// Returns the flag's kind, its time and its note: `spike at 108.30–108.33 s: 7.9 standard deviations from its
+    /// neighbours`.
     pub fn words(&self) -> String {
         let when = match (self.from_s, self.to_s) {
             (Some(from), Some(to)) => format!(" at {from:.2}–{to:.2} s"),
@@ -35,7 +36,8 @@ impl Flag {
 }
 
 impl NoiseParameters {
-    /// The filter, the sensor's own density, the lowest deviation beside B, how long to record, and why no walk is seen.
+    /// Returns the filter, the sensor's own density, the lowest deviation beside B, how long to record, and why no walk
+    /// shows.
     pub fn sentences(&self, number: impl Fn(f64) -> String) -> Vec<String> {
         let mut all = Vec::new();
         if let Some(filter) = &self.bandwidth {
@@ -56,7 +58,7 @@ impl NoiseParameters {
                 unit = self.unit
             ));
         }
-        // Parameters that contradict the curve determine neither how long to record nor what is absent.
+        // Parameters that contradict the curve do not determine how long to record, nor why a parameter is absent.
         if !self.usable {
             return all;
         }
@@ -93,7 +95,7 @@ impl NoiseParameters {
     }
 }
 
-/// A time in the unit that suits it.
+/// Returns a time in a suitable unit.
 fn span(seconds: f64) -> String {
     match seconds {
         s if s < 120.0 => {

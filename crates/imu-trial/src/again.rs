@@ -1,8 +1,8 @@
-//! Again: whether the result of a diagnosis holds on data that it did not see.
+//! Again: whether the result of a diagnosis holds on unseen data.
 //!
-//! For a case with a gap, the same device is recorded once more and diagnosed under the model that was given and under the
-//! corrected one. The corrected model is also simulated with a fresh seed, and that simulation is diagnosed under the corrected
-//! model and under the model that was given.
+//! For a case with a gap, the same device is recorded again and diagnosed under the given model and under the corrected
+//! one. The corrected model is also simulated with a new seed, and that simulation is diagnosed under the corrected and
+//! under the given model.
 
 use super::judge::is_of_delivery;
 use super::key::Key;
@@ -12,23 +12,23 @@ use imu_model::simulator::{SensorModel, Simulator, SimulatorError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// The tolerance between `closed` on the second record and the value that was stated.
+/// The tolerance between `closed` on the second record and the stated value.
 pub const WITHIN: f64 = 0.03;
 
 /// Four more diagnoses of a case: reports, or the reason why there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Diagnoses {
-    /// The second record under the model that was given; none if there can be no second record.
+    /// The second record under the given model; none if there can be no second record.
     pub second: Option<Result<Value, String>>,
-    /// And under the corrected model.
+    /// The second record under the corrected model.
     pub second_corrected: Option<Result<Value, String>>,
-    /// A simulation of the corrected model under itself.
+    /// A simulation of the corrected model under the corrected model.
     pub itself: Result<Value, String>,
-    /// And under the model that was given.
+    /// The simulation of the corrected model under the given model.
     pub returns: Result<Value, String>,
 }
 
-/// What came of them.
+/// The results of the further diagnoses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Again {
     /// Part of the gap that the corrected model closes on the second record.
@@ -37,13 +37,13 @@ pub struct Again {
     pub second_clean: Option<bool>,
     /// Whether the corrected model explains its own simulation.
     pub itself_clean: bool,
-    /// Whether the cause that was named first, beside the delivery's, is named of the corrected model's simulation under the
-    /// model that was given; none if none was.
+    /// Whether the first named cause, other than the delivery's, is named again for the corrected model's simulation
+    /// under the given model; none if no cause was named.
     pub returns: Option<bool>,
 }
 
 impl Again {
-    /// Of the diagnosis of a case with this key and the four that followed.
+    /// Evaluates the diagnosis of a case with this key, and the four that followed.
     pub fn of(said: &Report, then: &Diagnoses, key: &Key) -> Self {
         let report = |of: &Result<Value, String>| of.as_ref().ok().and_then(|value| Report::of(value).ok());
         let clean = |of: &Result<Value, String>| {
@@ -69,8 +69,8 @@ impl Again {
     }
 }
 
-/// The part of a diagnosis's gap that another model closes: the same discrepancy under that model. None if there was no gap to
-/// close.
+/// Returns the part of a diagnosis's gap that another model closes: the same discrepancy under that model. `None` if
+/// there was no gap to close.
 pub fn closed_under(report: &Value, other: &Value) -> Option<f64> {
     let of = |report: &Value, name: &str| report["discrepancy"][name].as_f64();
     let (before, floor) = (of(report, "after_parameters")?, of(report, "floor")?);
@@ -80,11 +80,11 @@ pub fn closed_under(report: &Value, other: &Value) -> Option<f64> {
     of(report, "closed").filter(|_| before > floor).map(|_| (before - after) / (before - floor))
 }
 
-/// A simulation of a model as long as a recording, at its temperature and with its channels; with stamps if the
+/// Returns a simulation of a model as long as a recording, at its temperature and with its channels; with stamps if the
 /// recording has some.
 ///
 /// # Errors
-/// [`SimulatorError`]: the model cannot be run.
+/// [`SimulatorError`] if the model cannot be run.
 pub fn simulated(model: &SensorModel, like: &Recording, seed: u64) -> Result<Recording, SimulatorError> {
     let (rate_hz, samples) = (model.rate_hz, like.len());
     let mut simulator = Simulator::new(model, seed, rate_hz, samples as f64 / rate_hz)?;

@@ -37,26 +37,27 @@ pub struct Case {
     recipe: Recipe,
     setting: Setting,
     has: Vec<Has>,
-    /// The model that the diagnosis is given.
+    /// The model that the diagnosis receives.
     model: SensorModel,
-    /// The recording that it is made of, if there is one.
+    /// The recording that the case is based on, if there is one.
     stretch: Option<Stretch>,
 }
 
 impl Case {
-    /// The case `number` of the sealed seed whose model lacks these kinds.
+    /// Returns the case `number` of the sealed seed whose model lacks these kinds.
     ///
     /// # Errors
-    /// As [`Self::make`].
+    /// The errors of [`Self::make`].
     pub fn draw(seed: u64, number: usize, kinds: &[Kind]) -> Result<Self, ImposeError> {
         Self::make(seed, number, &Recipe::lacking(kinds), None)
     }
 
-    /// The case `number` of the sealed seed by this recipe, of so many samples instead of a drawn number.
+    /// Returns the case `number` of the sealed seed by this recipe, with `samples` samples if given, otherwise with a
+    /// drawn number.
     ///
     /// # Errors
-    /// [`ImposeError`]: kinds that its device cannot have; a setting is drawn for the kinds, so that there is none but
-    /// [`ImposeError::TooShort`], and [`ImposeError::Unstated`] of a sense that the kind cannot be in.
+    /// [`ImposeError`] for kinds that the device cannot have. A setting is drawn for the kinds, so that only
+    /// [`ImposeError::TooShort`] is possible, and [`ImposeError::Unstated`] for a sense that the kind cannot have.
     pub fn make(seed: u64, number: usize, recipe: &Recipe, samples: Option<usize>) -> Result<Self, ImposeError> {
         let kinds: Vec<Kind> = recipe.kinds().collect();
         let mut setting = Setting::draw(&kinds, &mut Draw::device(seed, number as u64, "setting"));
@@ -64,10 +65,10 @@ impl Case {
         Self::with(seed, number, recipe, setting, None)
     }
 
-    /// A case of a stretch of an existing recording: the effects act on it.
+    /// Returns a case of a stretch of an existing recording: the effects act on it.
     ///
     /// # Errors
-    /// [`ImposeError`]: kinds that are not of [`Stretch::kinds`].
+    /// [`ImposeError`] for kinds that are not among [`Stretch::kinds`].
     pub fn draw_on(seed: u64, number: usize, recipe: &Recipe, stretch: Stretch) -> Result<Self, ImposeError> {
         let kinds: Vec<Kind> = recipe.kinds().collect();
         let setting = stretch.setting(&kinds, &mut Draw::device(seed, number as u64, "setting"));
@@ -110,7 +111,7 @@ impl Case {
         Ok(made)
     }
 
-    /// The model with the effects that it states.
+    /// Returns the model with the effects that it states.
     fn model_with_effects(&self) -> Result<SensorModel, ImposeError> {
         let key = self.key();
         let level = |channel: &str| {
@@ -122,41 +123,41 @@ impl Case {
         })
     }
 
-    /// The same device recorded once more: the same effects at the same times, other noise. `None` for an existing recording, and
-    /// for limits that follow from the samples, because they would be others.
+    /// Returns the same device recorded again: the same effects at the same times, with other noise. `None` for an
+    /// existing recording, and for limits that follow from the samples, because they would differ.
     pub fn again(self) -> Option<Self> {
         let same = self.stretch.is_none() && self.recipe.kinds().all(|kind| kind != Kind::Saturation);
         same.then_some(Self { take: self.take + 1, ..self })
     }
 
-    /// The device and its record's shape.
+    /// Returns the device and its record's shape.
     pub fn setting(&self) -> &Setting {
         &self.setting
     }
 
-    /// The effects, in the order in which they act.
+    /// Returns the effects, in the order in which they act.
     pub fn effects(&self) -> impl Iterator<Item = &Effect> {
         self.has.iter().map(|has| &has.effect)
     }
 
-    /// The model that the diagnosis is given.
+    /// Returns the model that the diagnosis receives.
     pub fn model(&self) -> SensorModel {
         self.model.clone()
     }
 
-    /// Whether it is read as a table, so that its rate follows from its stamps.
+    /// Returns whether the recording is read as a table, so that its rate follows from its stamps.
     pub fn is_table(&self) -> bool {
         self.stretch.is_none() && self.setting.stamps.is_some()
     }
 
-    /// For an existing recording: its channels without imposed effects, and the model with the case's N, B and K; for a case
-    /// without effects, the model as it was fitted to the channels.
+    /// For an existing recording, returns its channels without imposed effects, and the model with the case's N, B and
+    /// K; for a case without effects, the model fitted to the channels.
     pub fn as_it_is(&self) -> Option<(Recording, SensorModel)> {
         let stretch = self.stretch.as_ref()?;
         Some((stretch.as_it_is(&self.setting), stretch.model_of(&self.setting, !self.has.is_empty())))
     }
 
-    /// The key; cheap, no sample is made.
+    /// Returns the key, without computing any samples.
     pub fn key(&self) -> Key {
         let name = |channel: &Channel| channel.name().to_owned();
         let effect = |has: &Has| TrueEffect {
@@ -182,7 +183,7 @@ impl Case {
         }
     }
 
-    /// The recording.
+    /// Returns the recording.
     pub fn record(&self) -> Recording {
         let imposed: Vec<(usize, &Effect)> = self
             .has
@@ -216,7 +217,7 @@ impl Case {
         columns.into_recording(read)
     }
 
-    /// Level, white noise, flicker and random walk.
+    /// Returns level, white noise, flicker and random walk.
     fn column(&self, part: &Part) -> Column {
         let (samples, rate_hz) = (self.setting.samples, self.setting.rate_hz);
         let mut draw = self.stream(part.channel.name());
@@ -236,10 +237,10 @@ impl Case {
     }
 }
 
-/// The model that corresponds to the key: true N, B and K, and the effects as the sensor has them. `None` if the model format
-/// cannot state it: effects outside the library, and limits that follow from the samples.
+/// Returns the model that corresponds to the key: true N, B and K, and the effects as the sensor has them. `None` if
+/// the model format cannot state it: effects outside the library, and limits that follow from the samples.
 ///
-/// `declared` is the model that the diagnosis was given; levels stay its own, since a mean is not compared.
+/// `declared` is the model that the diagnosis was given; it keeps its own levels, because means are not compared.
 pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
     if key.effects.iter().any(|effect| !can_be_said(effect.kind)) {
         return None;
@@ -264,7 +265,7 @@ pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
     with(&plain, has.map(|effect| (effect, &effect.parameters)), |_| None)
 }
 
-/// Whether a model covers every property of an effect of this kind.
+/// Returns whether a model covers every property of an effect of this kind.
 fn can_be_said(kind: Kind) -> bool {
     kind.effect().is_some() && kind != Kind::Saturation
 }

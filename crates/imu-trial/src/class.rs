@@ -8,26 +8,26 @@ use serde::{Deserialize, Serialize};
 pub enum Class {
     /// Only wrong parameters.
     None,
-    /// One effect that the sensor has and the model states rightly.
+    /// One effect that the sensor has and the model states correctly.
     Known,
     /// One effect of the library that the model lacks.
     Single,
-    /// Two of them.
+    /// Two such effects.
     Pair,
-    /// Three or four of them.
+    /// Three or four such effects.
     Several,
     /// One effect that the model has and the sensor lacks.
     Superfluous,
     /// One effect that both have, at another size or at another place.
     Size,
-    /// One effect that the library does not have, of those that may be tuned on.
+    /// One effect that the library does not have, for which the diagnosis may be tuned.
     Outside,
-    /// The same of those that are kept for the figure.
+    /// One effect that the library does not have, reserved for the published figure.
     Kept,
 }
 
 impl Class {
-    /// All of them.
+    /// All classes.
     pub const ALL: [Self; 9] = [
         Self::None,
         Self::Known,
@@ -40,7 +40,7 @@ impl Class {
         Self::Kept,
     ];
 
-    /// The word for it.
+    /// Returns the name of the class.
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -55,17 +55,17 @@ impl Class {
         }
     }
 
-    /// Whether its cases have a gap that effects of the library explain.
+    /// Returns whether the class's cases have a gap that effects of the library explain.
     pub fn in_library(self) -> bool {
         matches!(self, Self::Single | Self::Pair | Self::Several | Self::Superfluous | Self::Size)
     }
 
-    /// Whether the library lacks the effects of its cases.
+    /// Returns whether the library lacks the effects of the class's cases.
     pub fn is_outside(self) -> bool {
         matches!(self, Self::Outside | Self::Kept)
     }
 
-    /// Whether its cases have no effect to name.
+    /// Returns whether the class's cases have no effect to name.
     pub fn is_silent(self) -> bool {
         matches!(self, Self::None | Self::Known)
     }
@@ -82,14 +82,14 @@ pub enum Sense {
     Superfluous,
     /// Both have it, at different sizes.
     Size,
-    /// Both have it, at another frequency or time. Of a key alone.
+    /// Both have it, at another frequency or time. Only in keys.
     Elsewhere,
-    /// Both have it alike. Of a key alone.
+    /// Both have it with the same numbers. Only in keys.
     Known,
 }
 
 impl Sense {
-    /// The sense that a diagnosis states, from the documented words; none for any other word.
+    /// Returns the sense that a diagnosis states, from the documented words; `None` for any other word.
     pub fn from_name(name: &str) -> Option<Self> {
         match name {
             "missing" => Some(Self::Missing),
@@ -99,8 +99,9 @@ impl Sense {
         }
     }
 
-    /// Whether a cause of sense `stated` is a true statement about an effect of this sense. For an effect that both have at two
-    /// places, each of three statements is true: the model lacks the one, the sensor lacks the other, and the two differ.
+    /// Returns whether a cause of sense `stated` is a true statement about an effect of this sense. For an effect that
+    /// both have at two places, each of three statements is true: the model lacks the one, the sensor lacks the other,
+    /// and the two differ.
     pub fn accepts(self, stated: Self) -> bool {
         match self {
             Self::Elsewhere => true,
@@ -109,12 +110,12 @@ impl Sense {
         }
     }
 
-    /// Whether the sensor has it.
+    /// Returns whether the sensor has the effect.
     pub fn is_in_sensor(self) -> bool {
         self != Self::Superfluous
     }
 
-    /// Whether the model has it.
+    /// Returns whether the model has the effect.
     pub fn is_in_model(self) -> bool {
         self != Self::Missing
     }

@@ -1,4 +1,4 @@
-//! Columns: samples that effects are imposed on, made or recorded.
+//! Columns: samples, simulated or recorded, on which effects are imposed.
 
 use imu_core::sample::Channel;
 use imu_diagnosis::Recording;
@@ -8,16 +8,16 @@ use imu_diagnosis::Recording;
 pub struct Column {
     /// The channel.
     pub channel: Channel,
-    /// Its values, U.
+    /// The channel's values, U.
     pub values: Vec<f64>,
-    /// The white part that is in them, U, of the same length: the input of effects on the white part alone.
+    /// The white part of the values, U, of the same length: the input of effects on the white part alone.
     pub white: Vec<f64>,
     /// The white part's standard deviation before any effect, U: the unit of sizes.
     pub scale: f64,
 }
 
 impl Column {
-    /// Multiplies the white part, and with it its contribution to the values; `gain` takes a sample's number and its white part
+    /// Multiplies the white part, and its contribution to the values; `gain` takes a sample's number and its white part
     /// in σ.
     pub fn amplify(&mut self, mut gain: impl FnMut(usize, f64) -> f64) {
         for (i, (value, white)) in self.values.iter_mut().zip(&mut self.white).enumerate() {
@@ -43,18 +43,19 @@ pub struct Columns {
     pub columns: Vec<Column>,
     /// The sensor's true temperature at every sample, °C; empty if it is not known.
     pub temperature_c: Vec<f64>,
-    /// Which samples are missing; empty if none is.
+    /// Whether each sample is missing; empty if none is.
     pub missing: Vec<bool>,
     /// Stamps per place, s; empty if none were taken.
     pub time_s: Vec<f64>,
 }
 
-/// Length of the mean that a recording's white part is measured from, s: short against every slow part, long against a sample.
+/// Length of the mean relative to which a recording's white part is measured, s: short compared with every slow part,
+/// long compared with a sample.
 const AROUND_S: f64 = 1.0;
 
 impl Columns {
-    /// Columns of an existing recording. The white part is the difference from the mean over a second. Its scale is that of the
-    /// differences between neighbours (their median, so that lines of outliers do not count).
+    /// Returns the columns of an existing recording. The white part is the difference from the mean over a second. Its
+    /// scale is that of the differences between neighbours (their median, so that lines of outliers do not count).
     pub fn of(recording: &Recording) -> Self {
         let columns = recording.channels.iter().map(|(channel, values)| {
             let around = around(values, ((AROUND_S * recording.rate_hz) as usize).max(8));
@@ -70,17 +71,17 @@ impl Columns {
         }
     }
 
-    /// Samples per channel.
+    /// Returns the number of samples per channel.
     pub fn len(&self) -> usize {
         self.columns.first().map_or(0, |column| column.values.len())
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Loses samples: they are missing from then on, and the last one before stands in their place.
+    /// Loses samples: they become missing, and the last sample before takes their place.
     pub fn lose(&mut self, places: impl IntoIterator<Item = usize>) {
         self.missing.resize(self.len(), false);
         for place in places {
@@ -91,7 +92,7 @@ impl Columns {
         }
     }
 
-    /// As a recording, with the temperature as it was read.
+    /// Converts the columns to a recording, with the temperature as it was read.
     pub fn into_recording(self, temperature_c: Option<Vec<f64>>) -> Recording {
         Recording {
             rate_hz: self.rate_hz,
@@ -104,9 +105,9 @@ impl Columns {
     }
 }
 
-/// Means over `window` samples around each, fewer at the ends.
+/// Returns means over `window` samples around each sample, fewer at the ends.
 pub(super) fn around(values: &[f64], window: usize) -> Vec<f64> {
-    // Sums from the first value on keep their digits beside a large level.
+    // Sums relative to the first value keep their digits beside a large level.
     let level = values.first().copied().unwrap_or(0.0);
     let mut sums = vec![0.0];
     let mut sum = 0.0;
@@ -122,7 +123,7 @@ pub(super) fn around(values: &[f64], window: usize) -> Vec<f64> {
     (0..values.len()).map(mean).collect()
 }
 
-/// Standard deviation of white noise with these differences between neighbours.
+/// Returns the standard deviation of white noise with these differences between neighbours.
 pub(super) fn scale(values: &[f64]) -> f64 {
     let mut steps: Vec<f64> = values.windows(2).map(|two| (two[1] - two[0]).abs()).collect();
     if steps.is_empty() {

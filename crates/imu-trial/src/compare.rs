@@ -1,4 +1,4 @@
-//! Comparing: how far the numbers of a cause are off those of the effect that it matches.
+//! Comparing: how far the numbers of a cause differ from those of the matching effect.
 
 use super::fit::{intervals_of, told_intervals};
 use super::key::{Key, TrueEffect};
@@ -7,17 +7,17 @@ use super::report::{Cause, entries};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// The stated number nearest to a true one, and how far off it is.
+/// Returns the stated number nearest to a true one, and its difference.
 fn nearest(truth: f64, stated: impl IntoIterator<Item = f64>) -> Option<f64> {
     stated.into_iter().map(|stated| (stated - truth).abs()).min_by(f64::total_cmp)
 }
 
-/// The numbers of this name in a list of entries.
+/// Returns the numbers of this name in a list of entries.
 fn numbers<'a>(entries: &'a [Value], name: &'a str) -> impl Iterator<Item = f64> + 'a {
     entries.iter().filter_map(move |entry| entry[name].as_f64())
 }
 
-/// Errors of place of a cause that matches an effect, by their kind: `frequency_bins`, `at_s`, `edge_s`.
+/// Collects errors of place of a cause that matches an effect, by their kind: `frequency_bins`, `at_s`, `edge_s`.
 pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<&'static str, Vec<f64>>) {
     let bins = key.samples as f64 / key.rate_hz;
     for (channel, parameters) in truth.meant(cause.sense) {
@@ -37,7 +37,7 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
     }
     let (truths, stated) = (intervals_of(truth, cause), told_intervals(cause));
     for [from, to] in truths {
-        // Each end against that of the interval that it lies nearest to.
+        // Each end is compared with that of the nearest interval.
         let edges = [(from, 0), (to, 1)];
         let off =
             edges.into_iter().filter_map(|(time, end)| nearest(time, stated.iter().map(|interval| interval[end])));
@@ -45,10 +45,10 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
     }
 }
 
-/// Parameters that state a place, or that are free: not compared as sizes.
+/// Parameters that state a place or are free, and are not compared as sizes.
 const NO_SIZES: [&str; 7] = ["frequency_hz", "fundamental_hz", "at_s", "from_s", "to_s", "reference_c", "order"];
 
-/// Relative errors of a cause's parameters.
+/// Collects relative errors of a cause's parameters.
 pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BTreeMap<String, Vec<f64>>) {
     let relative = |stated: f64, truth: f64| (truth != 0.0).then(|| (stated.abs() / truth.abs() - 1.0).abs());
     for (channel, parameters) in truth.meant(cause.sense) {
@@ -76,8 +76,9 @@ pub(super) fn compare(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut B
     into.retain(|_, errors| !errors.is_empty());
 }
 
-/// Numbers whose intervals are not compared with the truth, since the forms of cases are others: sizes of spikes are even over
-/// another range, bursts and louder intervals have soft ends, and the temperature at which an effect is zero is free.
+/// Returns whether a number's interval is not compared with the truth, because the forms of cases differ: sizes of
+/// spikes are spread evenly over another range, bursts and louder intervals have soft ends, and the temperature at
+/// which an effect is zero is free.
 fn is_of_another_form(kind: Kind, name: &str) -> bool {
     match kind {
         Kind::Spikes => name == "amplitude",
@@ -87,8 +88,8 @@ fn is_of_another_form(kind: Kind, name: &str) -> bool {
     }
 }
 
-/// How many intervals of a cause's numbers hold the true ones, and how many there are. A stated entry is compared with the true
-/// one that lies nearest to it, and only if it is the nearest to that as well.
+/// Returns how many intervals of a cause's numbers contain the true ones, and the number of intervals. A stated entry
+/// is compared with the nearest true one, and only if it is also the nearest to that one.
 pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [usize; 2] {
     let mut held = [0; 2];
     for (channel, parameters) in truth.meant(cause.sense) {
@@ -102,7 +103,7 @@ pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [u
             for (name, ends) in intervals.as_object().into_iter().flatten() {
                 let ends = ends[0].as_f64().zip(ends[1].as_f64()).filter(|_| !is_of_another_form(truth.kind, name));
                 if let (Some(value), Some((low, high))) = (truth_of[name].as_f64(), ends) {
-                    // Which of a shared source's signs is the positive one cannot be determined.
+                    // It cannot be determined which sign of a shared source is the positive one.
                     let other = (truth.kind == Kind::CommonMode).then_some(-value);
                     held[1] += 1;
                     held[0] += usize::from([Some(value), other].iter().flatten().any(|own| (low..=high).contains(own)));
@@ -113,12 +114,12 @@ pub(super) fn intervals_held(truth: &TrueEffect, cause: &Cause, key: &Key) -> [u
     held
 }
 
-/// Widths of a Fourier bin within which two frequencies mean one line; of a resonance its own width besides.
+/// Distance of two frequencies of one line, in widths of a Fourier bin; for a resonance, its own width is added.
 const BINS: f64 = 4.0;
-/// Part of the record within which two times mean one step.
+/// Distance of two times of one step, as a part of the record.
 const STEP_PART: f64 = 0.02;
 
-/// The place of the stated entry that means this true one: the first one for effects without a place, or the one that is nearest
+/// Returns the place of the stated entry for this true one: the first one for effects without a place, or the nearest
 /// in frequency or time.
 fn alike(truth: &Value, stated: &[Value], key: &Key) -> Option<usize> {
     let place = ["frequency_hz", "fundamental_hz", "at_s", "from_s"].into_iter().find(|name| truth[*name].is_f64());

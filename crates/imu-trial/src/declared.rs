@@ -1,4 +1,4 @@
-//! Declared: a model's statement of an effect: right, of another size, or at another place.
+//! Declared: a model's statement of an effect: with the right numbers, another size, or another place.
 
 use super::class::Sense;
 use super::draw::Draw;
@@ -14,17 +14,17 @@ use serde_json::Value;
 use statrs::function::erf::erfc_inv;
 use std::collections::BTreeMap;
 
-/// Factors between a size that a model has and the sensor's, to either side, and the least remaining factor if the size meets a
+/// Factors between the model's size and the sensor's, in either direction, and the smallest factor if the size meets a
 /// bound.
 const OFF: [f64; 2] = [1.5, 30.0];
 const LEFT: f64 = 1.3;
-/// The distance of another place, in parts of the band or of the record, which are treated as a circle.
+/// The distance of another place, as a part of the band or of the record, which are treated as a circle.
 const SHIFT: [f64; 2] = [0.15, 0.85];
-/// Draws of a size or a place before the draw is given up.
+/// Maximum number of draws of a size or a place.
 const TRIES: usize = 400;
 
-/// By channel, in the documented form, the statement of a model that has the effect, and the factor by which the effect is larger
-/// there than in the sensor; `None` if no model can state it.
+/// Returns the statement of a model that has the effect, by channel in the documented form, and the factor by which the
+/// effect is larger there than in the sensor; `None` if no model can state it.
 pub fn declared(
     effect: &Effect,
     sense: Sense,
@@ -48,7 +48,7 @@ pub fn declared(
     Some((declared, factor))
 }
 
-/// One draw of a model's statement, and the factor by which the resulting size is larger than the sensor's.
+/// Draws a model's statement, and the factor by which the resulting size is larger than the sensor's.
 fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (BTreeMap<String, Value>, f64) {
     let (kind, larger, shift) = (effect.kind, draw.log_uniform(OFF[0], OFF[1]), draw.uniform(SHIFT[0], SHIFT[1]));
     let factor = if draw.chance(0.5) { larger } else { 1.0 / larger };
@@ -67,7 +67,8 @@ fn drawn(effect: &Effect, sense: Sense, setting: &Setting, draw: &mut Draw) -> (
     (declared, least.unwrap_or(1.0))
 }
 
-/// The factor by which the size of an entry is larger in the statement; of several numbers, the one that changed least.
+/// Returns the factor by which the size of an entry is larger in the statement; for several numbers, that of the one
+/// that changed least.
 fn grown(kind: Kind, before: &Value, made: &Value) -> f64 {
     let size = |number: f64| match kind {
         Kind::HeavyTails | Kind::LowPass => 1.0 / number,
@@ -79,7 +80,7 @@ fn grown(kind: Kind, before: &Value, made: &Value) -> f64 {
     factors.min_by(|one, other| one.ln().abs().total_cmp(&other.ln().abs())).unwrap_or(1.0)
 }
 
-/// Whether the stretches of two statements have less than half of the shorter in common; true for effects without
+/// Returns whether the stretches of two statements share less than half of the shorter one; true for effects without
 /// stretches.
 fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> bool {
     one.iter().all(|(channel, entry)| {
@@ -89,17 +90,17 @@ fn are_apart(one: &BTreeMap<String, Value>, other: &BTreeMap<String, Value>) -> 
     })
 }
 
-/// How far above its limit the difference of two sizes is, of an effect that is itself so far above: for effects that add up it
-/// is the difference, for counted ones the nats of two rates.
+/// Returns the ratio of the difference of two sizes to its limit, for an effect with a ratio of `over`. For additive
+/// effects, this is the difference; for counted ones, the nats of two rates.
 pub fn over_limit(kind: Kind, over: f64, factor: f64) -> f64 {
     match kind {
-        // Poisson's divergence per event, of which the limit has about three; eight nats a limit.
+        // Poisson's divergence per event: the limit has about three events, and eight nats.
         Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.4 * over * (factor - 1.0 - factor.ln()),
         _ => over * (factor - 1.0).abs(),
     }
 }
 
-/// Every object of an entry that is one or a list.
+/// Applies a change to every object of an entry, which is one object or a list.
 fn each(entry: &Value, change: impl Fn(&Value) -> Value) -> Value {
     match entry {
         Value::Array(list) => list.iter().map(change).collect(),
@@ -115,7 +116,7 @@ fn resized(kind: Kind, entry: &Value, factor: f64, setting: &Setting, part: &Par
         }
     };
     let times = |value: f64| factor * value;
-    // No larger than a sensor has it.
+    // At most as large as a sensor has it.
     let largest = match kind {
         Kind::Bursts => LOUDEST,
         Kind::VariancePerC => {
@@ -161,12 +162,13 @@ fn resized(kind: Kind, entry: &Value, factor: f64, setting: &Setting, part: &Par
     made
 }
 
-/// A factor on an amplitude whose logarithm is so many times larger.
+/// Returns a factor on an amplitude, with its logarithm multiplied by `factor`.
 fn power(of: f64, factor: f64) -> f64 {
     (factor * of.ln()).clamp(-LOUDEST.ln(), LOUDEST.ln()).exp()
 }
 
-/// The same at another frequency or time: `shift` in parts of the band or of the record, round about.
+/// Returns the effect at another frequency or time: `shift` is a part of the band or of the record, which are treated
+/// as a circle.
 fn moved(entry: &Value, shift: f64, rate_hz: f64, length_s: f64) -> Value {
     let mut made = entry.clone();
     let band_hz = 0.5 * rate_hz;
@@ -198,7 +200,7 @@ fn moved(entry: &Value, shift: f64, rate_hz: f64, length_s: f64) -> Value {
     made
 }
 
-/// An interval moved by a part of the record; one that would reach beyond the end is that much earlier.
+/// Returns an interval moved by a part of the record; an interval that would extend beyond the end wraps round.
 fn round_about([from, to]: [f64; 2], shift: f64, length_s: f64) -> [f64; 2] {
     let long = to - from;
     let begin = (from + shift * length_s) % (length_s - long).max(0.01 * length_s);
@@ -208,7 +210,7 @@ fn round_about([from, to]: [f64; 2], shift: f64, length_s: f64) -> [f64; 2] {
 /// A limit that no sample reaches, in σ.
 const NO_LIMIT: f64 = 1e3;
 
-/// Limits that a share of normal samples is beyond; a model has two, of which one may be far away.
+/// Returns limits that a share of normal samples exceeds; a model has two, one of which may be far away.
 fn limits(entry: &Value, level: f64, white: f64) -> Value {
     let share = entry["share"].as_f64().unwrap_or(0.01);
     let far = std::f64::consts::SQRT_2 * erfc_inv(2.0 * share) * white;
@@ -222,7 +224,7 @@ fn limits(entry: &Value, level: f64, white: f64) -> Value {
         .collect()
 }
 
-/// All numbers of a value, in order.
+/// Returns all numbers of a value, in order.
 fn numbers(value: &Value) -> Vec<f64> {
     match value {
         Value::Array(list) => list.iter().flat_map(numbers).collect(),
@@ -231,8 +233,8 @@ fn numbers(value: &Value) -> Vec<f64> {
     }
 }
 
-/// A model that states these effects besides its own. If limits or steps are absolute, its bias is the level: from another level
-/// no noise would reach them. `None` if the model's format cannot state it.
+/// Returns a model that states these effects besides its own. If limits or steps are absolute, the model's bias is the
+/// level, because from another level no noise would reach them. `None` if the model's format cannot state it.
 pub fn with<'a>(
     model: &SensorModel,
     effects: impl IntoIterator<Item = (&'a TrueEffect, &'a BTreeMap<String, Value>)>,

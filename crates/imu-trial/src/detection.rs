@@ -1,7 +1,7 @@
-//! Detection: how the share of effects named grows with their size, and the sizes at which half and 90 % are.
+//! Detection: how the share of named effects grows with their size, and the sizes at which half and 90 % are named.
 //!
-//! The share is a logistic curve in the logarithm of the size. Its limits have intervals by profile likelihood. An interval that
-//! does not close within the range of possible sizes is not determined, and is reported as none.
+//! The share is a logistic curve in the logarithm of the size. Its limits have intervals by profile likelihood. An
+//! interval that does not close within the range of possible sizes is reported as none.
 
 use super::bound::{Bound, bound};
 use super::kind::Kind;
@@ -13,32 +13,32 @@ use serde::Serialize;
 pub struct Limit {
     /// The size.
     pub size: f64,
-    /// Profile likelihood, 95 %; none if it is not determined.
+    /// The 95 % interval by profile likelihood; none if it is not determined.
     pub ci95: Option<[f64; 2]>,
 }
 
-/// The sizes at which an effect is named, for the study's length.
+/// The sizes at which an effect is named, at the study's length.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Detection {
     /// The unit of the sizes; σ is the white part's standard deviation per sample.
     pub unit: &'static str,
-    /// The length to which sizes refer, samples.
+    /// The length to which sizes refer, in samples.
     pub samples: usize,
     /// The study's 90 % limit, to which other sizes are relative.
     pub limit: f64,
-    /// The size at which half are named; none if nearly all are named, or none is.
+    /// The size at which half are named; none if nearly all or none are named.
     pub size_50: Option<Limit>,
-    /// 90 % are.
+    /// The size at which 90 % are named.
     pub size_90: Option<Limit>,
-    /// The lower bound of every test at 90 % ([`super::bound`]).
+    /// The lower bound for every test at 90 % ([`super::bound`]).
     pub bound_90: Option<f64>,
-    /// Why there is no bound.
+    /// The reason why there is no bound.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub no_bound: Option<&'static str>,
 }
 
 impl Detection {
-    /// Of sizes over the limit, and whether each was named.
+    /// Computes the limits from sizes over the limit, and whether each was named.
     pub fn of(kind: Kind, sizes: &[(f64, bool)]) -> Self {
         let limit = one(kind);
         let scaled = |of: Limit| Limit { size: of.size * limit, ci95: of.ci95.map(|ends| ends.map(|end| end * limit)) };
@@ -51,19 +51,20 @@ impl Detection {
     }
 }
 
-/// With fewer right or wrong cases, the curve is not determined.
+/// Minimum number of right and of wrong cases that determine the curve.
 const LEAST: usize = 3;
-/// The range of sizes outside which no limit is reported: far outside the sizes that occur.
+/// The range outside which no limit is reported: far beyond the sizes that occur.
 const TOLD: [f64; 2] = [0.05, 100.0];
-/// A weak belief that the slope is a few: separated data would send it to infinity.
+/// Standard deviation of a weak prior that the slope is a few: separable data would otherwise make it infinite.
 const SLOPE: f64 = 3.0;
 const WEIGHT: f64 = 0.02;
-/// Slopes that are tried for an interval.
+/// Range of slopes tried for an interval.
 const SLOPES: [f64; 2] = [0.05, 80.0];
-/// Half of χ²'s 95 % point with one degree of freedom: nats that a profile may fall.
+/// Half of χ²'s 95 % point with one degree of freedom: the permitted decrease of a profile, nats.
 const FALL: f64 = 1.920_729;
 
-/// Sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` if few are right, or few are wrong.
+/// Returns the sizes at which a logistic curve in the logarithm of the size passes ½ and 0.9; `None` if too few are
+/// right or wrong.
 pub(super) fn limits(sizes: &[(f64, bool)]) -> Option<[Limit; 2]> {
     let right = sizes.iter().filter(|(_, right)| *right).count();
     if right < LEAST || sizes.len() - right < LEAST {
@@ -73,12 +74,12 @@ pub(super) fn limits(sizes: &[(f64, bool)]) -> Option<[Limit; 2]> {
     let odds = [0.0, 9.0_f64.ln()];
     let best = log_likelihood(sizes, level, slope);
     let found = odds.map(|odds| ((odds - level) / slope).exp());
-    // A curve that falls, or that passes ½ far outside the sizes that occurred, determines no limit.
+    // A falling curve, or one that passes ½ far outside the sizes that occurred, determines no limit.
     let told = slope > 0.0 && found[0] > TOLD[0] && found[1] < TOLD[1];
     told.then(|| [0, 1].map(|at| Limit { size: found[at], ci95: interval(sizes, odds[at], found[at], best) }))
 }
 
-/// Level and slope of the log odds in the logarithm of the size, by Newton's steps.
+/// Returns level and slope of the log odds in the logarithm of the size, by Newton's method.
 fn fitted(sizes: &[(f64, bool)]) -> (f64, f64) {
     let (mut level, mut slope) = (0.0, 1.0);
     for _ in 0..100 {
@@ -115,12 +116,13 @@ fn log_likelihood(sizes: &[(f64, bool)], level: f64, slope: f64) -> f64 {
     sizes.iter().map(one).sum::<f64>() - 0.5 * WEIGHT * (slope - SLOPE).powi(2)
 }
 
-/// The sizes at which the profile at these log odds has fallen as far as 95 % allow, to both sides.
+/// Returns the sizes on both sides at which the profile at these log odds has fallen as far as 95 % allow.
 ///
 /// # Source
 /// D. Venzon, S. Moolgavkar, Appl. Statist. 37 (1988) 87.
 fn interval(sizes: &[(f64, bool)], odds: f64, found: f64, best: f64) -> Option<[f64; 2]> {
-    // The best slope of a curve through this size, by golden section in its logarithm: the log-likelihood is concave in it.
+    // The best slope of a curve through this size, by golden section in its logarithm: the log-likelihood is concave in
+    // the logarithm.
     let profile = |size: f64| {
         let of = |log_slope: f64| {
             let slope = log_slope.exp();

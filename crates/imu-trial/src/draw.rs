@@ -1,8 +1,8 @@
-//! Draws: the sealed seed and a purpose in, random numbers out.
+//! Draws: random numbers from the sealed seed and a purpose.
 //!
-//! Each purpose has a separate ChaCha8 stream under SHA-256("vn100d-trial-1", seed, case, capture, purpose). Draws for the device
-//! use capture 0, draws for one recording of it use the capture's number: a second capture of the same device shares the first
-//! and not the second.
+//! Each purpose has a separate ChaCha8 stream under SHA-256("vn100d-trial-1", seed, case, capture, purpose). Draws for
+//! the device use capture 0; draws for one recording of it use the capture's number. A second capture of the same
+//! device shares only the draws for the device.
 
 use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -17,12 +17,12 @@ const DOMAIN: &[u8] = b"vn100d-trial-1";
 pub struct Draw(ChaCha8Rng);
 
 impl Draw {
-    /// The stream of a case's device.
+    /// Returns the stream of a case's device.
     pub fn device(seed: u64, case: u64, purpose: &str) -> Self {
         Self::new(seed, case, 0, purpose)
     }
 
-    /// The stream of one capture (from 1) of a case's device.
+    /// Returns the stream of one capture (from 1) of a case's device.
     pub fn capture(seed: u64, case: u64, capture: u32, purpose: &str) -> Self {
         Self::new(seed, case, capture, purpose)
     }
@@ -37,52 +37,53 @@ impl Draw {
         Self(ChaCha8Rng::from_seed(hash.finalize().into()))
     }
 
-    /// A stream that starts from the state of this one. Later draws of the two are independent.
+    /// Returns a stream that starts from the state of this one. Later draws of the two are independent.
     pub fn split(&mut self) -> Self {
         let mut seed = [0; 32];
         self.0.fill_bytes(&mut seed);
         Self(ChaCha8Rng::from_seed(seed))
     }
 
-    /// Evenly spread over `from..to`.
+    /// Returns a number spread evenly over `from..to`.
     pub fn uniform(&mut self, from: f64, to: f64) -> f64 {
         from + (to - from) * self.0.random::<f64>()
     }
 
-    /// Its logarithm evenly spread.
+    /// Returns a number whose logarithm is spread evenly.
     pub fn log_uniform(&mut self, from: f64, to: f64) -> f64 {
         self.uniform(from.ln(), to.ln()).exp()
     }
 
-    /// Normal, of variance 1.
+    /// Returns a normal number of variance 1.
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// Square root of (ν − 2)/χ²(ν): the factor that turns a normal number into one of Student's t with the same
-    /// variance.
+    /// Returns the square root of (ν − 2)/χ²(ν): the factor that turns a normal number into one of Student's t with the
+    /// same variance.
     pub fn student_factor(&mut self, degrees_of_freedom: f64) -> f64 {
         // Degrees of freedom above 2 are always a valid χ².
         let chi = ChiSquared::new(degrees_of_freedom).map_or(degrees_of_freedom, |chi| chi.sample(&mut self.0));
         ((degrees_of_freedom - 2.0) / chi).sqrt()
     }
 
-    /// 1 or −1.
+    /// Returns 1 or −1.
     pub fn sign(&mut self) -> f64 {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// Whether an event of this probability happens.
+    /// Returns whether an event of this probability happens.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
 
-    /// A whole number from `from` to `to`, both included.
+    /// Returns a whole number from `from` to `to`, inclusive.
     pub fn whole(&mut self, from: usize, to: usize) -> usize {
         self.0.random_range(from..=to)
     }
 
-    /// Some of `0..count`, at least `least`, in rising order: first how many, then which.
+    /// Returns some of `0..count`, at least `least`, in ascending order: first their number is drawn, then the
+    /// selection.
     pub fn some_of(&mut self, count: usize, least: usize) -> Vec<usize> {
         let wanted = self.whole(least.min(count), count);
         let mut all: Vec<usize> = (0..count).collect();
@@ -99,16 +100,16 @@ impl Draw {
         }
     }
 
-    /// Samples until the next of events that happen in each sample with `probability`, from 1; none if that is beyond any
-    /// recording.
+    /// Returns the number of samples, from 1, until the next event, if events happen in each sample with `probability`;
+    /// `None` if that is beyond any recording.
     pub fn wait(&mut self, probability: f64) -> Option<usize> {
         let ahead = (1.0 - self.0.random::<f64>()).ln() / (-probability).ln_1p();
         (ahead < 1e15).then(|| ahead as usize + 1)
     }
 
-    /// The samples (from 1, below `samples`) of events that happen with `probability` in each, at least half as many as are
-    /// expected and one. Without this minimum, an effect that by chance does not occur would count against a diagnosis that does
-    /// not name it.
+    /// Returns the samples (from 1, below `samples`) of events that happen with `probability` in each: at least one,
+    /// and at least half as many as expected. Without this minimum, an effect that by chance does not occur would count
+    /// against a diagnosis that does not name it.
     pub fn events(&mut self, probability: f64, samples: usize) -> Vec<usize> {
         let least = (0.5 * probability * samples as f64).ceil() as usize;
         loop {
@@ -124,7 +125,7 @@ impl Draw {
         }
     }
 
-    /// 16 bytes as hexadecimal digits.
+    /// Returns 16 bytes as hexadecimal digits.
     pub fn salt(&mut self) -> String {
         (0..2).map(|_| format!("{:016x}", self.0.next_u64())).collect()
     }

@@ -1,15 +1,16 @@
-//! Fits: whether a cause that was named is an effect that a case has. The rules, which `docs/validation.md` repeats:
+//! Fits: whether a named cause is an effect of a case. The rules, which `docs/validation.md` repeats:
 //!
-//! 1. It is, if it has the documented name of the effect and at least one of its channels. A `timing` has no channel.
-//! 2. Laws that are the same count as right and are counted apart as equivalent:
-//!    * `tone` for a comb, where a tone stands on every harmonic, within two widths of a Fourier bin;
+//! 1. A cause is an effect if it has the effect's documented name and at least one of its channels. A `timing` has no
+//!    channel.
+//! 2. Identical laws count as right and are counted separately as equivalent:
+//!    * `tone` for a comb, if a tone lies on every harmonic, within two widths of a Fourier bin;
 //!    * `variance_change` in intervals that are louder for `bursts`, and `bursts` for a louder interval, where the times they
 //!      have in common are at least half of all they cover: more white noise in a stretch has one law, whatever its name;
 //!    * a `profile` for an interval or for a dependence on temperature, and two or more intervals for a profile: a profile can
 //!      follow either. The other way round it is the wrong form, and no fit.
 //! 3. Its sense has to be the true one: an effect that the model lacks, one that it has and the sensor does not, or one that both
 //!    have differently. For an effect that both have at two places, each of the three is a true statement. A report that states
-//!    no sense is read as stating that the effect is lacking.
+//!    no sense is read as stating that the model lacks the effect.
 //! 4. For an effect outside the library, the effects of docs/effects.md that describe it are right, if they have the
 //!    parameters that do.
 //! 5. All other causes are spurious: also the right effect on none of its channels, a comb for a single tone, a single interval
@@ -21,23 +22,23 @@ use super::report::{Cause, entries};
 use imu_model::EffectKind;
 use serde_json::Value;
 
-/// How well a cause fits an effect.
+/// How well a cause matches an effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Fit {
-    /// It is another.
+    /// The cause is another effect.
     No,
-    /// It has the same law under another name or form.
+    /// The cause has the same law under another name or form.
     Equivalent,
-    /// It is the one.
+    /// The cause is the effect.
     Exact,
 }
 
-/// Widths of a Fourier bin by which a tone may be off its harmonic.
+/// Maximum distance of a tone from its harmonic, in widths of a Fourier bin.
 const BINS: f64 = 2.0;
-/// Part of all the time covered that two sets of intervals must have in common.
+/// Minimum common part of the time that two sets of intervals cover.
 const OVERLAP: f64 = 0.5;
 
-/// Whether `cause` is `truth`, an effect of the case with this key.
+/// Returns whether `cause` is `truth`, an effect of the case with this key.
 pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
     if !truth.sense.accepts(cause.sense) {
         return Fit::No;
@@ -92,7 +93,7 @@ fn variance(kind: Kind, cause: &Cause) -> Fit {
     }
 }
 
-/// On the channels that both have, a tone on every harmonic.
+/// Returns whether there is a tone on every harmonic, on the channels that both have.
 fn every_harmonic(truth: &TrueEffect, cause: &Cause, key: &Key) -> bool {
     let width_hz = BINS * key.rate_hz / key.samples as f64;
     let shared = truth.channels.iter().filter(|channel| cause.channels.contains(channel));
@@ -108,12 +109,12 @@ fn every_harmonic(truth: &TrueEffect, cause: &Cause, key: &Key) -> bool {
     })
 }
 
-/// The true intervals that a cause is about, s.
+/// Returns the true intervals of a cause's effect, s.
 pub(super) fn intervals_of(truth: &TrueEffect, cause: &Cause) -> Vec<[f64; 2]> {
     truth.meant(cause.sense).values().next().map_or_else(Vec::new, |entry| intervals(entries(entry)))
 }
 
-/// The intervals of a cause on its first channel that has any, s.
+/// Returns the intervals of a cause on its first channel that has any, s.
 pub(super) fn told_intervals(cause: &Cause) -> Vec<[f64; 2]> {
     let of = |channel: &String| intervals(cause.entries(channel));
     cause.channels.iter().map(of).find(|found| !found.is_empty()).unwrap_or_default()
@@ -130,13 +131,13 @@ pub(super) fn intervals(entries: &[Value]) -> Vec<[f64; 2]> {
     entries.iter().flat_map(of).collect()
 }
 
-/// Time that two sets of intervals have in common over the time that either covers.
+/// Returns the time that two sets of intervals share, over the time that either covers.
 fn overlap(one: &[[f64; 2]], other: &[[f64; 2]]) -> f64 {
     let [both, either] = covered(one, other);
     if either > 0.0 { both / either } else { 0.0 }
 }
 
-/// Time that two sets of intervals have in common, and the time that either covers.
+/// Returns the time that two sets of intervals share, and the time that either covers.
 pub(super) fn covered(one: &[[f64; 2]], other: &[[f64; 2]]) -> [f64; 2] {
     let mut cuts: Vec<f64> = one.iter().chain(other).flatten().copied().collect();
     cuts.sort_by(f64::total_cmp);

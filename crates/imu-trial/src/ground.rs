@@ -1,5 +1,5 @@
-//! Ground: the noise and the temperature that a sealed case has beneath its effects. The code is separate from the library that
-//! is under test.
+//! Ground: the noise and the temperature that a sealed case has beneath its effects. The code is separate from the
+//! library under test.
 //!
 //! White noise and random walk are drawn sample by sample. Noise with a power of the frequency is made in the frequency domain on
 //! a circle more than twice as long as the record, and the record is a part of that circle. Its spectrum holds from half the rate
@@ -10,10 +10,11 @@ use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 use serde::Serialize;
 
-/// How much longer than the record the circle is, at least.
+/// Minimum ratio of the circle's length to the record's.
 const CIRCLE: f64 = 2.5;
 
-/// `samples` of Gaussian noise whose two-sided density per sample is `power_at(f)`, f in cycles per sample in (0, ½].
+/// Returns `samples` of Gaussian noise whose two-sided density per sample is `power_at(f)`, with f in cycles per sample
+/// in (0, ½].
 pub fn coloured(samples: usize, draw: &mut Draw, power_at: impl Fn(f64) -> f64) -> Vec<f64> {
     let length = even_smooth((samples as f64 * CIRCLE) as usize);
     let mut planner = RealFftPlanner::<f64>::new();
@@ -28,18 +29,18 @@ pub fn coloured(samples: usize, draw: &mut Draw, power_at: impl Fn(f64) -> f64) 
         *last = Complex::new(last.re * std::f64::consts::SQRT_2, 0.0);
     }
     let mut made = inverse.make_output_vec();
-    // Lengths are those that the plan itself gave.
+    // The lengths are the plan's own.
     let _ = inverse.process(&mut spectrum, &mut made);
     let from = draw.whole(0, length - samples);
     made[from..from + samples].to_vec()
 }
 
-/// Flicker noise of `level` b: density b²/(2πf).
+/// Returns flicker noise of `level` b: density b²/(2πf).
 pub fn flicker(samples: usize, level: f64, draw: &mut Draw) -> Vec<f64> {
     coloured(samples, draw, |cycles| level * level / (std::f64::consts::TAU * cycles))
 }
 
-/// The next even length whose factors are 2, 3 and 5.
+/// Returns the next even length whose factors are 2, 3 and 5.
 fn even_smooth(least: usize) -> usize {
     let smooth = |length: &usize| {
         let mut rest = *length;
@@ -56,18 +57,18 @@ fn even_smooth(least: usize) -> usize {
 /// The course of the sensor's temperature: it rises to a level as after switching on, and wanders.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TemperatureCourse {
-    /// At the beginning, °C.
+    /// Temperature at the beginning, °C.
     pub start_c: f64,
-    /// Its rise, K.
+    /// The rise, K.
     pub rise_c: f64,
-    /// The rise's time constant, in parts of the record.
+    /// The time constant of the rise, as a part of the record.
     pub settles: f64,
     /// Standard deviation of the wander, K.
     pub wander_c: f64,
 }
 
 impl TemperatureCourse {
-    /// As the study's, at other rooms' temperatures.
+    /// Draws a course as in the study, at other room temperatures.
     pub fn draw(device: &mut Draw) -> Self {
         Self {
             start_c: device.uniform(14.0, 31.0),
@@ -77,14 +78,14 @@ impl TemperatureCourse {
         }
     }
 
-    /// Its expected standard deviation over the record, K.
+    /// Returns the expected standard deviation over the record, K.
     pub fn spread_c(&self) -> f64 {
         let mean = self.settles * (1.0 - (-1.0 / self.settles).exp());
         let square = 0.5 * self.settles * (1.0 - (-2.0 / self.settles).exp());
         (self.rise_c * self.rise_c * (square - mean * mean) + self.wander_c * self.wander_c).sqrt()
     }
 
-    /// The true temperature at every sample, °C: smooth over some thirtieths of the record.
+    /// Returns the true temperature at every sample, °C: smooth over some thirtieths of the record.
     pub fn samples(&self, samples: usize, draw: &mut Draw) -> Vec<f64> {
         let pole = 1.0 - 30.0 / samples as f64;
         let (mut walk, mut smooth) = (0.0, 0.0);
@@ -96,7 +97,7 @@ impl TemperatureCourse {
             })
             .collect();
         let count = samples as f64;
-        // Without most of its trend, which the rise has already.
+        // Without most of its trend, which the rise already has.
         let slope = 0.7 * wander.last().copied().unwrap_or(0.0) / count;
         wander.iter_mut().enumerate().for_each(|(index, value)| *value -= slope * index as f64);
         let mean = wander.iter().sum::<f64>() / count;
@@ -107,7 +108,7 @@ impl TemperatureCourse {
     }
 }
 
-/// The temperature as a sensor reports it: with a little noise, in steps of 0.1 °C.
+/// Returns the temperature as a sensor reports it: with a little noise, in steps of 0.1 °C.
 pub fn as_read(temperature_c: &[f64], draw: &mut Draw) -> Vec<f64> {
     temperature_c.iter().map(|value| ((value + 0.02 * draw.normal()) * 10.0).round() / 10.0).collect()
 }
@@ -116,7 +117,7 @@ pub fn as_read(temperature_c: &[f64], draw: &mut Draw) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Mean square of the difference of neighbouring means of `m` samples, halved.
+    /// Returns half the mean square of the difference of neighbouring means of `m` samples.
     fn allan_variance(values: &[f64], m: usize) -> f64 {
         let means: Vec<f64> = values.chunks_exact(m).map(|chunk| chunk.iter().sum::<f64>() / m as f64).collect();
         let steps = means.windows(2).map(|two| (two[1] - two[0]).powi(2));

@@ -1,23 +1,23 @@
-//! Rates: how many of how many, with the 95 % interval of Clopper and Pearson.
+//! Rates: a count among a total, with the 95 % interval of Clopper and Pearson.
 
 use serde::Serialize;
 use statrs::function::beta::checked_beta_reg;
 
-/// So many of so many.
+/// A count among a total.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rate {
-    /// How many.
+    /// The count.
     pub count: usize,
-    /// Of how many.
+    /// The total.
     pub of: usize,
-    /// Their ratio; none of none has no rate.
+    /// The ratio; none if the total is 0.
     pub share: Option<f64>,
-    /// [`clopper_pearson`], 95 %.
+    /// The 95 % interval ([`clopper_pearson`]).
     pub ci95: Option<[f64; 2]>,
 }
 
 impl Rate {
-    /// Of a count.
+    /// Creates the rate of a count.
     pub fn new(count: usize, of: usize) -> Self {
         let some = of > 0;
         Self {
@@ -28,7 +28,7 @@ impl Rate {
         }
     }
 
-    /// The rate of values that are true.
+    /// Returns the rate of values that are true.
     pub fn of(answers: impl IntoIterator<Item = bool>) -> Self {
         let (mut count, mut of) = (0, 0);
         for answer in answers {
@@ -39,7 +39,8 @@ impl Rate {
     }
 }
 
-/// The exact interval of a probability after `count` of `of`, at least of this confidence for any probability.
+/// Returns the exact interval of a probability after `count` of `of`, with at least this confidence for any
+/// probability.
 ///
 /// # Source
 /// C. J. Clopper, E. S. Pearson, Biometrika 26 (1934) 404: quantiles of Beta(k, n − k + 1) and Beta(k + 1, n − k).
@@ -52,7 +53,8 @@ pub fn clopper_pearson(count: usize, of: usize, confidence: f64) -> [f64; 2] {
     [low, high]
 }
 
-/// The quantile of the beta distribution, by bisection: it is needed seldom, and has to be right in the far tails.
+/// Returns the quantile of the beta distribution, by bisection: it is rarely needed, and has to be right in the far
+/// tails.
 fn quantile(a: f64, b: f64, probability: f64) -> f64 {
     let (mut low, mut high) = (0.0_f64, 1.0_f64);
     for _ in 0..100 {
@@ -78,7 +80,7 @@ mod tests {
         near(clopper_pearson(10, 350, 0.95), [0.0138, 0.0519], 1e-4);
         // R: binom.test(5, 10)$conf.int
         near(clopper_pearson(5, 10, 0.95), [0.187_086, 0.812_914], 1e-6);
-        // And the beta distribution's tails beyond its ends.
+        // The tails of the beta distribution near its ends.
         let [low, high] = clopper_pearson(81, 263, 0.95);
         assert!((checked_beta_reg(81.0, 183.0, low).unwrap() - 0.025).abs() < 1e-9);
         assert!((checked_beta_reg(82.0, 182.0, high).unwrap() - 0.975).abs() < 1e-9);

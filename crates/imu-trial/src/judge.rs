@@ -13,81 +13,82 @@ use imu_model::EffectKind;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The result of a case: its diagnosis, or the reason why there was none, and the part of the gap that the true effects
-/// close if that was measured.
+/// The result of a case: its diagnosis or the reason for its absence, and the part of the gap that the true effects
+/// close, if measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
-    /// The diagnosis, or the refusal's sentence.
+    /// The diagnosis, or the sentence of the refusal.
     pub report: Result<Report, String>,
     /// For an existing recording: the diagnosis of the same channels without imposed effects.
     pub own: Option<Report>,
-    /// The part that the model with the true effects closes, scored as `closed` is.
+    /// The part that the model with the true effects closes, with the same score as `closed`.
     pub closed_by_truth: Option<f64>,
-    /// The result on data that the diagnosis did not see, if that was measured.
+    /// The result on unseen data, if measured.
     pub again: Option<Again>,
 }
 
-/// An effect of a case as it was found.
+/// A case's effect in the diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Found {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// How sensor and model differ in it.
+    /// How sensor and model differ in the effect.
     pub sense: Sense,
-    /// Its size over the limit.
+    /// The size over the limit.
     pub over_limit: f64,
-    /// Whether it was named.
+    /// Whether the effect was named.
     pub named: bool,
-    /// Under another name or form of the same law.
+    /// Whether it was named under another name or form of the same law.
     pub equivalent: bool,
-    /// Whether all its channels were named and no other; none if it was not named, and for an effect without channel.
+    /// Whether exactly the effect's channels were named; none if it was not named, and for an effect without channel.
     pub channels_exact: Option<bool>,
-    /// Whether `where` has its places and no others; none if it was not named, and for an effect without channel.
+    /// Whether `where` has exactly its places; none if it was not named, and for an effect without channel.
     pub placed: Option<bool>,
-    /// How many 95 % intervals of its parameters hold the truth, and of how many.
+    /// Number of 95 % intervals of its parameters that contain the truth, and number of intervals.
     pub intervals: [usize; 2],
-    /// Errors of place by their kind (`frequency_bins`, `at_s`, `edge_s`): absolute.
+    /// Absolute errors of place by their kind (`frequency_bins`, `at_s`, `edge_s`).
     pub location: BTreeMap<&'static str, Vec<f64>>,
-    /// Parameters: relative errors.
+    /// Relative errors of parameters.
     pub parameters: BTreeMap<String, Vec<f64>>,
 }
 
-/// A cause as it was judged.
+/// A judged cause.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Named {
     /// The documented name.
     pub effect: String,
-    /// Its channels.
+    /// The cause's channels.
     pub channels: Vec<String>,
-    /// Its stated sense.
+    /// The stated sense.
     pub sense: Sense,
-    /// Its stated confidence.
+    /// The stated confidence.
     pub confidence: Option<f64>,
-    /// Whether it is one of the case's effects.
+    /// Whether the cause is one of the case's effects.
     pub right: bool,
 }
 
-/// A case as it was judged.
+/// A judged case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Judgement {
-    /// Its number.
+    /// The case's number.
     pub case: usize,
-    /// What it is a test of.
+    /// The case's class.
     pub class: Class,
-    /// Whether all its effects are large enough to count: 1.5 times the limit or above.
+    /// Whether all effects are large enough to count: 1.5 times the limit or above.
     pub counts: bool,
     /// The verdict; `refused` if there was none.
     pub verdict: String,
-    /// Why it was refused.
+    /// The reason for the refusal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refusal: Option<String>,
-    /// The causes that were named, strongest first, without those of the recording itself.
+    /// The named causes, strongest first, without those of the recording itself.
     pub causes: Vec<Named>,
-    /// How many causes are the recording's own, named also of it as it is.
+    /// Number of causes that are the recording's own, because they are also named without imposed effects.
     pub own: usize,
-    /// Whether the recording as it is is called unknown: then that verdict carries no information about the case.
+    /// Whether the recording without imposed effects is reported as unknown: then that verdict carries no information
+    /// about the case.
     pub own_unknown: bool,
-    /// The verdict on the recording as it is, and how many causes are named of it.
+    /// The verdict on the recording without imposed effects, and the number of causes named in it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub control: Option<(String, usize)>,
     /// The case's effects.
@@ -98,53 +99,54 @@ pub struct Judgement {
     pub remainder: Option<f64>,
     /// Part of the gap that was closed.
     pub closed: Option<f64>,
-    /// Its interval.
+    /// The 95 % interval of the closed part.
     pub closed_ci95: Option<[f64; 2]>,
     /// The part that the true effects close.
     pub closed_by_truth: Option<f64>,
-    /// The results on other data.
+    /// The results on unseen data.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub again: Option<Again>,
 }
 
 impl Judgement {
-    /// Whether the first cause is one of the case's effects.
+    /// Returns whether the first cause is one of the case's effects.
     pub fn right_first(&self) -> bool {
         self.causes.first().is_some_and(|cause| cause.right)
     }
 
-    /// Whether its causes count in the rates over all classes: its effects are large enough, or it has no effect to name.
+    /// Returns whether the case's causes count in the rates over all classes: its effects are large enough, or it has
+    /// no effect to name.
     pub fn is_of_account(&self) -> bool {
         self.counts || self.class.is_silent()
     }
 
-    /// Whether a cause was named that is not an effect of the case.
+    /// Returns whether a cause was named that is not an effect of the case.
     pub fn spurious(&self) -> bool {
         self.causes.iter().any(|cause| !cause.right)
     }
 
-    /// Whether the verdict is `unknown_effect`.
+    /// Returns whether the verdict is `unknown_effect`.
     pub fn unknown(&self) -> bool {
         self.verdict == "unknown_effect"
     }
 
-    /// For an effect outside the library: whether the verdict is unknown, the effect is reproduced and reported as nameless, or
-    /// it is named by an effect that describes it.
+    /// Returns, for an effect outside the library, whether the verdict is unknown, the effect is reproduced and
+    /// reported as nameless, or it is named by an effect that describes it.
     pub fn answered(&self) -> bool {
         self.unknown() || self.remainder.is_some() || self.causes.iter().any(|cause| cause.right)
     }
 
-    /// Whether no cause is named.
+    /// Returns whether no cause is named.
     pub fn silent(&self) -> bool {
         self.causes.is_empty() && self.verdict != "refused"
     }
 
-    /// Whether every effect was named.
+    /// Returns whether every effect was named.
     pub fn all_found(&self) -> bool {
         self.verdict != "refused" && self.effects.iter().all(|effect| effect.named)
     }
 
-    /// Whether every effect was named, no other cause was named, and no gap is left.
+    /// Returns whether every effect was named, no other cause was named, and no gap remains.
     pub fn exactly(&self) -> bool {
         self.all_found() && !self.spurious() && (self.verdict == "effects" || self.own_unknown)
     }
@@ -152,9 +154,9 @@ impl Judgement {
 
 /// Judges an answer.
 ///
-/// For an existing recording, only the changes by the imposed effects are judged. A cause is the recording's own on the channels
-/// on which the same channels without imposed effects have a cause of the same effect name, unless an effect of the case is on
-/// them. A cause that is left with no channel is neither right nor spurious.
+/// For an existing recording, only the changes by the imposed effects are judged. A cause is the recording's own on
+/// channels that also have a cause of this name without imposed effects, unless an effect of the case is on them. A
+/// cause without remaining channels is neither right nor spurious.
 pub fn judge(key: &Key, answer: &Answer) -> Judgement {
     let (all, verdict, refusal) = match &answer.report {
         Ok(report) => (report.causes.clone(), report.verdict.clone(), None),
@@ -198,14 +200,15 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
     }
 }
 
-/// Whether a cause is set aside: stamps of arrival cannot show whether the sensor's clock or the delivery scatters.
+/// Returns whether a cause does not count: stamps of arrival do not show whether the sensor's clock or the delivery
+/// scatters.
 pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
     cause.kind() == Some(EffectKind::Timing)
         && key.stamps.is_some_and(|stamps| stamps.deliver_late())
         && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
 }
 
-/// A cause without the channels on which the recording itself has it; none if no channel is left.
+/// Returns a cause without the channels on which the recording itself has it; `None` if no channel is left.
 fn beyond(own: &Report, mut cause: Cause, key: &Key) -> Option<Cause> {
     let imposed = |channel: &String| {
         let on = |truth: &&TrueEffect| truth.channels.contains(channel);
@@ -327,7 +330,8 @@ mod tests {
         named["channels"].as_array_mut().unwrap().push(json!("pitch"));
         let causes = json!([of("tone", &["yaw"]), named, of("rate_ramp", &["yaw"]), of("tone", &["yaw", &imposed])]);
         let judged = judge(&key, &Answer { own, ..report("unknown_effect", causes) });
-        // The line on yaw is its own and so are the spikes on pitch; the ramp and the line on the imposed channel are not.
+        // The line on yaw and the spikes on pitch are the recording's own; the ramp and the line on the imposed channel
+        // are not.
         assert_eq!((judged.own, judged.own_unknown), (1, true));
         let left: Vec<(&str, bool)> = judged.causes.iter().map(|of| (of.effect.as_str(), of.right)).collect();
         assert_eq!(left, [("spikes", true), ("rate_ramp", false), ("tone", false)]);

@@ -1,7 +1,7 @@
 //! Keys: the contents of a sealed case, and the manifest that binds the keys before any case is diagnosed.
 //!
-//! A manifest lists SHA-256 of every case's key as compact JSON. A key holds 16 bytes of salt, so that it cannot be found by
-//! trying. The manifest is written first. The keys are opened last and have to have the digests that it lists.
+//! A manifest lists SHA-256 of every case's key as compact JSON. A key has 16 bytes of salt, so that it cannot be
+//! guessed. The manifest is written first. The keys are opened last and must have the listed digests.
 
 use super::class::{Class, Sense};
 use super::kind::Kind;
@@ -17,20 +17,20 @@ pub const MANIFEST_FORMAT: &str = "vn100d-trial-manifest-1";
 /// An effect that a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrueEffect {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
     /// The documented name; none outside the library.
     pub effect: Option<String>,
-    /// How sensor and model differ in it.
+    /// How sensor and model differ in the effect.
     pub sense: Sense,
-    /// In the units of [`super::limit::limit`].
+    /// The size in the units of [`super::limit::limit`].
     pub size: f64,
-    /// Over the limit; of an effect that both have at different sizes that of the difference.
+    /// The size over the limit; for an effect that both have at different sizes, that of the difference.
     pub over_limit: f64,
     /// The channels.
     pub channels: Vec<String>,
-    /// By channel, in the documented form, as far as known before there are samples. For an effect that the sensor lacks, they
-    /// are the model's.
+    /// The parameters by channel, in the documented form, as far as known without samples. For an effect that the
+    /// sensor lacks, they are the model's.
     pub parameters: BTreeMap<String, Value>,
     /// The model's statement, if it has the effect.
     #[serde(rename = "told")]
@@ -38,8 +38,8 @@ pub struct TrueEffect {
 }
 
 impl TrueEffect {
-    /// The parameters that a cause of this sense refers to. For an effect that both have at two places, a cause of an effect that
-    /// the sensor lacks refers to the model's.
+    /// Returns the parameters to which a cause of this sense refers. For an effect that both have at two places, a
+    /// cause that states that the sensor lacks it refers to the model's.
     pub fn meant(&self, sense: Sense) -> &BTreeMap<String, Value> {
         match &self.declared {
             Some(declared) if self.sense == Sense::Elsewhere && sense == Sense::Superfluous => declared,
@@ -51,9 +51,9 @@ impl TrueEffect {
 /// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Key {
-    /// Its number.
+    /// The case's number.
     pub case: usize,
-    /// What it is a test of.
+    /// The case's class.
     pub class: Class,
     /// Samples per second.
     pub rate_hz: f64,
@@ -63,7 +63,7 @@ pub struct Key {
     pub channels: Vec<String>,
     /// The effects, in the order in which they act.
     pub effects: Vec<TrueEffect>,
-    /// N, B, K of each channel as they are.
+    /// The true N, B and K of each channel.
     pub true_nbk: BTreeMap<String, [f64; 3]>,
     /// How samples are stamped, if they are.
     pub stamps: Option<Stamps>,
@@ -71,33 +71,33 @@ pub struct Key {
     pub salt: String,
 }
 
-/// A key that does not fit its manifest.
+/// A mismatch of keys and manifest.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum KeyError {
-    /// The key of a case is not the one that was sealed.
+    /// The key of a case is not the sealed one.
     #[error("the key of case {case} has SHA-256 {found}; the manifest has {expected}")]
     Digest {
-        /// Its number.
+        /// The case's number.
         case: usize,
-        /// The manifest's.
+        /// The digest in the manifest.
         expected: String,
-        /// Its own.
+        /// The digest of the key.
         found: String,
     },
     /// The numbers of keys and digests differ.
     #[error("the manifest has {expected} cases; there are keys of {found}")]
     Count {
-        /// The manifest's.
+        /// The number of digests in the manifest.
         expected: usize,
-        /// Those there are.
+        /// The number of keys.
         found: usize,
     },
 }
 
 impl Key {
-    /// SHA-256 of the key, in hexadecimal digits.
+    /// Returns the SHA-256 of the key, in hexadecimal digits.
     pub fn digest(&self) -> String {
-        // A key has numbers, texts and lists alone, all finite: it always has a text.
+        // A key only has finite numbers, texts and lists, so that it always has a text.
         let text = serde_json::to_string(self).unwrap_or_default();
         Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
     }
@@ -113,28 +113,28 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Of these keys.
+    /// Creates the manifest of these keys.
     pub fn of(keys: &[Key]) -> Self {
         Self::of_digests(keys.iter().map(Key::digest).collect())
     }
 
-    /// Of keys with these digests.
+    /// Creates the manifest of keys with these digests.
     pub fn of_digests(digests: Vec<String>) -> Self {
         Self { format: MANIFEST_FORMAT.to_owned(), digests }
     }
 
-    /// Whether these are the keys that were sealed.
+    /// Checks whether these are the sealed keys.
     ///
     /// # Errors
-    /// [`KeyError`], the first one.
+    /// The first [`KeyError`].
     pub fn verify(&self, keys: &[Key]) -> Result<(), KeyError> {
         self.verify_digests(keys.iter().map(|key| (key.case, key.digest())).collect())
     }
 
-    /// The same of keys with these numbers and digests.
+    /// Checks keys with these numbers and digests.
     ///
     /// # Errors
-    /// [`KeyError`], the first one.
+    /// The first [`KeyError`].
     pub fn verify_digests(&self, keys: Vec<(usize, String)>) -> Result<(), KeyError> {
         if keys.len() != self.digests.len() {
             return Err(KeyError::Count { expected: self.digests.len(), found: keys.len() });

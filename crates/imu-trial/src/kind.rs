@@ -2,7 +2,8 @@
 
 use imu_model::EffectKind;
 
-/// Defines kinds with their names in keys, scores and on the command line, in lists; `row` has what else is known of each.
+/// Defines lists of kinds with their names in keys, scores and on the command line; `row` has the other properties of
+/// each kind.
 macro_rules! kinds {
     (
         $(#[$meta:meta])*
@@ -20,19 +21,19 @@ macro_rules! kinds {
         impl Kind {
             $($(#[$about])* pub const $list: &[Self] = &[$(Self::$kind),+];)+
 
-            /// Every kind.
+            /// Returns every kind.
             pub fn all() -> impl Iterator<Item = Self> {
                 [$(Self::$list),+].into_iter().flatten().copied()
             }
 
-            /// The name in keys, scores and on the command line.
+            /// Returns the name in keys, scores and on the command line.
             pub fn name(self) -> &'static str {
                 match self {
                     $($(Self::$kind => $name,)+)+
                 }
             }
 
-            /// The kind of that name.
+            /// Returns the kind of that name.
             pub fn from_name(name: &str) -> Option<Self> {
                 Self::all().find(|kind| kind.name() == name)
             }
@@ -53,7 +54,7 @@ macro_rules! kinds {
 }
 pub(crate) use kinds;
 
-/// The effects that cannot be distinguished from one another on one channel.
+/// The effects that cannot be distinguished from each other on one channel.
 mod alike {
     use imu_model::EffectKind::{self, *};
     pub const LINES: &[EffectKind] = &[Tone, Comb, WanderingLine];
@@ -74,8 +75,8 @@ mod alike {
 }
 
 kinds! {
-    /// An effect that a sealed case has and its model lacks, or the other way round. Those outside the library are described where
-    /// they are imposed. A row has the place in the sensor's chain, and the effects that look alike.
+    /// An effect that a sealed case has and its model lacks, or the reverse. Effects outside the library are described
+    /// where they are imposed. A row has the place in the sensor's chain, and the effects that look alike.
     row: (u8, &'static [EffectKind]);
     /// The kinds of the library: the stationary effects of docs/effects.md.
     LIBRARY:
@@ -101,7 +102,7 @@ kinds! {
         HeldSamples = "held_samples" => (5, alike::REPEATS),
         CommonMode = "common_mode" => (1, alike::SHARED),
         Timing = "timing" => (6, alike::STAMPS);
-    /// The kinds that no effect of section 5 describes, on which the diagnosis may be tuned.
+    /// Kinds that no effect of section 5 describes, on which the diagnosis may be tuned.
     TUNED:
         RandomTelegraph = "random_telegraph" => (1, alike::SLOW),
         Chirp = "chirp" => (1, alike::LINES),
@@ -134,7 +135,7 @@ kinds! {
         ToneByTemperature = "tone_by_temperature" => (1, alike::LINES),
         ClusteredSpikes = "clustered_spikes" => (1, alike::TAILS),
         WanderingClock = "wandering_clock" => (6, alike::STAMPS);
-    /// Others like them that must not be used for tuning: they give the published figure.
+    /// Similar kinds that must not be used for tuning, because they give the published figure.
     KEPT:
         SlewLimit = "slew_limit" => (3, alike::FILTERS),
         AsymmetricGain = "asymmetric_gain" => (0, alike::TAILS),
@@ -155,12 +156,12 @@ kinds! {
 }
 
 impl Kind {
-    /// Whether it must not be used for tuning.
+    /// Returns whether the kind must not be used for tuning.
     pub fn is_kept(self) -> bool {
         Self::KEPT.contains(&self)
     }
 
-    /// The documented effect; none outside the library.
+    /// Returns the documented effect; `None` outside the library.
     pub fn effect(self) -> Option<EffectKind> {
         match self {
             Self::VarianceInterval | Self::VarianceProfile | Self::VariancePerC => Some(EffectKind::VarianceChange),
@@ -168,8 +169,8 @@ impl Kind {
         }
     }
 
-    /// Effects of docs/effects.md that describe a kind outside the library. A diagnosis that knows one of them and names it gives
-    /// a valid answer.
+    /// Returns the effects of docs/effects.md that describe a kind outside the library. A diagnosis that knows one of
+    /// them and names it gives a valid answer.
     pub fn described(self) -> &'static [EffectKind] {
         use EffectKind::*;
         match self {
@@ -179,14 +180,15 @@ impl Kind {
             Self::RingDowns => &[ModulatedBand, Intermittent],
             Self::OddSlope => &[PowerLaw, SpectralNoise],
             Self::MovingResonance | Self::HighPass | Self::Notch => &[SpectralNoise],
-            // Their laws are those of the parameters that section 8 adds.
+            // Their laws have parameters that section 8 adds.
             Self::Hysteresis | Self::ThermalRate | Self::TemperatureParabola => &[TemperatureBias],
             Self::ClusteredSpikes => &[Spikes],
             _ => &[],
         }
     }
 
-    /// The parameters of an effect of [`Self::described`] without which it is the plain effect of section 5, and no answer.
+    /// Returns the parameters of an effect of [`Self::described`] without which it is the plain effect of section 5,
+    /// and not a valid answer.
     pub fn described_by(self) -> &'static [&'static str] {
         match self {
             Self::Hysteresis => &["play_c"],
@@ -197,32 +199,32 @@ impl Kind {
         }
     }
 
-    /// Its place in the sensor's chain; of two effects the one with the lower place acts first.
+    /// Returns the place in the sensor's chain; of two effects, the one with the lower place acts first.
     pub fn place(self) -> u8 {
         self.row().0
     }
 
-    /// The effects that cannot be distinguished from it on one channel.
+    /// Returns the effects that cannot be distinguished from the kind on one channel.
     pub fn like(self) -> &'static [EffectKind] {
         self.row().1
     }
 
-    /// The least number of channels that it acts on.
+    /// Returns the minimum number of channels on which the kind acts.
     pub fn channels_min(self) -> usize {
         if matches!(self, Self::CommonMode) || self.has_source() { 2 } else { 1 }
     }
 
-    /// Whether the first channel is heard on the others.
+    /// Returns whether the first channel couples into the others.
     pub fn has_source(self) -> bool {
         matches!(self, Self::DelayedCrosstalk | Self::ProductCrosstalk)
     }
 
-    /// Whether it acts on stamps, so that the record has to have stamps.
+    /// Returns whether the kind acts on stamps, so that the record must have stamps.
     pub fn needs_stamps(self) -> bool {
         matches!(self, Self::Timing | Self::WanderingClock)
     }
 
-    /// Whether it requires a measured temperature.
+    /// Returns whether the kind requires a measured temperature.
     pub fn needs_temperature(self) -> bool {
         matches!(
             self,
@@ -236,8 +238,9 @@ impl Kind {
         )
     }
 
-    /// Whether it is the same all the time and has exactly the law of the documented parameters, so that a model can state it
-    /// rightly. Steps that rise slowly, soft ends and limits that follow from the samples are not.
+    /// Returns whether the kind is constant in time and has exactly the law of the documented parameters, so that a
+    /// model can state it correctly. Steps that rise slowly, soft ends, and limits that follow from the samples do not
+    /// qualify.
     pub fn can_be_known(self) -> bool {
         matches!(
             self,
@@ -258,12 +261,12 @@ impl Kind {
         )
     }
 
-    /// Whether a model can have it at another size. The signs of shared noise are in no parameter.
+    /// Returns whether a model can have the kind at another size. No parameter has the signs of shared noise.
     pub fn can_be_resized(self) -> bool {
         self.effect().is_some() && self != Self::CommonMode
     }
 
-    /// Whether a model can have it at another frequency or time.
+    /// Returns whether a model can have the kind at another frequency or time.
     pub fn can_be_elsewhere(self) -> bool {
         matches!(
             self,
@@ -271,7 +274,8 @@ impl Kind {
         )
     }
 
-    /// Whether two kinds may be in one case: not if they are one effect, or nearly, nor if the one cuts the other off.
+    /// Returns whether two kinds may be in one case: not if they are the same or nearly the same effect, nor if one
+    /// cuts off the other.
     pub fn goes_with(self, other: Self) -> bool {
         let both = |two: [Self; 2]| two.contains(&self) && two.contains(&other);
         self.effect() != other.effect() && !both([Self::Tone, Self::Comb]) && !both([Self::Spikes, Self::Saturation])

@@ -3,15 +3,16 @@
 //! In: a sealed seed; diagnoses in the form of docs/formats.md, from any program. Out: recordings with models that lack an effect
 //! ([`case`]), keys and a manifest that binds them ([`key`]), scores ([`score`]) and a page of them ([`page`]).
 //!
-//! A case is a device ([`setting`]) with noise from separate code ([`ground`]). Its effects have forms that differ on purpose
-//! from those that the diagnosis fits ([`impose`]). Their sizes follow from the limits of a feasibility study ([`limit`]).
-//! [`bound`] computes the size below which no test finds an effect, and [`detection`] the size from which on this diagnosis does.
-//! [`plan`] determines the cases, [`declared`] a model's statements of the effects that it has, [`stamps`] the form of stamps,
-//! and [`suite`] the frozen sets. The rules of [`mod@fit`] decide whether a cause that was named is right, those of [`place`]
-//! whether `where` is right, and those of [`again`] whether the result holds on other data. Effects act on columns of samples
-//! ([`columns`]), made here or recorded: [`recorded`] imposes them on an existing recording.
+//! A case is a device ([`setting`]) with noise from separate code ([`ground`]). Its effects have forms that differ on
+//! purpose from those that the diagnosis fits ([`impose`]). Their sizes follow from the limits of a feasibility study
+//! ([`limit`]). [`bound`] computes the size below which no test finds an effect, and [`detection`] the size from which
+//! on this diagnosis finds it. [`plan`] determines the cases, [`declared`] a model's statements of the effects that it
+//! has, [`stamps`] the form of stamps, and [`suite`] the frozen sets. The rules of [`mod@fit`] decide whether a named
+//! cause is right, those of [`place`] whether `where` is right, and those of [`again`] whether the result holds on
+//! other data. Effects act on columns of samples ([`columns`]), simulated or recorded: [`recorded`] imposes them on an
+//! existing recording.
 //!
-//! Order, which the shell keeps: one process makes the cases and another diagnoses them. The cases cross over as
+//! The shell keeps this order: one process makes the cases and another diagnoses them. The cases are passed on as
 //! parcels ([`parcel`]), which carry no information about the key. The manifest comes first, the keys last.
 
 pub mod again;

@@ -1,9 +1,9 @@
 //! Limits: sizes at which a feasibility study in Python named an effect in 90 % of its cases, and how they change with length.
 //!
-//! The study's cases had 65,536 samples (27 min at 40 Hz) and two channels. Sizes are in units of the white part's standard
-//! deviation per sample, unless stated otherwise. With n the samples, effects on variances and a tone's amplitude have limits
-//! that fall as n^-½, and counts of single samples as 1/n. Slow courses of the level have limits that grow as n^½ beyond the
-//! study's length, because the random walk that hides them does.
+//! The study's cases had 65,536 samples (27 min at 40 Hz) and two channels. Sizes are in units of the white part's
+//! standard deviation per sample, unless stated otherwise. With n samples, limits of effects on variances and of a
+//! tone's amplitude fall as n^-½, and those of counts of single samples as 1/n. Limits of slow courses of the level
+//! grow as n^½ beyond the study's length, as does the random walk that hides them.
 
 use super::class::Sense;
 use super::impose::Role;
@@ -11,14 +11,14 @@ use super::kind::Kind;
 
 /// Samples of the study's cases: the length for which limits are given.
 pub const STUDY: usize = 65_536;
-/// Log-likelihood that a single burst has to gain, nats: the price of an interval at this length, and as much again.
+/// Log-likelihood that a single burst has to gain, nats: twice the price of an interval at this length.
 const BURST_NATS: f64 = 20.0;
-/// The highest corner over the rate at which a low pass is always named; the study met no limit.
+/// The highest corner over the rate at which a low pass is always named; the study found no limit.
 pub(super) const CORNER: f64 = 0.42;
-/// If no limit is known, cases count as this far above it.
+/// If no limit is known, cases count as this multiple of it.
 pub(super) const ABOVE: f64 = 1.5;
 
-/// The size of `kind` that is named in 90 % of the cases of `samples`.
+/// Returns the size of `kind` that is named in 90 % of the cases of `samples`.
 ///
 /// | kind | size |
 /// |---|---|
@@ -53,24 +53,25 @@ pub fn limit(kind: Kind, samples: usize) -> f64 {
         Kind::VarianceInterval | Kind::VarianceProfile => 0.06 * variance,
         Kind::VariancePerC => 0.028 * variance,
         Kind::HeldSamples | Kind::Timing => 1e-4 / longer,
-        // Twenty ties at this length: a few would do, but the level wanders and they stand together.
+        // Twenty ties at this length: a few would suffice, but the level wanders and the ties occur together.
         Kind::Saturation => 3e-4 * variance,
         Kind::CommonMode => 0.16 * variance.sqrt(),
         _ => 1.0,
     }
 }
 
-/// By how much the size on one channel is above that on another, at most.
+/// The largest ratio of the sizes on two channels.
 pub(super) const UNEVEN: f64 = 1.25;
 /// The coarsest step beside other effects, σ: a coarser one rounds them away.
 const FINE: f64 = 1.5;
-/// Events that a model expects at least of spikes that the sensor lacks: the absence of a few is not evidence.
+/// Minimum number of events that a model expects of spikes that the sensor lacks: the absence of a few is not evidence.
 const EXPECTED: f64 = 12.0;
 
-/// The range of sizes over the limit from which an effect is drawn in cases of `samples`.
+/// Returns the range of sizes over the limit from which an effect is drawn in cases of `samples`.
 ///
-/// An effect of three or four starts from 1.5 times the limit, since a case counts if all its effects are above. A bias that the
-/// model states rightly changes by 1 σ per °C at most: the model reads the temperature in steps of 0.1 °C.
+/// An effect among three or four starts from 1.5 times the limit, because a case counts only if all its effects are
+/// above that. A bias that the model states correctly changes by at most 1 σ per °C, because the model reads the
+/// temperature in steps of 0.1 °C.
 pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
     let limit = limit(kind, samples);
     let least = match kind {
@@ -86,14 +87,15 @@ pub fn range(kind: Kind, samples: usize, role: Role) -> [f64; 2] {
     [least, most(kind, samples).min(largest / UNEVEN / limit).max(2.0 * least)]
 }
 
-/// Times the limit that sizes start from.
+/// The multiple of the limit from which sizes start.
 pub const LEAST: f64 = 0.5;
 /// The multiple of the limit that sizes reach if no physical bound applies.
 const MOST: f64 = 100.0;
 
-/// Times the limit that the sizes of `kind` reach in cases of `samples`: 100, or the physical bound.
+/// Returns the multiple of the limit up to which sizes of `kind` reach in cases of `samples`: 100, or the physical
+/// bound.
 ///
-/// | kind | no more than |
+/// | kind | at most |
 /// |---|---|
 /// | resolution | steps of 6 σ: coarser ones leave one or two codes |
 /// | heavy_tails | 2.5 degrees of freedom: the variance has to be finite |
@@ -102,7 +104,7 @@ const MOST: f64 = 100.0;
 /// | variance_… | a factor of 50 on the amplitude; per standard deviation of the temperature 4.5 |
 /// | bursts | 50 σ; the limit is a burst's own, so that this is kept where they are drawn |
 ///
-/// A bias step may be of 2,000 σ, in some cases: an axis that is turned over.
+/// In some cases a bias step may have 2,000 σ: an axis that is turned over.
 pub fn most(kind: Kind, samples: usize) -> f64 {
     let physical = match kind {
         Kind::Resolution => 6.0 / UNEVEN,
@@ -110,26 +112,27 @@ pub fn most(kind: Kind, samples: usize) -> f64 {
         Kind::Spikes | Kind::HeldSamples | Kind::Saturation => 0.05,
         Kind::VarianceInterval | Kind::VarianceProfile => 2.0 * LOUDEST.ln(),
         Kind::VariancePerC => 3.0,
-        // Its jitter grows in parts of a period, for any length.
+        // The jitter grows as a part of a period, for any length.
         Kind::Timing => 40.0 * limit(kind, samples),
         _ => f64::INFINITY,
     };
     (physical / limit(kind, samples)).clamp(2.0 * LEAST, MOST)
 }
 
-/// Factor on the amplitude of noise that no change of its size is beyond.
+/// Largest factor on the amplitude of noise.
 pub(super) const LOUDEST: f64 = 50.0;
 
-/// The size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit if there is one.
+/// Returns the size that counts as 1 in `over_limit` at the study's length, in [`unit`]: the study's 90 % limit if
+/// there is one.
 pub fn one(kind: Kind) -> f64 {
     match kind {
-        // A window of 2 counts as far above as the highest corner.
+        // A window of 2 counts as the same multiple as the highest corner.
         Kind::MovingAverage => 2.0 / ABOVE,
         other => limit(other, STUDY),
     }
 }
 
-/// The unit of the sizes, in words; σ is the white part's standard deviation per sample.
+/// Returns the unit of the sizes, in words; σ is the white part's standard deviation per sample.
 pub fn unit(kind: Kind) -> &'static str {
     match kind {
         Kind::Resolution => "step in σ",
@@ -152,7 +155,7 @@ pub fn unit(kind: Kind) -> &'static str {
     }
 }
 
-/// The standard deviation, in units of the white part's, at which a burst of so many samples is found.
+/// Returns the standard deviation, in units of the white part's, at which a burst of `samples` samples is found.
 pub fn burst_limit(samples: f64) -> f64 {
     let nats = |sigma: f64| 0.5 * samples * (sigma * sigma - (sigma * sigma).ln_1p());
     let (mut low, mut high) = (0.0, 100.0);

@@ -8,33 +8,33 @@ use super::kind::Kind;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Edges of the sizes over the limit by which detection is shown; the last bin is open.
+/// Edges of the bins of sizes over the limit for detection; the last bin is open.
 const CURVE: [f64; 11] = [0.5, 0.7, 1.0, 1.5, 2.2, 3.3, 5.0, 10.0, 20.0, 50.0, f64::INFINITY];
 
 /// A stretch of a curve or a class of confidences.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Bin {
-    /// From.
+    /// The lower edge.
     pub from: f64,
-    /// To; the last one includes it. Infinite, in JSON null, where it is open.
+    /// The upper edge; the last one is included. Infinite, in JSON null, if the bin is open.
     pub to: f64,
-    /// Mean of what it holds.
+    /// Mean of the bin's contents.
     pub mean: Option<f64>,
-    /// How many were right.
+    /// The share that is right.
     pub right: Rate,
 }
 
 impl Bin {
-    /// Its edges in words.
+    /// Returns the edges in words.
     pub fn label(&self) -> String {
         if self.to.is_finite() { format!("{}–{}", self.from, self.to) } else { format!("above {}", self.from) }
     }
 }
 
-/// The middle of some errors, and how many there are.
+/// The median and a high quantile of some errors, with their number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// How many.
+    /// The number of errors.
     pub count: usize,
     /// The median.
     pub median: f64,
@@ -45,41 +45,42 @@ pub struct Spread {
 /// The score of one kind of effect, alone in its case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OfKind {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// Whether the library has it.
+    /// Whether the library has the kind.
     pub library: bool,
-    /// The first cause is it (never, outside the library).
+    /// Cases whose first cause is the effect (never for effects outside the library).
     pub right_first: Rate,
-    /// Of these, under another name or form of the same law.
+    /// Number of these under another name or form of the same law.
     pub equivalent: usize,
-    /// Called unknown.
+    /// Cases reported as unknown.
     pub unknown: Rate,
-    /// With a cause that it is not.
+    /// Cases with a wrong cause.
     pub spurious: Rate,
-    /// All its channels and no other.
+    /// Cases with exactly the effect's channels.
     pub channels_exact: Rate,
-    /// Part of the gap that is closed, median.
+    /// Median of the closed part of the gap.
     pub closed: Option<f64>,
-    /// The part that the true effect closes, median.
+    /// Median of the part that the true effect closes.
     pub closed_of_truth: Option<f64>,
     /// Errors of place: `frequency_bins` (1/length), `at_s`, `edge_s`.
     pub location: BTreeMap<&'static str, Spread>,
     /// Relative errors of parameters.
     pub parameters: BTreeMap<String, Spread>,
-    /// Share right by size over the limit, all sizes.
+    /// Share right by size over the limit, for all sizes.
     pub curve: Vec<Bin>,
-    /// Size over the limit at which half are right, by a logistic curve through all; none if nearly all are, or none is.
+    /// Size over the limit at which half are right, from a logistic curve through all cases; none if nearly all or none
+    /// are right.
     pub size_50: Option<f64>,
-    /// And 90 %.
+    /// Size over the limit at which 90 % are right.
     pub size_90: Option<f64>,
-    /// The same in the kind's own unit, with intervals, beside the lower bound of every test.
+    /// The same sizes in the kind's own unit, with intervals, beside the lower bound of every test.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detection: Option<Detection>,
 }
 
 impl OfKind {
-    /// Of all judgements; none if it is alone in no case.
+    /// Computes the score from all judgements; `None` if the kind is alone in no case.
     pub fn of(kind: Kind, all: &[Judgement]) -> Option<Self> {
         let alone = |one: &&Judgement| matches!(one.effects.as_slice(), [only] if only.kind == kind && only.sense == Sense::Missing);
         let every: Vec<&Judgement> = all.iter().filter(alone).collect();
@@ -129,7 +130,7 @@ fn spread(values: impl IntoIterator<Item = f64>) -> Option<Spread> {
     Some(Spread { count: sorted.len(), median: at(0.5), p90: at(0.9) })
 }
 
-/// How many are right between each two edges.
+/// Returns how many are right between each pair of edges.
 pub(super) fn bins(edges: &[f64], values: &[(f64, bool)]) -> Vec<Bin> {
     let last = edges.len().saturating_sub(2);
     let bin = |(index, edge): (usize, &[f64])| {

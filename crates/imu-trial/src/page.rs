@@ -15,7 +15,7 @@ th,td{border-bottom:1px solid #ddd;padding:.2rem .7rem;text-align:right;white-sp
 th:first-child,td:first-child{text-align:left}th{border-bottom:2px solid #888}\
 td.right{background:#e6f4e6}td.wrong{background:#fbe9e7}code{font-size:90%}.wide{overflow-x:auto}";
 
-/// The page.
+/// Returns the page.
 pub fn page(score: &Score) -> String {
     let mut out = String::new();
     // Writing to a string never fails.
@@ -216,12 +216,12 @@ fn table(out: &mut String, head: &[&str], rows: impl Iterator<Item = Vec<String>
     *out += "</table></div>";
 }
 
-/// So many of so many.
+/// Writes a count and its total.
 fn count(rate: Rate) -> String {
     if rate.of == 0 { "–".to_owned() } else { format!("{}/{}", rate.count, rate.of) }
 }
 
-/// A share with its interval, in percent.
+/// Returns a share with its interval, in percent.
 pub fn percent(rate: Rate) -> String {
     match (rate.share, rate.ci95) {
         (Some(share), Some([low, high])) => {
@@ -231,7 +231,7 @@ pub fn percent(rate: Rate) -> String {
     }
 }
 
-/// A size with its interval, for people.
+/// Returns a size with its interval, for display.
 pub fn limit(of: Option<Limit>) -> String {
     match of {
         Some(Limit { size: at, ci95: Some([low, high]) }) => format!("{} ({}–{})", size(at), size(low), size(high)),
@@ -240,7 +240,7 @@ pub fn limit(of: Option<Limit>) -> String {
     }
 }
 
-/// Three digits.
+/// Writes a size with three digits.
 pub fn size(value: f64) -> String {
     if (1e-3..1e4).contains(&value) {
         let digits = (2 - value.log10().floor() as i32).max(0) as usize;

@@ -1,8 +1,9 @@
-//! Parcels: a case's recording and model as bytes, from the process that makes cases to the one that diagnoses them.
+//! Parcels: a case's recording and model as bytes, which the process that makes cases passes to the one that diagnoses
+//! them.
 //!
-//! One line of JSON (rate, channels, samples, which other columns there are, the model), then the columns as 64-bit
-//! floating-point numbers, little endian: the channels in order, the temperature, the stamps. A parcel carries no information
-//! about the key. A parcel that is a table is written as the CSV of docs/formats.md and read again before it is diagnosed.
+//! One line of JSON (rate, channels, samples, the other columns, the model), then the columns as 64-bit floating-point
+//! numbers, little endian: the channels in order, the temperature, the stamps. A parcel carries no information about
+//! the key. A parcel that is a table is written as the CSV of docs/formats.md and read again before it is diagnosed.
 
 use imu_core::sample::Channel;
 use imu_diagnosis::Recording;
@@ -13,24 +14,24 @@ use serde_json::Value;
 /// Bytes of a number.
 const NUMBER: usize = 8;
 
-/// Why bytes are no parcel.
+/// The reasons why bytes are not a parcel.
 #[derive(Debug, thiserror::Error)]
 pub enum ParcelError {
-    /// The first line is not what it should be.
+    /// The first line is not valid.
     #[error("the parcel's first line cannot be read: {0}")]
     Head(#[from] serde_json::Error),
-    /// It names a channel that there is not.
+    /// The parcel names an unknown channel.
     #[error("the parcel names a channel `{0}`")]
     Channel(String),
-    /// Its model cannot be read.
+    /// The model cannot be read.
     #[error("the parcel's model cannot be read: {0}")]
     Model(#[from] ModelError),
-    /// It is too short or too long.
+    /// The parcel is too short or too long.
     #[error("the parcel has {found} bytes of samples; {expected} were announced")]
     Length {
-        /// Those that its first line announces.
+        /// The number of bytes according to the first line.
         expected: usize,
-        /// Those there are.
+        /// The number of bytes.
         found: usize,
     },
 }
@@ -54,14 +55,14 @@ pub struct Parcel {
     pub recording: Recording,
     /// The model.
     pub model: SensorModel,
-    /// Whether it is to be read as a table is, with the rate that its stamps show.
+    /// Whether the recording is read like a table, with the rate of its stamps.
     pub table: bool,
 }
 
-/// Packs a recording and a model, to be read as a table or as it is.
+/// Packs a recording and a model. With `table`, the recording is read like a table.
 ///
 /// # Errors
-/// [`ParcelError::Head`]: the model cannot be written as JSON.
+/// [`ParcelError::Head`] if the model cannot be written as JSON.
 pub fn pack(recording: &Recording, model: &SensorModel, table: bool) -> Result<Vec<u8>, ParcelError> {
     let missing = recording.missing.iter().enumerate().filter(|(_, missing)| **missing).map(|(place, _)| place);
     let head = Head {
@@ -83,10 +84,10 @@ pub fn pack(recording: &Recording, model: &SensorModel, table: bool) -> Result<V
     Ok(bytes)
 }
 
-/// Unpacks them.
+/// Unpacks a recording and a model.
 ///
 /// # Errors
-/// [`ParcelError`] with what was expected and found.
+/// [`ParcelError`] with the expected and the found value.
 pub fn unpack(bytes: &[u8]) -> Result<Parcel, ParcelError> {
     let end = bytes.iter().position(|byte| *byte == b'\n').unwrap_or(bytes.len());
     let (head, body) = bytes.split_at(end);
@@ -118,7 +119,7 @@ pub fn unpack(bytes: &[u8]) -> Result<Parcel, ParcelError> {
     Ok(Parcel { recording, model, table: head.table })
 }
 
-/// A recording as the documented CSV: rows of samples that are there, every number with all its digits.
+/// Returns a recording as the documented CSV: rows of the present samples, every number with all its digits.
 pub fn table(recording: &Recording) -> String {
     let mut text = String::from("time_s");
     for (channel, _) in &recording.channels {

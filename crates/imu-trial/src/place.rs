@@ -1,10 +1,11 @@
 //! Places: where the effects of a case lie, and whether a diagnosis reports these places.
 //!
-//! A cause is placed if two conditions hold. Each channel that it shares with the effect has a place of it that overlaps the
-//! effect's band and time there. No place of it lies on a channel without the effect. For a line, a resonance, a step, a burst or
-//! a louder interval, the place has to state the band or the time, and may not be much wider. A place of a cause or of a
-//! remainder is false if it lies on a channel without an effect in which sensor and model differ; places of parameters are never
-//! false. If a report does not state the owners of its places, all of them may belong to any cause.
+//! A cause is placed if two conditions hold. Each channel that the cause shares with the effect has a place of the
+//! cause that overlaps the effect's band and time there. No place of the cause lies on a channel without the effect.
+//! For a line, a resonance, a step, a burst or a louder interval, the place must state the band or the time, and must
+//! not be much wider. A place of a cause or of a remainder is false if it lies on a channel without an effect in which
+//! sensor and model differ; places of parameters are never false. If a report does not state the owners of its places,
+//! all of them may belong to any cause.
 
 use super::class::Sense;
 use super::fit::intervals;
@@ -16,30 +17,30 @@ use serde_json::Value;
 /// Frequencies, Hz, or times, s, from and to.
 type Stretch = [f64; 2];
 
-/// A stretch with an effect in it, and the width of the widest place that counts as locating it.
+/// A stretch with an effect, and the width of the widest place that counts as locating it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Reach(Stretch, f64);
 
-/// The place of an effect on a channel; none is anywhere.
+/// The place of an effect on a channel; none means anywhere.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Lies {
     bands_hz: Vec<Reach>,
     times_s: Vec<Reach>,
 }
 
-/// Widths of a Fourier bin by which a line's place may be off, and by which it may reach to either side.
+/// Permitted error and extent of a line's place, in widths of a Fourier bin.
 const BINS: f64 = 2.0;
 const BINS_WIDE: f64 = 4.0;
-/// How many times wider than the true stretch a place may be.
+/// Permitted ratio of a place's width to that of the true stretch.
 const WIDER: f64 = 4.0;
-/// Widths of a resonance, to either side, that are its own.
+/// Widths of a resonance on each side that belong to it.
 const WIDTHS: f64 = 2.0;
-/// Samples, and parts of the record, by which a step's time may be off: it takes up to 20 samples to rise.
+/// Permitted error of a step's time, in samples and as a part of the record: a step takes up to 20 samples to rise.
 const RISE_SAMPLES: f64 = 20.0;
 const RISE_PART: f64 = 2e-3;
-/// Part of the record by which a step's place may reach to either side.
+/// Permitted extent of a step's place on each side, as a part of the record.
 const STEP_PART: f64 = 0.01;
-/// Corners of a Gauss–Markov process below which 95 % of its power is: (2/π) atan 12.7.
+/// Corners of a Gauss–Markov process below which it has 95 % of its power: (2/π) atan 12.7.
 const CORNERS: f64 = 12.7;
 /// Slow courses of the level lie below this part of the rate.
 const SLOW: f64 = 0.02;
@@ -97,14 +98,15 @@ impl Lies {
     }
 }
 
-/// Whether a place lies at the place of an effect; for an effect that both have at two places, either counts.
+/// Returns whether a place lies at the place of an effect; for an effect that both have at two places, either counts.
 fn lies_at(truth: &TrueEffect, place: &Place, key: &Key) -> bool {
     let declared = truth.declared.iter().flatten();
     let mut on = truth.parameters.iter().chain(declared).filter(|(channel, _)| **channel == place.channel);
     on.any(|(_, entry)| entries(entry).iter().any(|one| Lies::of(truth.kind, one, key).is_at(place)))
 }
 
-/// Whether a cause that is this effect is placed; none if the effect has no channel, or the cause names no channel.
+/// Returns whether a cause that is this effect is placed; `None` if the effect has no channel, or the cause names no
+/// channel.
 pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key) -> Option<bool> {
     let of_all = truth.kind.needs_stamps() || cause.channels.is_empty();
     if of_all {
@@ -119,7 +121,7 @@ pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key)
     Some(here && own.all(|place| truth.channels.contains(&place.channel)))
 }
 
-/// Places on channels on which sensor and model do not differ in an effect.
+/// Returns the places on channels on which sensor and model do not differ in an effect.
 pub fn false_places<'a>(places: &'a [Place], key: &'a Key) -> impl Iterator<Item = &'a Place> {
     let touched = |channel: &String| {
         let mut differing = key.effects.iter().filter(|effect| effect.sense != Sense::Known);

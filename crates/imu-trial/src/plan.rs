@@ -1,11 +1,11 @@
-//! Plans: how many cases of which kinds a trial has, in an order that the sealed seed decides.
+//! Plans: the number of cases of each kind in a trial, in an order that the sealed seed determines.
 
 use super::class::{Class, Sense};
 use super::draw::Draw;
 use super::kind::Kind;
 use super::recipe::Recipe;
 
-/// Cases of 2,500 that are of each class. Those that are kept come only if they are asked for.
+/// Cases of each class among 2,500. Kept classes are used only on request.
 pub const MIX: [(Class, f64); 9] = [
     (Class::None, 400.0),
     (Class::Known, 100.0),
@@ -18,35 +18,35 @@ pub const MIX: [(Class, f64); 9] = [
     (Class::Kept, 400.0),
 ];
 
-/// Part of the cases of another size whose effect stands elsewhere, if it can.
+/// Part of the cases of another size whose effect has another place, if possible.
 const ELSEWHERE: f64 = 0.5;
 
-/// Why a plan was refused.
+/// The reasons why a plan was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PlanError {
-    /// A word names no kind and no class.
+    /// A word names neither a kind nor a class.
     #[error("`{found}` names no kind of case; expected {classes}, or some of {kinds}")]
     Unknown {
         /// The word.
         found: String,
-        /// The classes.
+        /// The known classes.
         classes: String,
-        /// The kinds.
+        /// The known kinds.
         kinds: String,
     },
 }
 
-/// Which cases are wanted.
+/// The wanted cases.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Wanted {
-    /// Their classes.
+    /// The classes.
     pub classes: Vec<Class>,
-    /// Their kinds: those of the library, those outside it, those that are kept, each for the classes that are made of them.
+    /// The kinds (of the library, outside it, kept), each for the classes that use them.
     pub kinds: Vec<Kind>,
 }
 
 impl Default for Wanted {
-    /// All but those that are kept.
+    /// Returns all except the kept classes and kinds.
     fn default() -> Self {
         let classes = Class::ALL.into_iter().filter(|class| *class != Class::Kept).collect();
         Self { classes, kinds: Kind::all().collect() }
@@ -54,11 +54,11 @@ impl Default for Wanted {
 }
 
 impl Wanted {
-    /// From words: classes, and kinds; the default if there is no word. Kinds that are given without a class come one at a time;
-    /// a class without given kinds has all.
+    /// Reads classes and kinds from words; without words, the default. Kinds given without a class are used one at a
+    /// time; a class without given kinds uses all.
     ///
     /// # Errors
-    /// [`PlanError`]: a word that is neither.
+    /// [`PlanError`] for a word that is neither.
     pub fn from_words<'a>(words: impl IntoIterator<Item = &'a str>) -> Result<Self, PlanError> {
         let (mut classes, mut kinds) = (Vec::new(), Vec::new());
         for word in words {
@@ -104,9 +104,9 @@ impl Wanted {
     }
 }
 
-/// The recipe of every case of a trial.
+/// Returns the recipe of every case of a trial.
 ///
-/// Shares are those of [`MIX`] among the classes that are wanted. Each kind comes as often as the others of its class.
+/// Shares are those of [`MIX`] among the wanted classes. Each kind occurs as often as the others of its class.
 pub fn plan(seed: u64, cases: usize, wanted: &Wanted) -> Vec<Recipe> {
     let mut draw = Draw::device(seed, u64::MAX, "plan");
     let shares: Vec<(Class, f64)> = MIX.into_iter().filter(|(class, _)| wanted.classes.contains(class)).collect();
@@ -162,10 +162,10 @@ fn of_class(class: Class, count: usize, wanted: &Wanted, draw: &mut Draw) -> Vec
     }
 }
 
-/// How often kinds are put together before there are no more of them.
+/// Maximum number of attempts to combine kinds.
 const TRIES: usize = 60;
 
-/// Kinds together, each with each of the others in turn: no pair comes again before all of them were tried.
+/// Combines kinds, each with each of the others in turn: no pair occurs again before all were tried.
 fn together(kinds: &[Kind], size: usize, count: usize, draw: &mut Draw) -> Vec<Recipe> {
     let mut pairs: Vec<Vec<Kind>> = kinds
         .iter()

@@ -6,22 +6,22 @@ use super::interval::Rate;
 use super::judge::{Found, Judgement, Named};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
-/// Confidence from which on a cause is called sure.
+/// Confidence from which on a cause counts as sure.
 pub const SURE: f64 = 0.97;
 
-/// One of them.
+/// A rate with its name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NamedRate {
-    /// Its name in JSON and on the command line.
+    /// The name in JSON and on the command line.
     pub name: &'static str,
-    /// Its meaning.
+    /// The meaning of the rate.
     pub meaning: &'static str,
     /// The rate.
     pub rate: Rate,
 }
 
-/// All of them, in order. Only cases with effects of 1.5 times the limit or above count, except cases without an effect to name
-/// and cases outside the library. False places and refusals are counted over all cases.
+/// All rates, in order. Only cases with effects of 1.5 times the limit or above count, except cases without an effect
+/// to name and cases outside the library. False places and refusals are counted over all cases.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rates(pub Vec<NamedRate>);
 
@@ -35,11 +35,11 @@ impl Serialize for Rates {
     }
 }
 
-/// The untouched halves of a recording's stretches against each other: verdict and number of causes of each.
+/// The unchanged halves of a recording's stretches compared with each other: verdict and number of causes of each.
 pub type Halves = [(String, usize)];
 
 impl Rates {
-    /// Of all judgements of a trial, and of a recording's halves if there is one.
+    /// Computes the rates from all judgements of a trial, and from a recording's halves if there is one.
     pub fn of(all: &[Judgement], halves: &Halves) -> Self {
         let mut rates = Vec::new();
         let mut add = |name, meaning, rate| rates.push(NamedRate { name, meaning, rate });
@@ -138,7 +138,7 @@ impl Rates {
         );
         add("closed_covers", "interval of closed holds the true effect's", Rate::of(library().filter_map(covers)));
         add("refused", "refused", Rate::of(all.iter().map(|one| one.verdict == "refused")));
-        // On a recording.
+        // Cases on a recording.
         let on = || all.iter().filter(|one| one.control.is_some());
         let imposed = || on().filter(|one| one.class.in_library() && one.counts);
         let control = |is: fn(&(String, usize)) -> bool| Rate::of(on().filter_map(|one| one.control.as_ref()).map(is));
@@ -173,7 +173,7 @@ impl Rates {
             "one half under the other's model: called unknown",
             Rate::of(halves.iter().map(|(verdict, _)| verdict == "unknown_effect")),
         );
-        // On other data.
+        // Results on unseen data.
         let again = || all.iter().filter(|one| one.counts).filter_map(|one| Some((one, one.again?)));
         let near =
             |(one, again): (&Judgement, super::again::Again)| Some((again.closed? - one.closed?).abs() <= WITHIN);
@@ -200,17 +200,17 @@ impl Rates {
         Self(rates)
     }
 
-    /// The rate of this name.
+    /// Returns the rate of this name.
     pub fn get(&self, name: &str) -> Option<Rate> {
         self.0.iter().find(|one| one.name == name).map(|one| one.rate)
     }
 
-    /// Their names.
+    /// Returns the names of the rates.
     pub fn names() -> Vec<&'static str> {
         Self::of(&[], &[]).0.into_iter().map(|one| one.name).collect()
     }
 
-    /// Those that are of some case.
+    /// Returns the rates with at least one case.
     pub fn stated(&self) -> impl Iterator<Item = &NamedRate> {
         self.0.iter().filter(|one| one.rate.of > 0)
     }

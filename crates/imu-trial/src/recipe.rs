@@ -6,14 +6,14 @@ use super::kind::Kind;
 /// A case's class, and its effects with the sense of each.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recipe {
-    /// What it is a test of.
+    /// The case's class.
     pub class: Class,
-    /// Its effects.
+    /// The case's effects.
     pub effects: Vec<(Kind, Sense)>,
 }
 
 impl Recipe {
-    /// One whose model lacks all of these.
+    /// Creates a recipe whose model lacks all of these kinds.
     pub fn lacking(kinds: &[Kind]) -> Self {
         let class = match kinds {
             [] => Class::None,
@@ -26,7 +26,7 @@ impl Recipe {
         Self { class, effects: kinds.iter().map(|kind| (*kind, Sense::Missing)).collect() }
     }
 
-    /// One whose model has this effect in this sense.
+    /// Creates a recipe whose model has this effect in this sense.
     pub fn of_model(kind: Kind, sense: Sense) -> Self {
         let class = match sense {
             Sense::Missing => return Self::lacking(&[kind]),
@@ -37,7 +37,7 @@ impl Recipe {
         Self { class, effects: vec![(kind, sense)] }
     }
 
-    /// The kinds of its effects.
+    /// Returns the kinds of the effects.
     pub fn kinds(&self) -> impl Iterator<Item = Kind> {
         self.effects.iter().map(|(kind, _)| *kind)
     }

@@ -1,14 +1,14 @@
 //! Recorded: cases whose noise comes from an existing recording instead of the trial's own noise.
 //!
-//! A recording has its own lines, knocks and drifts, and not all of them are known. The trial therefore first searches for them:
-//! a stretch is diagnosed as it is, the findings go into a model, and both steps are repeated until no cause is named any more or
-//! the number of rounds is reached. A case has that model, with N, B and K a little wrong or far off as in made-up cases. An
-//! effect is imposed only on channels on which the stretch has no similar effect, since the two could not be separated. A cause
-//! that is also named of the same channels without imposed effects, under the model with the same N, B and K, is the recording's
-//! own and is neither right nor spurious ([`super::judge`]).
+//! A recording has its own lines, knocks and drifts, and not all of them are known. The trial therefore first searches
+//! for them: a stretch is diagnosed unchanged, the findings are added to a model, and both steps are repeated until no
+//! cause is named or the number of rounds is reached. A case has that model, with N, B and K a little wrong or far off
+//! as in made-up cases. An effect is imposed only on channels on which the stretch has no similar effect, because the
+//! two could not be separated. A cause that is also named for the same channels without imposed effects, under the
+//! model with the same N, B and K, is the recording's own and is neither right nor spurious ([`super::judge`]).
 //!
-//! If the stretch has a resolution, it acts after the imposed effects: each value is spread evenly over its step first, and
-//! rounding reverses this exactly if no effect was imposed.
+//! If the stretch has a resolution, rounding follows the imposed effects: each value is spread evenly over its step
+//! first, and rounding reverses this exactly if no effect was imposed.
 
 use super::columns::{Columns, around, scale};
 use super::draw::Draw;
@@ -27,31 +27,31 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Names of effects by channel.
 pub type Own = BTreeMap<Channel, BTreeSet<String>>;
 
-/// A temperature that varies less, °C, carries no information about effects that depend on it.
+/// A temperature that varies less than this, °C, carries no information about effects that depend on it.
 const SPREAD_C: f64 = 0.5;
 /// The temperature's readings are steps: effects that depend on it follow their mean over this time, s.
 const SMOOTH_S: f64 = 60.0;
-/// Flicker and walk that a first model has, in units of the white part per sample: those of the study's devices.
+/// Flicker and walk of an initial model, in units of the white part per sample: those of the study's devices.
 const FIRST: [f64; 2] = [0.063, 8e-4];
 
-/// The properties of a recording that are known before cases are made of it.
+/// The properties of a recording that are known before cases are made from it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Survey {
-    /// Stretches.
+    /// The number of stretches.
     pub stretches: usize,
-    /// The kinds that can be imposed on every one of them.
+    /// The kinds that can be imposed on every stretch.
     pub kinds: Vec<Kind>,
 }
 
-/// The reason why there are no cases of a recording.
+/// The reasons why there are no cases from a recording.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RecordedError {
-    /// It is too short.
+    /// The recording is too short.
     #[error("the recording has {found} samples; a case takes {needed}")]
     TooShort {
-        /// Samples that a case takes.
+        /// The minimum number of samples.
         needed: usize,
-        /// Those there are.
+        /// The number of samples.
         found: usize,
     },
     /// No channel varies.
@@ -66,22 +66,23 @@ pub struct Stretch {
     pub recording: Recording,
     /// N, B, K and the recording's own effects.
     pub model: SensorModel,
-    /// These effects by channel, and those that are named under the model even so.
+    /// The recording's own effects by channel, and those that are still named under the model.
     pub own: Own,
 }
 
-/// A recording in consecutive stretches of `samples`; a shorter one in one. The remainder at the end is left out.
+/// Cuts a recording into consecutive stretches of `samples`; a shorter recording is one stretch. The remainder at the
+/// end is left out.
 ///
 /// # Errors
-/// [`RecordedError`]: no stretch is long enough, or nothing varies.
+/// [`RecordedError`] if no stretch is long enough, or if no channel varies.
 pub fn cut(recording: &Recording, samples: usize) -> Result<Vec<Recording>, RecordedError> {
     cut_in(recording, samples, SAMPLES_MIN)
 }
 
-/// The same, if stretches may be shorter than a case.
+/// Cuts as [`cut`] does, into stretches that have at least `needed` samples.
 ///
 /// # Errors
-/// As [`cut`].
+/// The errors of [`cut`].
 pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Vec<Recording>, RecordedError> {
     let length = samples.min(recording.len());
     if length < needed {
@@ -95,7 +96,7 @@ pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Ve
     let part = |number: usize| {
         let places = number * length..(number + 1) * length;
         let missing = recording.missing.get(places.clone()).unwrap_or_default().to_vec();
-        // Stamps are per place, or per sample that is there.
+        // Stamps are per place, or per present sample.
         let there = |until: usize| until - recording.missing.iter().take(until).filter(|missing| **missing).count();
         let stamps = if recording.time_s.len() == recording.len() {
             places.clone()
@@ -114,7 +115,7 @@ pub fn cut_in(recording: &Recording, samples: usize, needed: usize) -> Result<Ve
     Ok((0..recording.len() / length).map(part).collect())
 }
 
-/// An initial model: white noise from the differences between neighbours, flicker and walk as a device has them.
+/// Returns an initial model: white noise from the differences between neighbours, flicker and walk as in a device.
 pub fn first_model(recording: &Recording) -> SensorModel {
     let rate_hz = recording.rate_hz;
     let channel = |(channel, values): &(Channel, Vec<f64>)| {
@@ -127,7 +128,7 @@ pub fn first_model(recording: &Recording) -> SensorModel {
 }
 
 impl Stretch {
-    /// With the causes that a diagnosis under the model still names: effect and channels.
+    /// Creates a stretch with the causes that a diagnosis under the model still names: effect and channels.
     pub fn new(recording: Recording, model: SensorModel, named: &[(String, Vec<String>)]) -> Self {
         let mut own = Own::new();
         for (channel, of) in &model.channels {
@@ -141,7 +142,7 @@ impl Stretch {
         Self { recording, model, own }
     }
 
-    /// The kinds that can be imposed on it.
+    /// Returns the kinds that can be imposed on the stretch.
     pub fn kinds(&self) -> Vec<Kind> {
         let temperature = self.temperature().is_some();
         let stamps = self.recording.missing.is_empty() && self.recording.time_s.len() == self.recording.len();
@@ -153,7 +154,7 @@ impl Stretch {
         Kind::all().filter(possible).collect()
     }
 
-    /// Channels without an effect that is like a kind.
+    /// Returns the channels without an effect similar to a kind.
     fn free(&self, kind: Kind) -> Vec<Channel> {
         let like = |channel: &Channel| {
             self.own.get(channel).is_some_and(|own| kind.like().iter().any(|effect| own.contains(effect.name())))
@@ -161,7 +162,7 @@ impl Stretch {
         self.model.channels.keys().copied().filter(|channel| !like(channel)).collect()
     }
 
-    /// Mean and spread of its temperature in the form of a course, if it varies enough.
+    /// Returns mean and spread of the temperature in the form of a course, if it varies enough.
     fn temperature(&self) -> Option<TemperatureCourse> {
         let celsius: Vec<f64> =
             self.recording.temperature_c.iter().flatten().copied().filter(|value| value.is_finite()).collect();
@@ -171,7 +172,8 @@ impl Stretch {
         (spread >= SPREAD_C).then_some(TemperatureCourse { start_c: mean, rise_c: 0.0, settles: 0.2, wander_c: spread })
     }
 
-    /// Some of its channels, enough for these kinds, and N, B and K as a model has them that is a little wrong or far off.
+    /// Returns some of the channels, enough for these kinds, with N, B and K of a model that is a little wrong or far
+    /// off.
     pub fn setting(&self, kinds: &[Kind], device: &mut Draw) -> Setting {
         let (rate_hz, samples) = (self.recording.rate_hz, self.recording.len());
         let mut all: Vec<Channel> = self.model.channels.keys().copied().collect();
@@ -210,7 +212,7 @@ impl Stretch {
         }
     }
 
-    /// Its model with these channels alone: as it was fitted, or as a case states it.
+    /// Returns the model with these channels alone: as fitted, or as a case states it.
     pub fn model_of(&self, setting: &Setting, declared: bool) -> SensorModel {
         let mut model = self.model.clone();
         model.channels.retain(|channel, _| setting.parts.iter().any(|part| part.channel == *channel));
@@ -223,7 +225,7 @@ impl Stretch {
         model
     }
 
-    /// These channels as they are.
+    /// Returns these channels unchanged.
     pub fn as_it_is(&self, setting: &Setting) -> Recording {
         let wanted = |channel: &Channel| setting.parts.iter().any(|part| part.channel == *channel);
         let channels = self.recording.channels.iter().filter(|(channel, _)| wanted(channel)).cloned().collect();
@@ -238,7 +240,7 @@ impl Stretch {
         }
     }
 
-    /// These channels with effects imposed; `stream` gives the draws of a purpose.
+    /// Returns these channels with imposed effects; `stream` returns the draws for a purpose.
     pub fn with(&self, setting: &Setting, effects: &[(usize, &Effect)], stream: impl Fn(&str) -> Draw) -> Recording {
         let untouched = self.as_it_is(setting);
         if effects.is_empty() {
@@ -271,7 +273,7 @@ impl Stretch {
         if !rounded {
             round(&mut columns, &steps);
         }
-        // What had no value has none.
+        // Samples without a value before have none now.
         for (column, (_, values)) in columns.columns.iter_mut().zip(&untouched.channels) {
             let lost = column.values.iter_mut().zip(values).filter(|(_, value)| !value.is_finite());
             lost.for_each(|(value, _)| *value = f64::NAN);
@@ -279,7 +281,7 @@ impl Stretch {
         columns.into_recording(untouched.temperature_c)
     }
 
-    /// The resolution of a channel itself, U.
+    /// Returns the own resolution of a channel, U.
     fn step(&self, channel: Channel) -> Option<f64> {
         let effects = &self.model.channels.get(&channel)?.effects;
         let own = effects.iter().find(|effect| effect.kind() == EffectKind::Resolution)?;
@@ -295,7 +297,7 @@ fn round(columns: &mut Columns, steps: &[Option<f64>]) {
     }
 }
 
-/// Values with the last one before, or the first one after, if there is none.
+/// Returns the values with gaps filled by the last value before, or by the first one after if there is none.
 fn filled(values: &[f64]) -> Vec<f64> {
     let mut last = values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0);
     let mut next = |value: &f64| {
@@ -314,7 +316,7 @@ mod tests {
     use crate::recipe::Recipe;
     use serde_json::json;
 
-    /// A made-up case in the form of an existing recording, one channel of it in steps, with gaps.
+    /// Returns a simulated case in the form of an existing recording, with one channel in steps, and with gaps.
     fn stretch() -> Stretch {
         let made = (0..).map(|number| Case::make(5, number, &Recipe::lacking(&[]), Some(20_000)).unwrap());
         let case = made.into_iter().find(|case| case.setting().parts.len() == 2).unwrap();
@@ -375,11 +377,11 @@ mod tests {
 
     #[test]
     fn a_small_effect_shows_through_a_coarse_step() {
-        // A tenth of the step on average is still there after rounding, since the values are spread over their steps first.
+        // On average, a tenth of the step remains after rounding, because values are first spread over their steps.
         let stretch = stretch();
         let (channel, step) = (stretch.recording.channels[0].0, stretch.step(stretch.recording.channels[0].0).unwrap());
         let of = |number| Case::draw_on(9, number, &Recipe::lacking(&[Kind::BiasStep]), stretch.clone()).unwrap();
-        // All steps are over before the end that is looked at.
+        // All steps are over before the examined end.
         let early = |case: &Case| {
             let effect = case.effects().next().unwrap();
             let of =

@@ -4,33 +4,33 @@ use super::class::Sense;
 use imu_model::EffectKind;
 use serde_json::Value;
 
-/// The reason why a value is not a diagnosis.
+/// The reasons why a value is not a diagnosis.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReportError {
-    /// A key is missing, or is not what it should be.
+    /// A key is missing or not valid.
     #[error("the diagnosis has no {key} that can be read")]
     Missing {
-        /// Its path.
+        /// The path of the key.
         key: &'static str,
     },
 }
 
-/// A cause that was named.
+/// A named cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cause {
-    /// The documented name of it.
+    /// The documented name of the effect.
     pub effect: String,
-    /// Its channels.
+    /// The channels.
     pub channels: Vec<String>,
-    /// Stated chance that it is this one.
+    /// Stated chance that this is the cause.
     pub confidence: Option<f64>,
-    /// By channel: its parameters, an object or a list of them.
+    /// The parameters by channel, an object or a list of objects.
     pub parameters: Value,
-    /// How sensor and model differ in it; `missing` if the report does not state it.
+    /// How sensor and model differ in the effect; `missing` if the report does not state it.
     pub sense: Sense,
     /// 95 % intervals of the parameters, in the same form.
     pub uncertainty: Value,
-    /// Its place among the report's causes.
+    /// The place among the report's causes.
     pub index: usize,
 }
 
@@ -43,7 +43,7 @@ pub enum Of {
     Parameters,
     /// The remainder without a name.
     Remainder,
-    /// The report does not state it.
+    /// The report does not state the owner.
     Untold,
 }
 
@@ -52,24 +52,24 @@ pub enum Of {
 pub struct Place {
     /// The channel.
     pub channel: String,
-    /// Of what.
+    /// The owner of the place.
     pub of: Of,
-    /// Its band, Hz; none is any.
+    /// The band, Hz; none is any band.
     pub band_hz: Option<[f64; 2]>,
-    /// Its time, s after the record's begin; none is any.
+    /// The time, s after the record's start; none is any time.
     pub time_s: Option<[f64; 2]>,
 }
 
 /// The result of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// `no_gap`, `parameters`, `effects`, `unknown_effect`.
+    /// The verdict: `no_gap`, `parameters`, `effects` or `unknown_effect`.
     pub verdict: String,
     /// The causes, strongest first.
     pub causes: Vec<Cause>,
-    /// Which part of the gap they close, and its 95 % interval.
+    /// The part of the gap that the causes close.
     pub closed: Option<f64>,
-    /// The interval.
+    /// The 95 % interval of that part.
     pub closed_ci95: Option<[f64; 2]>,
     /// The places, if the report states any.
     pub places: Vec<Place>,
@@ -78,10 +78,10 @@ pub struct Report {
 }
 
 impl Report {
-    /// From a diagnosis's JSON.
+    /// Reads the JSON of a diagnosis.
     ///
     /// # Errors
-    /// [`ReportError`]: it is none.
+    /// [`ReportError`] if it is not one.
     pub fn of(value: &Value) -> Result<Self, ReportError> {
         let missing = |key| ReportError::Missing { key };
         let verdict = value["verdict"].as_str().ok_or_else(|| missing("verdict"))?.to_owned();
@@ -89,7 +89,7 @@ impl Report {
         let cause = |(index, value): (usize, &Value)| {
             let names = value["channels"].as_array().ok_or_else(|| missing("causes.channels"))?;
             let sense = value["sense"].as_str().and_then(Sense::from_name).unwrap_or_default();
-            // An effect that the sensor lacks has the model's numbers alone.
+            // An effect that the sensor lacks only has the model's numbers.
             let is_of_model = sense == Sense::Superfluous && value["model"].is_object();
             let parameters = if is_of_model { "model" } else { "parameters" };
             Ok(Cause {
@@ -116,28 +116,28 @@ impl Report {
 }
 
 impl Cause {
-    /// Which effect it is; none of an unknown name.
+    /// Returns the effect's kind; `None` for an unknown name.
     pub fn kind(&self) -> Option<EffectKind> {
         EffectKind::from_name(&self.effect)
     }
 
-    /// The entries of a channel: one, or several of a list.
+    /// Returns the entries of a channel: one, or several from a list.
     pub fn entries(&self, channel: &str) -> &[Value] {
         entries(&self.parameters[channel])
     }
 
-    /// The entries of all its channels.
+    /// Returns the entries of all channels.
     pub fn all_entries(&self) -> impl Iterator<Item = &Value> {
         self.channels.iter().flat_map(|channel| self.entries(channel))
     }
 }
 
-/// Two numbers.
+/// Reads two numbers.
 fn pair(value: &Value) -> Option<[f64; 2]> {
     value[0].as_f64().zip(value[1].as_f64()).map(|(low, high)| [low, high])
 }
 
-/// A place; none if it names no channel.
+/// Returns a place; `None` if it names no channel.
 fn place(value: &Value) -> Option<Place> {
     let of = match value["of"].as_str() {
         Some("parameters") => Of::Parameters,
@@ -149,7 +149,7 @@ fn place(value: &Value) -> Option<Place> {
     Some(Place { channel: value["channel"].as_str()?.to_owned(), of, band_hz: pair(&value["band_hz"]), time_s })
 }
 
-/// One entry, or several of a list.
+/// Returns one entry, or several from a list.
 pub(super) fn entries(value: &Value) -> &[Value] {
     match value {
         Value::Null => &[],

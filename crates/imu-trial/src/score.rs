@@ -15,37 +15,37 @@ pub const FORMAT: &str = "vn100d-trial-1";
 /// Edges of the stated confidences.
 const CONFIDENCE: [f64; 8] = [0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0];
 
-/// A case that went wrong.
+/// A case with a wrong result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Miss {
-    /// Its number.
+    /// The case's number.
     pub case: usize,
-    /// What it is a test of.
+    /// The case's class.
     pub class: Class,
-    /// What it has.
+    /// The kinds of its effects.
     pub kinds: Vec<Kind>,
-    /// How sensor and model differ in each.
+    /// How sensor and model differ in each effect.
     pub senses: Vec<Sense>,
-    /// The least of its sizes over their limits; none outside the library, because there is no limit.
+    /// The smallest size over its limit; none outside the library, because there is no limit.
     pub over_limit: Option<f64>,
-    /// The stated result.
+    /// The stated verdict.
     pub verdict: String,
-    /// What was named.
+    /// The named causes.
     pub named: Vec<Named>,
-    /// Why it was refused.
+    /// The reason for the refusal.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refusal: Option<String>,
 }
 
-/// How far stated confidences are to be believed.
+/// The reliability of stated confidences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Calibration {
     /// Causes with a stated confidence that were right.
     pub right: Rate,
     /// Mean of the stated confidences.
     pub mean_confidence: Option<f64>,
-    /// Expected calibration error: mean of |mean confidence − share right| over the classes of `reliability`, weighted by the
-    /// number in each (M. Naeini et al., AAAI 2015, equation 2); none if no confidence was stated.
+    /// Expected calibration error: mean of |mean confidence − share right| over the classes of `reliability`, weighted
+    /// by their numbers (M. Naeini et al., AAAI 2015, equation 2); none if no confidence was stated.
     pub expected_error: Option<f64>,
 }
 
@@ -64,16 +64,16 @@ impl Calibration {
     }
 }
 
-/// The recording that a trial's effects were imposed on.
+/// The recording on which a trial's effects were imposed.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct On {
-    /// What it is called.
+    /// The recording's name.
     pub recording: String,
-    /// Stretches that cases were made of.
+    /// Number of stretches from which cases were made.
     pub stretches: usize,
-    /// Cases whose channels are called unknown as they are: their verdicts do not count.
+    /// Cases whose channels are reported as unknown without imposed effects: their verdicts do not count.
     pub own_unknown: Rate,
-    /// Causes that were set aside as the recording's own.
+    /// Number of causes that were excluded as the recording's own.
     pub own_causes: usize,
 }
 
@@ -86,11 +86,11 @@ pub struct Score {
     pub software: String,
     /// The seed of its cases.
     pub seed: u64,
-    /// Cases.
+    /// The number of cases.
     pub cases: usize,
-    /// By class.
+    /// The number of cases by class.
     pub classes: BTreeMap<&'static str, usize>,
-    /// The frozen set that it is, if it is one.
+    /// The name of the frozen set, if the trial uses one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suite: Option<&'static str>,
     /// The recording, if there is one.
@@ -98,25 +98,26 @@ pub struct Score {
     pub on: Option<On>,
     /// SHA-256 of the manifest that was written first.
     pub manifest_sha256: String,
-    /// In short.
+    /// The summary.
     pub rates: Rates,
     /// False places per record, on average.
     pub false_places: Option<f64>,
-    /// By kind.
+    /// The scores by kind.
     pub kinds: Vec<OfKind>,
-    /// Single effects, none and outside: true kind, then the first cause named (or the verdict if none was), how often.
+    /// Single effects, none and outside: by true kind, then the first named cause (or the verdict if there was none),
+    /// the number of cases.
     pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
-    /// Stated confidence of the causes named and how many were right. Cases too small to count are left out, and so are
-    /// those outside the library, because their named causes are look-alikes.
+    /// Stated confidence of the named causes, and the share that was right. Cases too small to count are left out, as
+    /// are those outside the library, because their named causes are look-alikes.
     pub reliability: Vec<Bin>,
-    /// The same in short.
+    /// The summary of the reliability.
     pub calibration: Calibration,
-    /// Cases that count and went wrong.
+    /// Counted cases with a wrong result.
     pub misses: Vec<Miss>,
 }
 
 impl Score {
-    /// Of all the judgements of a trial.
+    /// Computes the score from all judgements of a trial.
     pub fn of(software: &str, seed: u64, manifest_sha256: &str, all: &[Judgement], halves: &Halves) -> Self {
         let mut classes: BTreeMap<&'static str, usize> = Class::ALL.map(|class| (class.name(), 0)).into();
         for judgement in all {
@@ -147,7 +148,7 @@ impl Score {
         Self { suite: name, ..self }
     }
 
-    /// Records which recording the effects were imposed on.
+    /// Records the recording on which the effects were imposed.
     pub fn on(self, recording: &str, stretches: usize, all: &[Judgement]) -> Self {
         let on = On {
             recording: recording.to_owned(),
@@ -159,7 +160,7 @@ impl Score {
     }
 }
 
-/// Whether the case has a rate that it falls short in.
+/// Returns whether the case reduces one of the rates.
 fn missed(one: &Judgement) -> bool {
     one.verdict == "refused"
         || match one.class {
@@ -186,7 +187,7 @@ fn miss(one: &Judgement) -> Miss {
     }
 }
 
-/// The label of a row of the confusion: the kind, and the sense unless it is missing.
+/// Returns the label of a row of the confusion: the kind, and the sense unless it is `Missing`.
 fn truth(one: &Judgement) -> String {
     match one.effects.first() {
         None => "none".to_owned(),
@@ -282,7 +283,7 @@ mod tests {
             judgement(8, Class::Pair, pair, "effects", &[("tone", true)]),
             judgement(9, Class::Outside, &[Kind::Echo], "unknown_effect", &[("resonance", false)]),
             judgement(10, Class::Outside, &[Kind::Echo], "effects", &[("resonance", false)]),
-            // Too small to count: it is in no rate of causes and in no reliability.
+            // Too small to count: in no rate of causes and not in the reliability.
             Judgement { counts: false, ..judgement(11, Class::Single, tone, "effects", &[("comb", false)]) },
         ];
         Score::of("test", 1, "", &all, &[])

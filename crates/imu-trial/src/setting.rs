@@ -14,11 +14,11 @@ use std::collections::BTreeMap;
 pub struct Part {
     /// The channel.
     pub channel: Channel,
-    /// Its level, U.
+    /// The level, U.
     pub level: f64,
-    /// N, B, K as they are (docs/formats.md).
+    /// The true N, B and K (docs/formats.md).
     pub true_nbk: [f64; 3],
-    /// And as the model has them.
+    /// The model's N, B and K.
     pub told_nbk: [f64; 3],
     /// The bias that the model states, U, if there is one.
     pub told_bias: Option<f64>,
@@ -37,32 +37,33 @@ pub struct Setting {
     pub temperature: Option<TemperatureCourse>,
     /// How samples are stamped, if they are.
     pub stamps: Option<Stamps>,
-    /// The effects of a recorded device itself, if it is one: no similar effect is imposed on these channels.
+    /// The own effects of a recorded device, if it is one: no similar effect is imposed on these channels.
     pub own: Own,
 }
 
-/// Lengths in s and rates in Hz between which cases lie.
+/// Range of the cases' lengths in s, and range of their rates in Hz.
 const LENGTH_S: [f64; 2] = [27.0 * 60.0, 5.0 * 3600.0];
 const RATE_HZ: [f64; 2] = [40.0, 200.0];
 /// Share of the cases with six channels instead of two.
 pub(super) const SIX: f64 = 0.3;
-/// Share of the cases with a measured temperature, among those that need none.
+/// Share of the cases with a measured temperature, among those that do not need one.
 const WARM: f64 = 0.8;
-/// How far a model's N, B and K are off at most if the model is of this sensor.
+/// Maximum errors of N, B and K in a model of this sensor.
 pub(super) const OFF: [f64; 3] = [0.05, 0.25, 0.4];
-/// Factors by which they are off if the model is of a data sheet or of another session, and the part of the cases in which it is.
+/// Factors of the errors in a model from a data sheet or another session, and the part of the cases with such a model.
 const FAR: [f64; 3] = [3.0, 30.0, 30.0];
 const OF_ANOTHER: f64 = 0.35;
-/// The study's B, and step of its walk, in units of the white part per sample.
+/// The study's B, and the step of its walk, in units of the white part per sample.
 const FLICKER: f64 = 0.063;
 const WALK: f64 = 8e-4;
 
-/// A number between two whose density falls as its cube: most are near the lower one, so that thousands of cases can be run.
+/// Returns a number between two whose density falls as its cube: most numbers are near the lower one, so that thousands
+/// of cases can be run.
 fn mostly_low(draw: &mut Draw, [low, high]: [f64; 2]) -> f64 {
     draw.uniform(high.powi(-2), low.powi(-2)).powf(-0.5)
 }
 
-/// N, B and K of an independent model: a little wrong, or far off.
+/// Returns N, B and K of an independent model: a little wrong, or far off.
 pub(super) fn declared(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 3] {
     let mut declared = true_nbk;
     for (at, parameter) in declared.iter_mut().enumerate() {
@@ -72,24 +73,24 @@ pub(super) fn declared(true_nbk: [f64; 3], far: bool, draw: &mut Draw) -> [f64; 
     declared
 }
 
-/// Whether the model of a case is far off.
+/// Returns whether the model of a case is far off.
 pub(super) fn is_of_another(device: &mut Draw) -> bool {
     device.chance(OF_ANOTHER)
 }
 
 impl Part {
-    /// Standard deviation of the white part per sample, U.
+    /// Returns the standard deviation of the white part per sample, U.
     pub fn white(&self, rate_hz: f64) -> f64 {
         self.true_nbk[0] * rate_hz.sqrt()
     }
 
-    /// Step of the random walk per sample, U.
+    /// Returns the step of the random walk per sample, U.
     pub fn walk(&self, rate_hz: f64) -> f64 {
         self.true_nbk[2] / rate_hz.sqrt()
     }
 
     fn draw(channel: Channel, rate_hz: f64, far: bool, draw: &mut Draw) -> Self {
-        // N of a VN-100 in its units (data sheet), its level at rest, and how far both go from device to device.
+        // N of a VN-100 in its units (data sheet), its level at rest, and how much both vary from device to device.
         let (density, level) = match channel.triad() {
             Some(Triad::Gyro) => (6e-5, 0.003 * draw.normal()),
             Some(Triad::Accel) => (1.4e-3, draw.uniform(-9.9, 9.9)),
@@ -107,7 +108,7 @@ impl Part {
 }
 
 impl Setting {
-    /// One that these kinds can be imposed on.
+    /// Draws a setting on which these kinds can be imposed.
     pub fn draw(kinds: &[Kind], device: &mut Draw) -> Self {
         let rate_hz = mostly_low(device, RATE_HZ);
         let samples = (mostly_low(device, LENGTH_S) * rate_hz) as usize;
@@ -128,22 +129,22 @@ impl Setting {
         Self { rate_hz, samples, parts, temperature: measured.then_some(temperature), stamps, own: Own::new() }
     }
 
-    /// Whether a channel has no effect of the recording that is like a kind.
+    /// Returns whether a channel has no effect of the recording similar to a kind.
     pub fn is_free(&self, channel: Channel, kind: Kind) -> bool {
         self.own.get(&channel).is_none_or(|own| kind.like().iter().all(|effect| !own.contains(effect.name())))
     }
 
-    /// The record's length, s.
+    /// Returns the record's length, s.
     pub fn length_s(&self) -> f64 {
         self.samples as f64 / self.rate_hz
     }
 
-    /// An independent model: N, B and K a little wrong or far off, no effects.
+    /// Returns an independent model: with N, B and K a little wrong or far off, without effects.
     pub fn model(&self) -> SensorModel {
         self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)
     }
 
-    /// The model with the true N, B, K and levels, without effects.
+    /// Returns the model with the true N, B, K and levels, without effects.
     pub fn true_model(&self) -> SensorModel {
         self.model_with("as it is", |part| part.true_nbk, |part| Some(part.level))
     }

@@ -1,19 +1,20 @@
-//! Stamps: how the times of a case's samples are written, and which samples are lost on the way.
+//! Stamps: the written times of a case's samples, and samples that are lost on the way.
 
 use super::columns::Columns;
 use super::draw::Draw;
 use serde::{Deserialize, Serialize};
 
-/// How samples are stamped and sent. A record that has stamps is read as a table is: its rate follows from them.
+/// How samples are stamped and sent. A record with stamps is read like a table: its rate follows from the stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Stamps {
-    /// The first one, s.
+    /// The first stamp, s.
     pub first_s: f64,
-    /// Decimals of a second that are written; none writes them all.
+    /// Number of written decimals of a second; none writes all.
     pub decimals: Option<u8>,
-    /// Mean of an exponential delay after which a sample is stamped, s: a host's stamps of arrival. 0 is the sensor's own.
+    /// Mean of an exponential delay before a sample is stamped, s, as for a host's stamps of arrival. 0 for the
+    /// sensor's own stamps.
     pub late_s: f64,
-    /// Part of the samples that are lost.
+    /// Part of the samples that is lost.
     pub lost: f64,
 }
 
@@ -21,19 +22,19 @@ pub struct Stamps {
 const ROUNDED: f64 = 0.3;
 const LATE: f64 = 0.25;
 const LOSSY: f64 = 0.2;
-/// Mean delays in periods, and shares of lost samples, from the smallest to the largest.
+/// Mean delays in periods, and shares of lost samples, each as a range.
 const DELAY: [f64; 2] = [0.02, 0.4];
 const LOST: [f64; 2] = [1e-4, 0.02];
 /// Rates below which two decimals distinguish samples, Hz.
 const TWO_DECIMALS_HZ: f64 = 80.0;
 
 impl Stamps {
-    /// The stamps of the sensor, exact.
+    /// Returns the exact stamps of the sensor.
     pub fn exact(first_s: f64) -> Self {
         Self { first_s, decimals: None, late_s: 0.0, lost: 0.0 }
     }
 
-    /// Some form.
+    /// Draws a form of stamps.
     pub fn draw(rate_hz: f64, device: &mut Draw) -> Self {
         let mut made = Self::exact(device.uniform(0.0, 5_000.0));
         let coarse = rate_hz < TWO_DECIMALS_HZ && device.chance(0.4);
@@ -45,16 +46,16 @@ impl Stamps {
         made
     }
 
-    /// Whether a `timing` that is named is the delivery's: neither an effect of the sensor nor invented.
+    /// Returns whether a named `timing` belongs to the delivery: it is neither an effect of the sensor nor spurious.
     pub fn deliver_late(self) -> bool {
         self.late_s > 0.0 || self.lost > 0.0
     }
 
-    /// Stamps of samples that the sensor took at these times, as they are written, and the samples that are lost.
+    /// Writes the stamps of samples that the sensor took at these times, and loses samples.
     pub fn write(self, on: &mut Columns, draw: &mut Draw) {
         let (mut delays, mut losses) = (draw.split(), draw.split());
         if self.late_s > 0.0 {
-            // One that is late holds up those behind it.
+            // A late sample delays those behind it.
             let mut last = f64::NEG_INFINITY;
             for stamp in &mut on.time_s {
                 last = last.max(*stamp - self.late_s * (1.0 - delays.uniform(0.0, 1.0)).ln());

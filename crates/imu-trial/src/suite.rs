@@ -1,30 +1,31 @@
 //! Suites: frozen sets of cases that others can compare with.
 //!
-//! A suite is a seed, a number of cases and a length. Its cases are those of every class and kind, also of those that are kept.
-//! The generator must not change: the manifest of a suite and the digests of some of its parcels are in the repository, and a
-//! test makes them again. A change of the generator needs a suite of another name. The digests hold on x86-64 Linux with the
-//! mathematical functions of Rust's standard library there. Elsewhere the last digits of a logarithm or a cosine may differ.
+//! A suite is a seed, a number of cases and a length. Its cases cover every class and kind, including the kept ones.
+//! The generator must not change: the manifest of a suite and the digests of some of its parcels are in the repository,
+//! and a test reproduces them. A change of the generator needs a suite of another name. The digests hold on x86-64
+//! Linux with the mathematical functions of Rust's standard library there. On other platforms, the last digits of a
+//! logarithm or a cosine may differ.
 
 use super::class::Class;
 
 /// A frozen set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Suite {
-    /// Its name.
+    /// The name of the suite.
     pub name: &'static str,
-    /// The seed of its cases.
+    /// The seed of the cases.
     pub seed: u64,
-    /// How many there are.
+    /// The number of cases.
     pub cases: usize,
-    /// Samples of each.
+    /// The number of samples per case.
     pub samples: usize,
-    /// SHA-256 of its manifest, as the program writes it.
+    /// SHA-256 of the manifest, as the program writes it.
     pub manifest_sha256: &'static str,
     /// SHA-256 of the parcel of the first case of each class, in the order of [`Class::ALL`].
     pub parcels_sha256: [&'static str; Class::ALL.len()],
 }
 
-/// Those there are.
+/// All suites.
 pub const SUITES: [Suite; 1] = [Suite {
     name: "2026",
     seed: 2026,
@@ -45,17 +46,17 @@ pub const SUITES: [Suite; 1] = [Suite {
 }];
 
 impl Suite {
-    /// The one of this name.
+    /// Returns the suite of this name.
     pub fn named(name: &str) -> Option<&'static Self> {
         SUITES.iter().find(|suite| suite.name == name)
     }
 
-    /// The words for the classes of its cases: all.
+    /// Returns the words for the classes of the cases: all.
     pub fn words() -> String {
         Class::ALL.map(Class::name).join(",")
     }
 
-    /// The information that a caller needs to compare with it, in words.
+    /// Returns the information needed for a comparison with the suite, in words.
     pub fn described(&self, manifest_sha256: &str) -> String {
         let kept = if manifest_sha256 == self.manifest_sha256 {
             "the manifest is the frozen one".to_owned()

@@ -1,10 +1,10 @@
-//! Lines: `$` body `*` checksum. Parses the bytes of one line to a [`Measurement`], or reports that they are none.
+//! Lines: `$` body `*` checksum. Parses the bytes of one line to a [`Measurement`], or reports that they are not one.
 
 use super::measurement::Measurement;
 use super::{ChecksumKind, Quantity};
 use imu_core::variants;
 
-/// Longest line taken, `$` and line end included (the SDK's limit).
+/// Maximum length of a line, `$` and line end included (the SDK's limit).
 pub const MAX_LINE_BYTES: usize = 320;
 
 /// The asynchronous ASCII messages (register 6).
@@ -84,31 +84,31 @@ impl AsciiType {
     fn row(self) -> &'static Row {
         &ROWS[self as usize]
     }
-    /// The value of register 6 that selects it.
+    /// Returns the value of register 6 that selects the message.
     pub fn id(self) -> u8 {
         self.row().id
     }
-    /// The message that register 6 selects with this value; `None` for 0 (off) and messages of other products.
+    /// Returns the message that register 6 selects with this value; `None` for 0 (off) and messages of other products.
     pub fn from_id(id: u8) -> Option<Self> {
         ROWS.iter().find(|row| row.id == id).map(|row| row.ascii)
     }
-    /// The register with the same values.
+    /// Returns the register with the same values.
     pub fn register(self) -> u16 {
         self.row().register
     }
-    /// The message with the values of that register.
+    /// Returns the message with the values of that register.
     pub fn from_register(register: u16) -> Option<Self> {
         ROWS.iter().find(|row| row.register == register).map(|row| row.ascii)
     }
-    /// The header, without `$`: `VNYMR`.
+    /// Returns the header, without `$`: `VNYMR`.
     pub fn header(self) -> &'static str {
         self.row().header
     }
-    /// The message with that header (without `$`).
+    /// Returns the message with that header (without `$`).
     pub fn from_header(header: &[u8]) -> Option<Self> {
         ROWS.iter().find(|row| row.header.as_bytes() == header).map(|row| row.ascii)
     }
-    /// Its quantities in the order of its fields.
+    /// Returns the quantities in the order of the message's fields.
     pub fn quantities(self) -> &'static [Quantity] {
         self.row().quantities
     }
@@ -126,7 +126,7 @@ pub enum Trailer {
 }
 
 impl Trailer {
-    /// Whether it is the checksum of `body`; a bypass is not.
+    /// Returns whether the trailer is the checksum of `body`; a bypass is not.
     pub fn matches(self, body: &[u8]) -> bool {
         match self {
             Self::Xor8(found) => super::checksum::xor8(body) == found,
@@ -239,7 +239,7 @@ pub(super) fn read_fields(measurement: &mut Measurement, ascii: AsciiType, field
     Some(())
 }
 
-/// The text behind a field of `length` bytes, and whether a comma announced a further field.
+/// Returns the text behind a field of `length` bytes, and whether a comma announced a further field.
 fn next_field(text: &[u8], length: usize) -> Option<(&[u8], bool)> {
     match text.get(length..)? {
         [] => Some((&[], false)),

@@ -139,7 +139,7 @@ pub enum HeaderError {
     Fields {
         /// The group's bit.
         group: u8,
-        /// Its mask.
+        /// The group's mask.
         found: u16,
         /// The bits that a VN-100 has.
         known: u16,
@@ -172,7 +172,7 @@ pub(super) enum HeaderBytes {
 }
 
 impl BinaryHeader {
-    /// The header with these masks for the groups Common, Time, IMU and Attitude; 0 omits a group.
+    /// Returns the header with these masks for the groups Common, Time, IMU and Attitude; 0 omits a group.
     ///
     /// # Errors
     /// [`HeaderError`] if a mask has a bit that a VN-100 does not have, or all are 0.
@@ -190,7 +190,7 @@ impl BinaryHeader {
         if groups == 0 { Err(HeaderError::Groups { found: 0 }) } else { Ok(Self { groups, masks }) }
     }
 
-    /// The header in the text form of registers 75–77: groups and masks in hex, `05,0008,0010`.
+    /// Returns the header in the text form of registers 75–77: groups and masks in hex, `05,0008,0010`.
     ///
     /// # Errors
     /// [`HeaderError`] if the text has another form, or is not an output of a VN-100.
@@ -242,22 +242,22 @@ impl BinaryHeader {
         HeaderBytes::Header(Self { groups, masks })
     }
 
-    /// The groups byte.
+    /// Returns the groups byte.
     pub fn groups(&self) -> u8 {
         self.groups
     }
 
-    /// The masks of the present groups, in the order they are sent.
+    /// Returns the masks of the present groups, in sending order.
     pub fn masks(&self) -> impl Iterator<Item = u16> {
         self.masks.into_iter().filter(|mask| *mask != 0)
     }
 
-    /// Bytes of sync, groups and masks.
+    /// Returns the bytes of sync, groups and masks.
     pub fn header_bytes(&self) -> usize {
         2 + 2 * self.groups.count_ones() as usize
     }
 
-    /// Bytes of the payload.
+    /// Returns the bytes of the payload.
     pub fn payload_bytes(&self) -> usize {
         let mut bytes = 0;
         for (mut mask, lengths) in self.masks.into_iter().zip(&LENGTHS) {
@@ -269,12 +269,12 @@ impl BinaryHeader {
         bytes
     }
 
-    /// Bytes of the whole frame, sync byte and CRC included.
+    /// Returns the bytes of the whole frame, sync byte and CRC included.
     pub fn frame_bytes(&self) -> usize {
         self.header_bytes() + self.payload_bytes() + CRC_BYTES
     }
 
-    /// The fields in the order they are sent.
+    /// Returns the fields in sending order.
     pub(super) fn fields(&self) -> impl Iterator<Item = Field> {
         self.masks
             .into_iter()
@@ -283,7 +283,7 @@ impl BinaryHeader {
             .map(|(_, field)| *field)
     }
 
-    /// The quantities it carries.
+    /// Returns the quantities of the output.
     pub fn quantities(&self) -> QuantitySet {
         let mut set = QuantitySet::EMPTY;
         for field in self.fields() {
@@ -294,14 +294,14 @@ impl BinaryHeader {
         set
     }
 
-    /// Whether it carries TimeStartup.
+    /// Returns whether the output has TimeStartup.
     pub fn has_time_startup(&self) -> bool {
         self.fields().any(|field| field == Field::TimeStartup)
     }
 }
 
 impl std::fmt::Display for BinaryHeader {
-    /// The text form of registers 75–77: `01,0609`.
+    /// Writes the text form of registers 75–77: `01,0609`.
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "{:02X}", self.groups)?;
         self.masks().try_for_each(|mask| write!(formatter, ",{mask:04X}"))

@@ -13,7 +13,7 @@ pub enum ChecksumKind {
 }
 
 impl ChecksumKind {
-    /// Hex digits behind the `*`.
+    /// Returns the number of hex digits behind the `*`.
     pub fn digits(self) -> usize {
         match self {
             Self::Xor8 => 2,
@@ -22,7 +22,7 @@ impl ChecksumKind {
     }
 }
 
-/// XOR of all bytes.
+/// Returns the XOR of all bytes.
 ///
 /// # Source
 /// User manual UM001 rev 2.45, section 3.9.2. Weak: two equal bit changes cancel (`VNERR,12` and `VNERR,03` both give 72).
@@ -35,8 +35,8 @@ pub fn xor8(bytes: &[u8]) -> u8 {
 /// The text "polynomial = 0x07" in the manual's section 5.2.10 is a misprint; its C code in section 3.9.3 is this one.
 static XMODEM: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_XMODEM);
 
-/// CRC-16/XMODEM: polynomial 0x1021, start 0, not reflected, no final XOR. Over a frame that ends in its own CRC
-/// (high byte first) it is 0.
+/// Returns the CRC-16/XMODEM: polynomial 0x1021, start 0, not reflected, no final XOR. Over a frame that ends in its
+/// own CRC (high byte first), it is 0.
 ///
 /// # Source
 /// User manual UM001 rev 2.45, sections 3.9.3 and 4.3.5.

@@ -11,14 +11,14 @@ use super::{AsciiType, ChecksumKind, ascii, encode};
 pub enum Command {
     /// Read a register (`$VNRRG,n`). Registers 5, 6 and 7 take the number of a serial port.
     ReadRegister {
-        /// Its number.
+        /// The number of the register.
         register: u16,
-        /// The serial port whose setting is requested; the one in use if absent.
+        /// The serial port whose setting is requested; if absent, the one in use.
         port: Option<u8>,
     },
     /// Write a register in RAM (`$VNWRG,n,values`): lost at the next reset.
     WriteRegister {
-        /// Its number.
+        /// The number of the register.
         register: u16,
         /// The values in the form of the line, without leading comma.
         values: String,
@@ -28,17 +28,17 @@ pub enum Command {
 }
 
 impl Command {
-    /// Reads `register`.
+    /// Creates a command that reads `register`.
     pub fn read(register: u16) -> Self {
         Self::ReadRegister { register, port: None }
     }
 
-    /// Writes `values` to `register`.
+    /// Creates a command that writes `values` to `register`.
     pub fn write(register: u16, values: impl std::fmt::Display) -> Self {
         Self::WriteRegister { register, values: values.to_string() }
     }
 
-    /// The line without `$`, checksum and line end. Register numbers have two digits at least.
+    /// Returns the line without `$`, checksum and line end. Register numbers have at least two digits.
     pub fn body(&self) -> String {
         match self {
             Self::ReadRegister { register, port: None } => format!("VNRRG,{register:02}"),
@@ -48,7 +48,7 @@ impl Command {
         }
     }
 
-    /// The bytes to send. A sensor accepts either checksum at any time, regardless of register 30.
+    /// Returns the bytes to send. A sensor accepts either checksum at any time, regardless of register 30.
     pub fn to_bytes(&self, checksum: ChecksumKind) -> Vec<u8> {
         let mut bytes = Vec::new();
         encode::text_line(&mut bytes, &self.body(), checksum);
@@ -84,7 +84,7 @@ pub enum Verb {
 }
 
 impl Verb {
-    /// The verb with that header (without `$`): `VNRRG`.
+    /// Returns the verb with that header (without `$`): `VNRRG`.
     pub fn from_header(header: &[u8]) -> Option<Self> {
         Some(match header {
             b"VNRRG" => Self::ReadRegister,
@@ -106,7 +106,7 @@ impl Verb {
 /// A reply of the sensor (or a command, which has the same form).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply<'a> {
-    /// The kind of command it answers.
+    /// The kind of command that it answers.
     pub verb: Verb,
     /// The register, for reads and writes; parsed as a number, since sensors print `08` and manuals `8`.
     pub register: Option<u16>,
@@ -134,7 +134,7 @@ impl<'a> Reply<'a> {
         Some(Self { verb, register, values, body })
     }
 
-    /// Whether it is the reply to `command` (not whether the sensor executed it; a refusal is a
+    /// Returns whether this is the reply to `command` (not whether the sensor executed it; a refusal is a
     /// [`DeviceError`](super::DeviceError)).
     pub fn answers(&self, command: &Command) -> bool {
         match command {
@@ -148,7 +148,7 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// The values of a measurement register that was read (8, 9, 10, 15, 17–20, 27, 54, 80, 115, 239, 240) as a
+    /// Returns the values of a measurement register that was read (8, 9, 10, 15, 17–20, 27, 54, 80, 115, 239, 240) as a
     /// measurement; `None` for other registers and values that are not numbers.
     pub fn measurement(&self) -> Option<Measurement> {
         if self.verb != Verb::ReadRegister {

@@ -56,7 +56,7 @@ pub enum Event<'a> {
     Reply(Reply<'a>),
     /// An error that the sensor reports.
     DeviceError(DeviceError),
-    /// A line with a right checksum that is none of the above; without `$` and checksum.
+    /// A line with a right checksum that is of no other kind here; without `$` and checksum.
     Other(&'a str),
     /// Bytes that are not usable.
     Rejected {
@@ -91,7 +91,7 @@ pub struct DecoderStats {
 enum Found<'a> {
     /// More bytes are needed: this many from the candidate's first on.
     Incomplete(usize),
-    /// No message; with the cause it counts as and its length, if it has the head of a frame.
+    /// No message; if it has the head of a frame, with its cause and length.
     Nothing(Option<(DiscardCause, usize)>),
     /// A message of this length.
     Something(Message<'a>, usize),
@@ -126,7 +126,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder at the start of a stream.
+    /// Creates a decoder at the start of a stream.
     pub fn new(options: DecoderOptions) -> Self {
         Self {
             binary: options.binary,
@@ -147,13 +147,13 @@ impl Decoder {
         self.need = 0;
     }
 
-    /// The totals so far.
+    /// Returns the totals so far.
     pub fn stats(&self) -> DecoderStats {
         self.stats
     }
 
-    /// Bytes that are not decided or not reported yet: a run of garbage shorter than [`GARBAGE_RUN_BYTES`] and the
-    /// candidate behind it.
+    /// Returns the number of bytes that are not decided or not reported yet: a run of garbage shorter than
+    /// [`GARBAGE_RUN_BYTES`] and the candidate behind it.
     pub fn pending(&self) -> usize {
         self.buffer.len()
     }
@@ -347,7 +347,7 @@ fn examine_line<'a>(candidate: &'a [u8], scanned: &mut usize, measurement: &mut 
     }
 }
 
-/// The number of bytes from the start that are text of a line: printable, and not the `$` of the next one.
+/// Returns the number of bytes from the start that are text of a line: printable, and not the `$` of the next one.
 fn text_bytes(bytes: &[u8]) -> usize {
     let is_text = |byte: &u8| matches!(byte, b' '..=b'~') && *byte != b'$';
     let (blocks, _) = bytes.as_chunks::<16>();

@@ -71,12 +71,12 @@ impl DeviceError {
         (0xFF, Self::ErrorBufferOverflow),
     ];
 
-    /// The error with this code.
+    /// Returns the error with this code.
     pub fn from_code(code: u8) -> Self {
         Self::KNOWN.into_iter().find(|(known, _)| *known == code).map_or(Self::Unknown(code), |(_, error)| error)
     }
 
-    /// The code.
+    /// Returns the code.
     pub fn code(self) -> u8 {
         match self {
             Self::Unknown(code) => code,
@@ -84,8 +84,8 @@ impl DeviceError {
         }
     }
 
-    /// The error with a code as a sensor prints it: hex (`0C`, `C`, `FF`), or the decimal `10`, `11`, `12`, `255` of
-    /// firmware 2.1, which as hex would be codes that do not exist. `None` if the text is no code.
+    /// Returns the error with a code as a sensor prints it: hex (`0C`, `C`, `FF`), or the decimal `10`, `11`, `12`,
+    /// `255` of firmware 2.1, which as hex would be codes that do not exist. `None` if the text is no code.
     pub fn from_text(text: &str) -> Option<Self> {
         let code = match text {
             "10" => 0x0A,

@@ -24,9 +24,9 @@ pub struct FrameOptions {
     pub checksum: ChecksumKind,
 }
 
-/// Bytes of one message on the line: a binary frame exactly, a line (CR and LF included) at firmware 2 and 3's number
-/// formats. A line is longer by one byte per acceleration beyond ±99.999 m/s²; [`FrameOptions`] does not affect binary
-/// frames.
+/// Returns the bytes of one message on the line: a binary frame exactly, a line (CR and LF included) in the number
+/// formats of firmware 2 and 3. A line is longer by one byte per acceleration beyond ±99.999 m/s²; [`FrameOptions`]
+/// does not affect binary frames.
 pub fn frame_bytes(kind: &MeasurementKind, options: &FrameOptions) -> usize {
     match kind {
         MeasurementKind::Binary(header) => header.frame_bytes(),
@@ -50,13 +50,13 @@ pub fn frame_bytes(kind: &MeasurementKind, options: &FrameOptions) -> usize {
     }
 }
 
-/// The highest rate in Hz at which messages of this many bytes fit a baud rate (8N1, the whole link). Infinite for 0
-/// bytes.
+/// Returns the highest rate in Hz at which messages of this many bytes fit a baud rate (8N1, the whole link). Infinite
+/// for 0 bytes.
 pub fn max_rate_hz(bytes: usize, baud: u32) -> f64 {
     f64::from(baud) / f64::from(BITS_PER_BYTE) / bytes as f64
 }
 
-/// The share of the link that a rate uses: 1 is all of it.
+/// Returns the share of the link that a rate uses: 1 is all of it.
 pub fn link_share(bytes: usize, rate_hz: f64, baud: u32) -> f64 {
     rate_hz / max_rate_hz(bytes, baud)
 }

@@ -14,14 +14,14 @@ pub enum MeasurementKind {
 }
 
 impl MeasurementKind {
-    /// The common name of the output: `VNYMR`, `binary 01,0609`.
+    /// Returns the common name of the output: `VNYMR`, `binary 01,0609`.
     pub fn output_name(&self) -> String {
         match self {
             Self::Ascii(ascii) => ascii.header().to_owned(),
             Self::Binary(header) => format!("binary {header}"),
         }
     }
-    /// The quantities it carries.
+    /// Returns the quantities of the message.
     pub fn quantities(&self) -> QuantitySet {
         match self {
             Self::Ascii(ascii) => {
@@ -32,11 +32,11 @@ impl MeasurementKind {
             Self::Binary(header) => header.quantities(),
         }
     }
-    /// The channels of its samples (if every value is finite).
+    /// Returns the channels of the message's samples (if every value is finite).
     pub fn channels(&self) -> ChannelSet {
         self.quantities().iter().flat_map(|quantity| quantity.channels().iter().copied()).collect()
     }
-    /// Whether it carries TimeStartup; no ASCII message does.
+    /// Returns whether the message has TimeStartup; no ASCII message does.
     pub fn has_device_time(&self) -> bool {
         match self {
             Self::Ascii(_) => false,
@@ -81,7 +81,7 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// A measurement of that kind without values.
+    /// Creates a measurement of that kind without values.
     pub fn new(kind: MeasurementKind) -> Self {
         Self {
             kind,
@@ -99,17 +99,17 @@ impl Measurement {
         }
     }
 
-    /// The quantity's numbers, `quantity.components()` of them, if the message carried it.
+    /// Returns the quantity's numbers, `quantity.components()` of them, if the message carried it.
     pub fn get(&self, quantity: Quantity) -> Option<&[f64]> {
         self.present.contains(quantity).then(|| &self.values[quantity.range()])
     }
 
-    /// The three numbers of a quantity with three components.
+    /// Returns the three numbers of a quantity with three components.
     pub fn vector(&self, quantity: Quantity) -> Option<[f64; 3]> {
         self.get(quantity)?.try_into().ok()
     }
 
-    /// The number of a quantity with one component.
+    /// Returns the number of a quantity with one component.
     pub fn scalar(&self, quantity: Quantity) -> Option<f64> {
         let [value] = self.get(quantity)?.try_into().ok()?;
         Some(value)
@@ -124,13 +124,13 @@ impl Measurement {
         }
     }
 
-    /// The quantity's place, marked as present.
+    /// Returns the quantity's place, marked as present.
     pub(super) fn slots(&mut self, quantity: Quantity) -> &mut [f64] {
         self.present.insert(quantity);
         &mut self.values[quantity.range()]
     }
 
-    /// The quantity's numbers whether present or not: absent ones are 0.
+    /// Returns the quantity's numbers whether present or not: absent ones are 0.
     pub(super) fn values_or_zero(&self, quantity: Quantity) -> &[f64] {
         &self.values[quantity.range()]
     }
@@ -141,13 +141,14 @@ impl Measurement {
         *noted = if *noted == NO_DECIMALS { decimals } else { decimals.max(*noted) };
     }
 
-    /// The quantities the message carried.
+    /// Returns the quantities that the message carried.
     pub fn quantities(&self) -> QuantitySet {
         self.present
     }
 
-    /// Digits behind the point with which the line printed this channel: its resolution is 10⁻ᵈ of the channel's unit.
-    /// `None` for binary messages and absent channels. Firmware 1 prints fewer digits than firmware 2 and 3.
+    /// Returns the digits behind the point with which the line printed this channel: its resolution is 10⁻ᵈ of the
+    /// channel's unit. `None` for binary messages and absent channels. Firmware 1 prints fewer digits than firmware 2
+    /// and 3.
     pub fn decimals(&self, channel: Channel) -> Option<u8> {
         // the same precedence as in `to_sample`: the last quantity that fills the channel counts
         Quantity::ALL
@@ -158,7 +159,7 @@ impl Measurement {
             .find(|decimals| *decimals != NO_DECIMALS)
     }
 
-    /// The measurement as a sample that arrived at this host time.
+    /// Returns the measurement as a sample that arrived at this host time.
     ///
     /// If a message carries a vector both compensated and uncompensated, the uncompensated one is used for gyroscope,
     /// accelerometer and magnetometer. The on-board filter has removed its own bias estimate from the compensated one,

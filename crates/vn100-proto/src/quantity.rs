@@ -3,7 +3,7 @@
 use imu_core::sample::Channel;
 use imu_core::variants;
 
-/// One physical quantity; values are in the unit the sensor sends.
+/// One physical quantity; values are in the sensor's unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, strum::VariantArray)]
 #[repr(u8)]
 pub enum Quantity {
@@ -11,7 +11,7 @@ pub enum Quantity {
     YawPitchRoll,
     /// Attitude, body to NED, scalar last.
     Quaternion,
-    /// Direction cosines in the order they are sent: nine values (binary: column-major, NED to body).
+    /// Direction cosines in sending order: nine values (binary: column-major, NED to body).
     DirectionCosines,
     /// Magnetic field x, y, z, gauss, compensated.
     Mag,
@@ -66,7 +66,7 @@ impl Quantity {
     /// The number of values in all quantities together.
     pub const TOTAL_LEN: usize = OFFSETS[Self::COUNT];
 
-    /// The number of values of the quantity.
+    /// Returns the number of values of the quantity.
     pub const fn components(self) -> usize {
         match self {
             Self::Temperature | Self::Pressure | Self::DeltaTime => 1,
@@ -76,12 +76,12 @@ impl Quantity {
         }
     }
 
-    /// The position of its values among those of all quantities.
+    /// Returns the position of its values among those of all quantities.
     pub(super) const fn range(self) -> std::ops::Range<usize> {
         OFFSETS[self as usize]..OFFSETS[self as usize + 1]
     }
 
-    /// The text format of firmware 2 and 3.
+    /// Returns the text format of firmware 2 and 3.
     ///
     /// # Source
     /// 40 recorded lines of a firmware 3.1 unit, AN110 tables 3–5 (transmission times), user manual UM001 rev 2.45
@@ -105,8 +105,8 @@ impl Quantity {
         AsciiFormat { width, decimals }
     }
 
-    /// The channels of a sample that the quantity fills, in order; empty for quantities that have none. Acceleration
-    /// without gravity is not the channel `accel`.
+    /// Returns the channels of a sample that the quantity fills, in order; empty for quantities that have none.
+    /// Acceleration without gravity is not the channel `accel`.
     pub const fn channels(self) -> &'static [Channel] {
         match self {
             Self::YawPitchRoll => &[Channel::Yaw, Channel::Pitch, Channel::Roll],
@@ -135,17 +135,17 @@ const OFFSETS: [usize; Quantity::COUNT + 1] = {
 pub struct QuantitySet(u32);
 
 impl QuantitySet {
-    /// No quantity.
+    /// The empty set.
     pub const EMPTY: Self = Self(0);
     /// Adds a quantity.
     pub const fn insert(&mut self, quantity: Quantity) {
         self.0 |= 1 << quantity as u8;
     }
-    /// Whether the quantity is in the set.
+    /// Returns whether the quantity is in the set.
     pub const fn contains(self, quantity: Quantity) -> bool {
         self.0 & (1 << quantity as u8) != 0
     }
-    /// The quantities in the set.
+    /// Returns the quantities in the set.
     pub fn iter(self) -> impl Iterator<Item = Quantity> {
         Quantity::ALL.into_iter().filter(move |quantity| self.contains(*quantity))
     }

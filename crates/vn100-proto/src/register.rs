@@ -49,7 +49,7 @@ pub struct RegisterError {
     pub found: String,
 }
 
-/// Numbers separated by commas: exactly `N`.
+/// Parses numbers separated by commas: exactly `N`.
 fn numbers<T: std::str::FromStr + Copy + Default, const N: usize>(values: &str) -> Option<[T; N]> {
     let mut numbers = [T::default(); N];
     let mut fields = values.split(',');
@@ -66,9 +66,9 @@ pub struct CommunicationControl {
     pub serial_count: u8,
     /// 0 none, 1 VPE status, 2 INS status.
     pub serial_status: u8,
-    /// The same for SPI.
+    /// As `serial_count`, for SPI.
     pub spi_count: u8,
-    /// The same for SPI.
+    /// As `serial_status`, for SPI.
     pub spi_status: u8,
     /// 1 XOR of eight bits, 3 CRC-16.
     pub serial_checksum: u8,
@@ -79,7 +79,7 @@ pub struct CommunicationControl {
 }
 
 impl Default for CommunicationControl {
-    /// `0,0,0,0,1,0,1`
+    /// Returns `0,0,0,0,1,0,1`.
     fn default() -> Self {
         Self {
             serial_count: 0,
@@ -108,12 +108,12 @@ impl CommunicationControl {
         Ok(Self { serial_count, serial_status, spi_count, spi_status, serial_checksum, spi_checksum, error_mode })
     }
 
-    /// The checksum of the sensor's output.
+    /// Returns the checksum of the sensor's output.
     pub fn checksum(&self) -> super::ChecksumKind {
         if self.serial_checksum == 3 { super::ChecksumKind::Crc16 } else { super::ChecksumKind::Xor8 }
     }
 
-    /// Its additions to the length of ASCII messages.
+    /// Returns the additions to the length of ASCII messages.
     pub fn frame_options(&self) -> super::FrameOptions {
         super::FrameOptions {
             serial_count: self.serial_count != 0,
@@ -159,7 +159,7 @@ pub struct SyncControl {
 }
 
 impl Default for SyncControl {
-    /// `3,0,0,0,6,1,0,100000000,0`
+    /// Returns `3,0,0,0,6,1,0,100000000,0`.
     fn default() -> Self {
         Self {
             sync_in_mode: 3,
@@ -235,7 +235,7 @@ pub struct SyncStatus {
     pub sync_in_count: u32,
     /// Time since the last SyncIn pulse, µs.
     pub sync_in_time_us: u32,
-    /// SyncOut pulses counted; writing 0 restarts it.
+    /// SyncOut pulses counted; writing 0 restarts the count.
     pub sync_out_count: u32,
 }
 
@@ -275,8 +275,8 @@ impl BinaryOutput {
     /// Reads the values of register 75, 76 or 77; groups and fields are hex.
     ///
     /// # Errors
-    /// [`RegisterError`] if they are not mode, divisor, groups and one mask per group, or select what a VN-100 does not
-    /// have.
+    /// [`RegisterError`] if they are not mode, divisor, groups and one mask per group, or select groups or fields that
+    /// a VN-100 does not have.
     pub fn parse(register: u16, values: &str) -> Result<Self, RegisterError> {
         let refuse = || RegisterError {
             register,
@@ -295,12 +295,12 @@ impl BinaryOutput {
         Ok(Self { async_mode, rate_divisor, header })
     }
 
-    /// Its rate in Hz; `None` if the divisor is 0.
+    /// Returns the rate in Hz; `None` if the divisor is 0.
     pub fn rate_hz(&self) -> Option<f64> {
         (self.rate_divisor != 0).then(|| f64::from(super::link::INTERNAL_RATE_HZ) / f64::from(self.rate_divisor))
     }
 
-    /// Whether it is sent on that port (1 or 2).
+    /// Returns whether the output is sent on that port (1 or 2).
     pub fn is_sent_on(&self, port: u8) -> bool {
         self.header.is_some() && self.rate_divisor != 0 && self.async_mode & port != 0
     }
@@ -327,8 +327,8 @@ pub struct ImuFilter {
 }
 
 impl Default for ImuFilter {
-    /// `0,4,4,4,0,0,3,3,3,0`: the manual's factory table, confirmed by the autocorrelation of a firmware 3.1 unit (the
-    /// register's own example has 5).
+    /// Returns `0,4,4,4,0,0,3,3,3,0`: the manual's factory table, confirmed by the autocorrelation of a firmware 3.1
+    /// unit (the register's own example has 5).
     fn default() -> Self {
         Self { windows: [0, 4, 4, 4, 0], modes: [0, 3, 3, 3, 0] }
     }

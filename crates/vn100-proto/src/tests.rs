@@ -33,7 +33,7 @@ fn owned(event: Event<'_>) -> Owned {
     }
 }
 
-/// All events of the bytes, pushed in pieces, flushed at the end.
+/// Returns all events of the bytes, pushed in pieces, flushed at the end.
 fn decode_pieces<'a>(
     pieces: impl IntoIterator<Item = &'a [u8]>,
     options: DecoderOptions,
@@ -84,7 +84,7 @@ fn text<'a>(value: &'a Value, key: &str) -> &'a str {
     value[key].as_str().unwrap_or_else(|| panic!("no {key} in {value}"))
 }
 
-/// The names of the ASCII vectors' expectations.
+/// Returns the names of the ASCII vectors' expectations.
 fn expected_value(measurement: &Measurement, name: &str) -> Option<f64> {
     use Quantity::{
         Accel, AngularRate, LinearAccelBody, LinearAccelNed, Mag, Pressure, Quaternion, Temperature, UncompAccel,
@@ -119,7 +119,7 @@ fn expected_value(measurement: &Measurement, name: &str) -> Option<f64> {
     measurement.get(quantity).map(|values| values[index])
 }
 
-/// Whether every number has the widths and decimals of firmware 2 and 3, and a serial count its ten digits.
+/// Returns whether every number has the widths and decimals of firmware 2 and 3, and a serial count its ten digits.
 fn has_firmware_3_format(ascii: AsciiType, fields: &str) -> bool {
     let mut fields = fields.split(',');
     let numbers = ascii.quantities().iter().all(|quantity| {
@@ -222,7 +222,7 @@ fn every_ascii_vector_is_what_its_source_says() {
             assert_eq!(measurement.as_ref().unwrap().vpe_status, Some(status), "{line}");
             appended += 1;
         }
-        // what the device prints, the encoder prints: messages, and the values of measurement registers
+        // the encoder prints what the device prints: messages, and the values of measurement registers
         if let Some(measurement) = measurement {
             let MeasurementKind::Ascii(ascii) = measurement.kind else { panic!("{line}") };
             let head = if body.starts_with("VNRRG") { 2 } else { 1 };
@@ -610,7 +610,8 @@ enum Piece {
     Garbage(Vec<u8>),
 }
 
-/// A stretch of a stream: frames, garbage (random, or bytes that look like the beginning of something), damaged frames.
+/// Returns a stretch of a stream: frames, garbage (random, or bytes that look like the beginning of something), damaged
+/// frames.
 fn piece() -> impl Strategy<Value = Piece> {
     let frame = any_measurement().prop_map(|(measurement, checksum)| {
         let mut bytes = Vec::new();
@@ -687,7 +688,7 @@ proptest! {
         }
         let (events, stats) = decode(&stream);
         let mut found = good_bytes(&events).into_iter();
-        // damaged frames of the stream may by chance be frames as well: the sent ones are there, in order
+        // Damaged frames of the stream may also be frames by chance; the sent frames are present, in order.
         for sent in &expected {
             prop_assert!(found.any(|found| same(&found, sent)), "lost: {:?} of {:?}", sent.kind, stats);
         }
@@ -723,7 +724,7 @@ proptest! {
     }
 }
 
-/// Equal bit for bit, so that infinities and negative zeros count.
+/// Returns whether both are equal bit for bit, so that infinities and negative zeros count.
 fn same(one: &Measurement, other: &Measurement) -> bool {
     let bits = |measurement: &Measurement| {
         let mut bytes = Vec::new();

@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-/// Type and definition of a message as IMU drivers make their own: a header, the raw line, the standard messages.
+/// Type and definition of a message like those of IMU drivers: a header, the raw line, the standard messages.
 pub const DRIVER: (&str, &str) = ("imu_driver/Measurement", DRIVER_DEFINITION);
 /// Type and definition of the standard message alone.
 pub const IMU: (&str, &str) = ("sensor_msgs/Imu", IMU_DEFINITION);
@@ -73,7 +73,7 @@ float64 y
 float64 z
 ";
 
-/// A record: header fields and data, each behind its length.
+/// Returns a record: header fields and data, each behind its length.
 pub fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     let mut header = Vec::new();
     for (name, value) in fields {
@@ -89,7 +89,7 @@ pub fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     record
 }
 
-/// A connection's record.
+/// Returns a connection's record.
 pub fn connection(number: u32, topic: &str, (kind, definition): (&str, &str)) -> Vec<u8> {
     let described = record(&[("type", kind.as_bytes()), ("message_definition", definition.as_bytes())], &[]);
     // The data are fields as in a header, without its length and without data behind them.
@@ -97,18 +97,18 @@ pub fn connection(number: u32, topic: &str, (kind, definition): (&str, &str)) ->
     record(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
 }
 
-/// A message's record, received at this time in ns since 1970.
+/// Returns a message's record, received at this time in ns since 1970.
 pub fn message(number: u32, received_ns: u64, data: &[u8]) -> Vec<u8> {
     record(&[("op", &[2]), ("conn", &number.to_le_bytes()), ("time", &time(received_ns))], data)
 }
 
-/// A time of ROS.
+/// Returns a time of ROS.
 pub fn time(ns: u64) -> Vec<u8> {
     let (seconds, nanos) = ((ns / 1_000_000_000) as u32, (ns % 1_000_000_000) as u32);
     [seconds.to_le_bytes(), nanos.to_le_bytes()].concat()
 }
 
-/// A chunk of records, compressed: `none`, `bz2` or `lz4`.
+/// Returns a chunk of records, compressed: `none`, `bz2` or `lz4`.
 pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {
     let packed = match compression {
         "bz2" => {
@@ -127,7 +127,7 @@ pub fn chunk(compression: &str, records: &[u8]) -> Vec<u8> {
     record(&[("op", &[5]), ("compression", compression.as_bytes()), ("size", &size)], &packed)
 }
 
-/// A bag of these chunks.
+/// Returns a bag of these chunks.
 pub fn bag(chunks: &[Vec<u8>]) -> Vec<u8> {
     let mut bag = b"#ROSBAG V2.0\n".to_vec();
     let padding = vec![b' '; 64];
@@ -154,7 +154,7 @@ fn numbers(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// The bytes of a [`IMU`] message.
+/// Returns the bytes of an [`IMU`] message.
 pub fn imu(stamp_ns: u64, gyro: [f64; 3], accel: [f64; 3]) -> Vec<u8> {
     let covariance = numbers(&[0.0; 9]);
     let mut bytes = header(stamp_ns);
@@ -167,7 +167,7 @@ pub fn imu(stamp_ns: u64, gyro: [f64; 3], accel: [f64; 3]) -> Vec<u8> {
     bytes
 }
 
-/// The bytes of a [`DRIVER`] message.
+/// Returns the bytes of a [`DRIVER`] message.
 pub fn driver(stamp_ns: u64, raw: &str, gyro: [f64; 3], accel: [f64; 3], mag_tesla: [f64; 3]) -> Vec<u8> {
     let mut bytes = header(stamp_ns);
     bytes.extend(text(raw));
@@ -180,12 +180,12 @@ pub fn driver(stamp_ns: u64, raw: &str, gyro: [f64; 3], accel: [f64; 3], mag_tes
     bytes
 }
 
-/// The bytes of a [`TEXT`] message.
+/// Returns the bytes of a [`TEXT`] message.
 pub fn string(line: &str) -> Vec<u8> {
     text(line)
 }
 
-/// A raw `$VNYMR` line of these gyro and acceleration values, with its checksum.
+/// Returns a raw `$VNYMR` line of these gyro and acceleration values, with its checksum.
 pub fn raw_line(gyro: [f64; 3], accel: [f64; 3]) -> String {
     let body = format!(
         "VNYMR,-134.051,-000.443,-000.892,-00.1575,+00.1599,+00.3040,{:+07.3},{:+07.3},{:+07.3},{:+010.6},{:+010.6},{:+010.6}",

@@ -1,4 +1,4 @@
-//! What the tests of several crates share: skips that are counted, and writers of small ROS bags.
+//! Helpers for the tests of several crates: counted skips, and writers of small ROS bags.
 
 #![expect(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on fails")]
 

@@ -7,11 +7,11 @@ pub struct Cdr {
 }
 
 impl Cdr {
-    /// A message in little-endian CDR.
+    /// Returns a message in little-endian CDR.
     pub fn little_endian() -> Self {
         Self { bytes: vec![0, 1, 0, 0], big_endian: false }
     }
-    /// A message in big-endian CDR.
+    /// Returns a message in big-endian CDR.
     pub fn big_endian() -> Self {
         Self { bytes: vec![0, 0, 0, 0], big_endian: true }
     }
@@ -46,11 +46,11 @@ impl Cdr {
         self.bytes.push(0);
         self
     }
-    /// `std_msgs/msg/Header`.
+    /// Appends a `std_msgs/msg/Header`.
     pub fn header(self, stamp_ns: u64) -> Self {
         self.number((stamp_ns / 1_000_000_000) as u32).number((stamp_ns % 1_000_000_000) as u32).text("imu_link")
     }
-    /// `sensor_msgs/msg/Imu`.
+    /// Appends a `sensor_msgs/msg/Imu`.
     pub fn imu(self, stamp_ns: u64, gyro: [f64; 3], accel: [f64; 3]) -> Self {
         self.header(stamp_ns)
             .wide(&[0.0, 0.0, 0.0, 1.0])
@@ -60,11 +60,11 @@ impl Cdr {
             .wide(&accel)
             .wide(&[0.0; 9])
     }
-    /// `sensor_msgs/msg/MagneticField`.
+    /// Appends a `sensor_msgs/msg/MagneticField`.
     pub fn magnetic_field(self, stamp_ns: u64, tesla: [f64; 3]) -> Self {
         self.header(stamp_ns).wide(&tesla).wide(&[0.0; 9])
     }
-    /// The bytes of the message.
+    /// Returns the bytes of the message.
     pub fn bytes(self) -> Vec<u8> {
         self.bytes
     }
@@ -83,12 +83,12 @@ builtin_interfaces/Time stamp\nstring frame_id\n\
 ================================================================================\nMSG: builtin_interfaces/Time\n\
 int32 sec\nuint32 nanosec\n";
 
-/// A topic: its name, type, and definition where the recording shall bring it along.
+/// A topic: its name, its type, and its definition if the recording includes it.
 pub type Topic<'a> = (&'a str, &'a str, Option<&'a str>);
-/// A message: its topic's place, when it was received, its bytes.
+/// A message: its topic's place, its time of reception, its bytes.
 pub type Message = (usize, i64, Vec<u8>);
 
-/// A `.db3` as rosbag2 writes it; with definitions, as since ROS 2 Iron, where a topic has one.
+/// Returns a `.db3` as rosbag2 writes it; with definitions, as since ROS 2 Iron, if a topic has one.
 pub fn db3(topics: &[Topic<'_>], messages: &[Message]) -> Vec<u8> {
     let database = rusqlite::Connection::open_in_memory().unwrap();
     database
@@ -121,7 +121,8 @@ pub fn db3(topics: &[Topic<'_>], messages: &[Message]) -> Vec<u8> {
     database.serialize(rusqlite::MAIN_DB).unwrap().to_vec()
 }
 
-/// An MCAP file of ROS 2, its chunks compressed with zstd or not at all; one chunk for each `per_chunk` messages.
+/// Returns an MCAP file of ROS 2, with chunks compressed with zstd or uncompressed; one chunk for each `per_chunk`
+/// messages.
 pub fn mcap(topics: &[Topic<'_>], messages: &[Message], zstd: bool, per_chunk: usize) -> Vec<u8> {
     let compression = zstd.then_some(mcap::Compression::Zstd);
     let options = mcap::WriteOptions::new().profile("ros2").compression(compression).chunk_size(None);

@@ -62,7 +62,8 @@ fn while_a_capture_runs_there_is_an_answer_for_what_it_has() {
     world.get("/v1/captures/b/allan").problem(422, "analysis-failed");
 }
 
-/// After a start the analysis of a long capture catches up answer by answer, and says so: nobody takes a part for all.
+/// After a start, the analysis of a long capture catches up answer by answer and states this, so that a part is not
+/// taken for the whole.
 #[test]
 fn an_answer_of_a_part_of_a_running_capture_says_that_it_is_one() {
     for kind in ["allan", "noise", "statistics"] {
@@ -119,7 +120,7 @@ fn another_estimator_has_a_job_of_its_own_and_its_curves_name_the_noise() {
     }
     let jobs = world.get("/v1/jobs").json()["jobs"].as_array().unwrap().len();
     assert_eq!(jobs, 4, "asking again makes no other job");
-    // The same wish in a body is the same job.
+    // The same request in a body is the same job.
     let body = r#"{"kind": "allan", "capture": "a", "estimator": "mdev", "taus": "octave"}"#;
     let again = world.post("/v1/jobs", body);
     assert_eq!(again.status, 200, "{again:?}");
@@ -152,7 +153,7 @@ fn captures_of_one_sensor_are_analysed_together() {
     assert_eq!((report["capture"].as_str(), report["samples"].as_u64()), (Some("a + b"), Some(3500)), "{report}");
     assert_eq!((report["missing"].as_u64(), report["captures"][1]["missing"].as_u64()), (Some(8), Some(4)));
     assert_eq!(report["captures"][1]["capture"], "b");
-    // The capture's own result is another.
+    // The capture's own result differs.
     let own = eventually("the job", || world.get("/v1/captures/a/noise"), |answer| answer.status == 200).json();
     assert_eq!((own["samples"].as_u64(), own.get("captures")), (Some(2000), None));
     let twice = world.post("/v1/jobs", &format!(r#"{{"kind": "allan", "capture": {a}, "with": [{a}]}}"#));
@@ -182,7 +183,7 @@ fn noise_parameters_are_compared_and_exported() {
     assert_eq!(world.get("/v1/captures/a/noise?format=json&datasheet=vn-100").status, 200);
 }
 
-/// The numbers that a program takes stand beside the parameters, of a finished capture and of one that runs.
+/// The numbers for each program are beside the parameters, for a finished and for a running capture.
 #[test]
 fn the_noise_parameters_say_which_number_to_paste_where() {
     let world = World::new();
@@ -201,7 +202,7 @@ fn the_noise_parameters_say_which_number_to_paste_where() {
     assert!(page.text.contains("href=\"/v1/captures/1/noise?format=orb-slam3\""), "{}", page.text);
 }
 
-/// A sensor that moved all the time: no program's file, unless it is asked for a second time.
+/// A sensor that moved all the time: no file for a program, unless it is forced.
 #[test]
 fn what_is_not_usable_is_refused_and_written_if_it_is_forced() {
     let world = World::new();

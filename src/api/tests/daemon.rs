@@ -1,4 +1,4 @@
-//! Health, status, metrics, and what holds for every request.
+//! Health, status, metrics, and properties of every request.
 
 use super::*;
 use crate::observe::{CaptureStatus, SensorState, StorageState};

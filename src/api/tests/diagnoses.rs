@@ -1,4 +1,4 @@
-//! Diagnoses and the models they are made with.
+//! Diagnoses and their models.
 
 use super::*;
 
@@ -52,7 +52,7 @@ fn a_capture_is_compared_with_a_model_and_everyone_gets_the_form_they_read() {
     let entry = &list["diagnoses"][0];
     assert_eq!((&entry["id"], &entry["summary"], &entry["verdict"]), (&id, &json["summary"], &json["verdict"]));
     assert_eq!((&entry["page"], &list["next"]), (&format!("/diagnoses/{id}").into(), &serde_json::Value::Null));
-    // What it found is what the corrected model has: the gap is smaller against that.
+    // The corrected model has the found effects: the gap to it is smaller.
     let again = world.post("/v1/captures/a/diagnoses", &format!(r#"{{"sim": {}}}"#, better.text));
     assert_eq!(again.status, 202);
     let closer = done(&world, &again.json()["id"]).json();
@@ -82,7 +82,7 @@ fn the_same_wish_is_the_same_job_however_it_is_written() {
     let first = ids[0].1.clone();
     assert_eq!(ids.iter().map(|(status, _)| *status).collect::<Vec<_>>(), [202, 200, 200, 200, 202], "{ids:?}");
     assert!(ids[..4].iter().all(|(_, id)| *id == first) && ids[4].1 != first, "{ids:?}");
-    // The job has its model: it goes on without the one that was kept.
+    // The job has its model, and continues without the stored one.
     assert_eq!(world.delete("/v1/models/model-1").status, 204);
     assert_eq!(done(&world, &first).status, 200);
     world.post("/v1/captures/a/diagnoses", r#"{"sim": "model-1"}"#).problem(404, "not-found");
@@ -144,14 +144,14 @@ fn what_cannot_be_compared_is_refused_with_what_to_do() {
     {
         world.get(path).problem(404, "not-found");
     }
-    // What shows only when the samples are read: the job fails with the sentence, on its page too.
+    // A fault that shows only when the samples are read: the job fails with the sentence, on its page too.
     let asked = world.post("/v1/captures/a/diagnoses", &format!(r#"{{"sim": {}}}"#, good.replace("gyro_x", "gyro_y")));
     let id = asked.json()["id"].clone();
     assert!(done(&world, &id).problem(422, "analysis-failed").contains("no gyro_y, which the model has"));
     let page = world.get(&format!("/diagnoses/{id}"));
     assert!(page.status == 200 && page.text.contains("no gyro_y, which the model has"), "{page:?}");
     world.get("/v1/diagnoses/1").problem(422, "analysis-failed");
-    // A job of another kind is no diagnosis.
+    // A job of another kind is not a diagnosis.
     let noise = world.post("/v1/jobs", r#"{"kind": "noise", "capture": "a"}"#).json()["id"].clone();
     world.get(&format!("/v1/diagnoses/{noise}")).problem(404, "not-found");
 }

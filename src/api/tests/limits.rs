@@ -1,4 +1,4 @@
-//! What others may do to the server, and what they may not.
+//! Limits of the server for its clients.
 
 use super::*;
 use std::io::{Read, Write};
@@ -10,7 +10,7 @@ fn limited(change: impl FnOnce(&mut Limits)) -> World {
     World::with(Setting { limits, ..Setting::default() })
 }
 
-/// Reads until the other side closes; answers what came and how long it took.
+/// Reads until the other side closes; returns the data and the time taken.
 fn until_closed(mut stream: TcpStream) -> (String, Duration) {
     let begun = Instant::now();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -76,7 +76,7 @@ fn a_head_that_is_too_long_is_refused() {
     let world = World::new();
     let mut stream = TcpStream::connect(world.address).unwrap();
     let head = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Long: {}\r\n\r\n", "x".repeat(40_000));
-    // The server may close before it has all of it.
+    // The server may close before it has received everything.
     let _ = stream.write_all(head.as_bytes());
     let (text, _) = until_closed(stream);
     assert!(text.is_empty() || text.starts_with("HTTP/1.1 4"), "{text}");
@@ -106,7 +106,7 @@ fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
     world.capture("a", CaptureState::Complete, 150_000);
     let mut stream = TcpStream::connect(world.address).unwrap();
     stream.write_all(b"GET /v1/captures/a/samples?format=ndjson HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-    // It has the permit, and not one of the questions below.
+    // This request has the permit; the requests below do not.
     let mut head = [0; 12];
     stream.read_exact(&mut head).unwrap();
     assert_eq!(&head, b"HTTP/1.1 200");
@@ -139,7 +139,7 @@ fn a_refusal_takes_a_second_and_holds_nobody_else_up() {
 fn a_body_that_never_comes_is_not_waited_for() {
     let world = limited(|limits| limits.answer = Duration::from_millis(200));
     let mut stream = TcpStream::connect(world.address).unwrap();
-    // A body that never comes.
+    // A body that never arrives.
     stream
         .write_all(
             b"POST /v1/captures HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 10\r\n\r\n",

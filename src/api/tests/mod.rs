@@ -1,4 +1,4 @@
-//! What the interface promises, by real requests to a real server over a real database.
+//! The interface's guarantees, tested by real requests to a real server over a real database.
 
 mod analysis;
 mod captures;
@@ -24,7 +24,7 @@ use tokio_util::sync::CancellationToken;
 const START_NS: i64 = 1_800_000_000_000_000_000;
 const PERIOD_NS: u64 = 25_000_000;
 
-/// Takes no recording; the built daemon's importer is under test in tests/faults.
+/// Takes no recording; tests/faults tests the built daemon's importer.
 #[derive(Debug)]
 struct NoImports;
 
@@ -35,13 +35,13 @@ impl Importer for NoImports {
     }
 }
 
-/// A server over a database of its own, until dropped.
+/// A server over a separate database, until dropped.
 pub(super) struct World {
     pub(super) store: Store,
     pub(super) jobs: Jobs,
     pub(super) status: watch::Sender<Status>,
     pub(super) metrics: Arc<Metrics>,
-    /// What the capture's side was asked for.
+    /// The requests to the capture's side.
     pub(super) started: Arc<Mutex<Vec<CaptureRequest>>>,
     pub(super) address: SocketAddr,
     pub(super) stop: CancellationToken,
@@ -49,7 +49,7 @@ pub(super) struct World {
     _directory: tempfile::TempDir,
 }
 
-/// What differs between worlds.
+/// The differences between worlds.
 #[derive(Default)]
 pub(super) struct Setting {
     pub(super) token: Option<String>,
@@ -89,7 +89,7 @@ impl World {
             limits: setting.limits,
         };
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-        // The capture's side: one capture at a time, as the daemon has it.
+        // The capture's side: one capture at a time, as in the daemon.
         let (side_store, asked) = (store.clone(), Arc::clone(&started));
         runtime.spawn(async move {
             let mut running: Option<i64> = None;
@@ -144,7 +144,7 @@ impl World {
         Answer::of(agent().delete(self.url(path)).call())
     }
 
-    /// A capture with `samples` samples of gyro_x and temperature and one gap of 4 before sample 100.
+    /// Returns a capture with `samples` samples of gyro_x and temperature and one gap of 4 before sample 100.
     pub(super) fn capture(&self, name: &str, state: CaptureState, samples: u64) -> i64 {
         self.capture_of(name, state, records(samples))
     }
@@ -170,7 +170,7 @@ async fn start(store: &Store, request: &CaptureRequest) -> i64 {
         .unwrap()
 }
 
-/// White noise of a number: the finaliser of splitmix64.
+/// Returns white noise from a number: the finaliser of splitmix64.
 fn mixed(seq: u64) -> u64 {
     let z = (seq + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -230,7 +230,7 @@ impl Drop for World {
     }
 }
 
-/// An agent that takes every status for an answer.
+/// Returns an agent that accepts every status as an answer.
 fn agent() -> ureq::Agent {
     ureq::Agent::config_builder()
         .http_status_as_error(false)
@@ -264,7 +264,7 @@ impl Answer {
     pub(super) fn header(&self, name: &str) -> &str {
         self.headers.get(name).map_or("", |value| value.to_str().unwrap())
     }
-    /// Asserts a problem document of this status and type, and gives its detail.
+    /// Asserts a problem document of this status and type, and returns its detail.
     pub(super) fn problem(&self, status: u16, kind: &str) -> String {
         assert_eq!(self.status, status, "{self:?}");
         assert_eq!(self.header("content-type"), super::PROBLEM_JSON, "{self:?}");
@@ -277,7 +277,7 @@ impl Answer {
     }
 }
 
-/// Asks until `done` holds.
+/// Repeats a request until `done` holds.
 pub(super) fn eventually<T>(what: &str, mut ask: impl FnMut() -> T, done: impl Fn(&T) -> bool) -> T {
     let begun = Instant::now();
     loop {

@@ -110,7 +110,8 @@ fn an_empty_capture_has_no_samples() {
     assert_eq!((body["range_samples"].as_u64(), &body["samples"]), (Some(0), &serde_json::json!([])));
 }
 
-/// A capture whose first segment has no device time, and in whose second one the host's clock is stepped back by an hour.
+/// Returns a capture whose first segment has no device time, and whose second segment has the host's clock stepped back
+/// by an hour.
 fn two_timebases(world: &World) -> i64 {
     let id = world.store.create_capture(NewCapture::new("test", CaptureState::Complete)).unwrap();
     let send = |record| world.store.records().blocking_send(id, record).unwrap();
@@ -154,7 +155,7 @@ fn time_goes_on_where_the_sensor_begins_to_send_it_and_a_stepped_clock_moves_not
         assert!((row[0].as_f64().unwrap() - seq as f64 * 0.025).abs() < 1e-9, "sample {seq}: {row}");
         assert_eq!(row[1].as_f64(), Some(seq as f64), "sample {seq}: {row}");
     }
-    // What is selected is what `time_s` says, by seconds and by civil time.
+    // The selection is that of `time_s`, by seconds and by civil time.
     for query in ["from=0.5&to=1.75", "from=2027-01-15T08:00:00.5Z&to=2027-01-15T08:00:01.75Z"] {
         let rows = world.get(&format!("/v1/captures/{id}/samples?{query}")).json()["samples"].clone();
         let seqs: Vec<f64> = rows.as_array().unwrap().iter().map(|row| row[1].as_f64().unwrap()).collect();

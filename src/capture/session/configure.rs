@@ -1,5 +1,4 @@
-//! Configuring: from a sensor that answers to one that sends the requested output, and back to its previous output.
-//! Pure.
+//! Configuring: makes a sensor that answers send the requested output, and restores its previous output. Pure.
 
 use super::super::output::{ascii_kind, binary_output, check_fit, counts_messages, is_binary, serial_count};
 use super::{Action, Command, Output, Phase, SensorState, Session, Step};
@@ -12,7 +11,7 @@ use vn100_proto::{ChecksumKind, MeasurementKind};
 const DESCRIPTIVE: [u16; 20] = [5, 6, 7, 75, 76, 77, 85, 30, 0, 2, 21, 23, 25, 26, 32, 35, 44, 82, 83, 84];
 /// Registers that select the output; restored in this order.
 const OUTPUT_REGISTERS: [u16; 5] = [6, 7, 75, 76, 77];
-/// With messages, also the registers of the count that they carry and of what it counts.
+/// The registers that control the count in messages; they matter only for messages.
 pub(super) const COUNT_REGISTERS: [u16; 2] = [30, 32];
 
 impl Session {
@@ -39,10 +38,10 @@ impl Session {
         if let (Some(before), Some(found)) = (&self.previous_of, &serial_number)
             && before != found
         {
-            // Another unit: the previous output of the first one must not be written to it.
+            // This is another unit: the previous output of the first one must not be written to it.
             self.previous.clear();
         }
-        // A serial number that was not answered this once does not indicate another unit.
+        // A serial number that is missing in one answer does not indicate another unit.
         if serial_number.is_some() {
             self.previous_of.clone_from(&serial_number);
         }
@@ -107,8 +106,8 @@ impl Session {
         self.script.begin(now_ns, steps, actions);
     }
 
-    /// The commands that make the sensor number its messages, if it does not yet and its SyncOut pin drives nothing
-    /// else.
+    /// Returns the commands that make the sensor number its messages, if it does not yet and its SyncOut pin drives
+    /// nothing else.
     pub(super) fn counting(&self, rate_hz: f64) -> Vec<Step> {
         let text = |register| self.registers.get(&register).map(String::as_str);
         let (Some(communication), Some(synchronization)) = (text(30), text(32)) else { return Vec::new() };
@@ -118,7 +117,8 @@ impl Session {
             .collect()
     }
 
-    /// Whether messages at this rate carry a count that increases by one for each, according to registers 30 and 32.
+    /// Returns whether messages at this rate carry a count that increases by one for each, according to registers 30
+    /// and 32.
     pub(super) fn is_counted(&self, kind: MeasurementKind, rate_hz: f64) -> bool {
         let text = |register| self.registers.get(&register).map(String::as_str);
         !is_binary(kind)
@@ -161,12 +161,12 @@ impl Session {
         self.registers.get(&register).map_or("unknown", String::as_str)
     }
 
-    /// The output of binary output register 75, 76 or 77, if it is on.
+    /// Returns the output of binary output register 75, 76 or 77, if it is on.
     pub(super) fn binary_output(&self, register: u16) -> Option<(MeasurementKind, f64)> {
         binary_output(register, self.registers.get(&register)?)
     }
 
-    /// The output of registers 6 and 7, if it is on.
+    /// Returns the output of registers 6 and 7, if it is on.
     pub(super) fn ascii_output(&self) -> Option<(MeasurementKind, f64)> {
         let first = |register| self.registers.get(&register)?.split(',').next();
         let kind = ascii_kind(first(6)?.parse().ok()?)?;

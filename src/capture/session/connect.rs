@@ -1,4 +1,4 @@
-//! Connecting: from the names of ports to a sensor that answers, and back when it disappears. Pure.
+//! Connecting: finds a sensor that answers among the names of ports, and starts again when it disappears. Pure.
 
 use super::super::port::{Latency, OpenError};
 use super::{
@@ -42,7 +42,7 @@ impl Session {
         actions.push(Action::Open(path, baud));
     }
 
-    /// Baud rates in the order to try: the last good one comes first.
+    /// Returns the baud rates in the order to try: the last good one comes first.
     fn bauds(&self) -> Vec<u32> {
         let mut bauds = self.options.bauds.clone();
         if let Some(good) = self.last_good_baud {
@@ -67,7 +67,7 @@ impl Session {
         self.scan(now_ns, 0, actions);
     }
 
-    /// Baud rates in the order in which they are listened to. A known sensor that is silent will most likely use its
+    /// Returns the baud rates in the order to listen to them. A known sensor that is silent will most likely use its
     /// previous rate: that rate has every other turn.
     fn scan_list(&self) -> Vec<u32> {
         let bauds = self.bauds();
@@ -91,7 +91,7 @@ impl Session {
         self.script.begin(now_ns, vec![who.clone(), who], actions);
     }
 
-    /// Handles the first bytes at a baud rate: determining whether they are frames takes [`SCAN_NS`] from now on.
+    /// Handles the first bytes at a baud rate: it takes [`SCAN_NS`] from now on to determine whether they are frames.
     pub(super) fn heard(&mut self, now_ns: u64) {
         if let Phase::Scanning { since_ns, heard, .. } = &mut self.phase
             && !std::mem::replace(heard, true)
@@ -100,7 +100,7 @@ impl Session {
         }
     }
 
-    /// The time of the next baud rate's turn, ns.
+    /// Returns the time of the next baud rate's turn, ns.
     pub(super) fn scan_end_ns(&self) -> u64 {
         let Phase::Scanning { index, since_ns, heard, .. } = self.phase else { return u64::MAX };
         let booting = index == 0 && !heard && self.last_good_baud.is_some();
@@ -176,7 +176,8 @@ impl Session {
         }
     }
 
-    /// Waits before the next attempt; the delay depends on the previous failures and on what the next attempt may find.
+    /// Waits before the next attempt; the delay depends on the previous failures and on the expected outcome of the
+    /// next attempt.
     pub(super) fn wait(&mut self, now_ns: u64, state: SensorState) {
         let most = match state {
             SensorState::Stalled if self.last_good_baud.is_some() => SILENT_WAIT,
@@ -195,7 +196,7 @@ impl Session {
         }
         actions.push(RecorderAction::Interrupt(GapCause::Unplugged).into());
         if !self.flowing {
-            // Closed before a sample arrived: a port that does this repeatedly must not consume a core.
+            // The port closed before a sample arrived: a port that does this repeatedly must not consume a core.
             self.fail(now_ns, SensorState::Backoff, format!("the port closed at once: {reason}"), actions);
             return;
         }

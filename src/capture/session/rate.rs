@@ -15,7 +15,7 @@ const AFTER_BOOT_NS: u64 = 10_000_000_000;
 const DOUBT_EVERY_NS: u64 = 5_000_000_000;
 
 impl Session {
-    /// Notes a sample that arrives after a silence.
+    /// Records a sample that arrives after a silence.
     pub(super) fn note_silence(&mut self, now_ns: u64) {
         let periods_ns = self.accepted.map_or(0.0, |(_, rate_hz)| 5.0 * period_ns(rate_hz)) as u64;
         if self.flowing && now_ns.saturating_sub(self.last_sample_ns) > BOOT_SILENCE_NS.max(periods_ns) {

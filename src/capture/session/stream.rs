@@ -1,4 +1,4 @@
-//! Streaming: determines which measurements are samples, what their absence means, and what the sensor presumably
+//! Streaming: determines which measurements are samples, how to react to their absence, and what the sensor presumably
 //! sends. Pure.
 
 use super::super::description::describe;
@@ -14,7 +14,7 @@ const STALL_NS: f64 = 1e9;
 const STALL_PERIODS: f64 = 20.0;
 /// Silence after which the port is closed and opened again, ns (but at least 100 periods).
 const REOPEN_NS: f64 = 5e9;
-/// The same if bytes arrive that form no frame (but at least 40 periods).
+/// [`REOPEN_NS`] if bytes arrive that form no frame (but at least 40 periods).
 const GARBLED_NS: f64 = 2e9;
 /// How long frames of another kind are tolerated before the output is configured again, ns.
 const FOREIGN_NS: u64 = 300_000_000;
@@ -22,8 +22,8 @@ const FOREIGN_NS: u64 = 300_000_000;
 const MEASURE_NS: u64 = 2_000_000_000;
 
 impl Session {
-    /// Whether a measurement that is no sample now belongs to another output than the requested one, also after a
-    /// silence.
+    /// Returns whether a measurement that is no sample now belongs to another output than the requested one, also after
+    /// a silence.
     pub fn sees_another_format(&self) -> bool {
         self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }
@@ -68,8 +68,8 @@ impl Session {
         true
     }
 
-    /// While the output is kept and nothing has arrived yet, an ASCII message of another type than in register 6 is
-    /// accepted as the stream at once. No sample of a recording that is played is lost.
+    /// Accepts an ASCII message of another type than in register 6 as the stream at once, while the output is kept and
+    /// nothing has arrived yet. No sample of a recording that is played is lost.
     pub(super) fn adopt(&mut self, kind: MeasurementKind, actions: &mut Vec<Action>) -> bool {
         let binary_on = [75, 76, 77].into_iter().any(|register| self.binary_output(register).is_some());
         if self.options.output != Output::Keep || self.flowing || is_binary(kind) || binary_on {
@@ -109,14 +109,14 @@ impl Session {
         }
     }
 
-    /// Silence in ns after which the state is `stalled`.
+    /// Returns the silence in ns after which the state is `stalled`.
     pub(super) fn stall_ns(&self) -> u64 {
         let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
         (STALL_NS.max(STALL_PERIODS * period) as u64).max(self.options.host_jitter_ns)
     }
 
-    /// Silence in ns after which the port is closed and opened again. Bytes that form no frame require another baud
-    /// rate.
+    /// Returns the silence in ns after which the port is closed and opened again. Bytes that form no frame require
+    /// another baud rate.
     pub(super) fn reopen_ns(&self) -> u64 {
         let period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
         let garbled = self.status.state == SensorState::NoValidFrames;
@@ -144,12 +144,12 @@ impl Session {
         }
     }
 
-    /// The output of a sensor whose output is kept, as its registers describe it.
+    /// Returns the output of a sensor whose output is kept, as its registers describe it.
     pub(super) fn kept_output(&self) -> Option<(MeasurementKind, f64)> {
         [75, 76, 77].into_iter().find_map(|register| self.binary_output(register)).or_else(|| self.ascii_output())
     }
 
-    /// Whether more bytes were rejected since the last sample than those of one frame that was cut.
+    /// Returns whether more bytes were rejected since the last sample than those of one frame that was cut.
     fn is_garbled(&self) -> bool {
         let frame = self.accepted.map_or(0, |(kind, _)| frame_bytes(&kind, &FrameOptions::default()));
         self.rejected_since_sample > frame

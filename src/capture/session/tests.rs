@@ -42,7 +42,7 @@ struct World {
     sensor: Sensor,
     now_ns: u64,
     port: bool,
-    /// The number of times it was plugged in.
+    /// The number of times that it was plugged in.
     plugged: u32,
     open: bool,
     opens: u32,
@@ -284,7 +284,7 @@ fn a_count_that_vanishes_is_a_reset_and_is_switched_on_again_within_two_seconds(
         world.pass(25_000_000);
         assert!(world.numbered(ymr, Some(count)));
     }
-    // A single line without it is damage or a slip, no reset.
+    // A single line without the count is damage or a slip, no reset.
     assert!(!world.measured(ymr));
     world.pass(25_000_000);
     assert!(world.numbered(ymr, Some(81)));
@@ -359,7 +359,7 @@ fn a_port_that_is_plugged_in_anew_ends_any_wait() {
     world.sensor.answers = false;
     world.pass(120_000_000_000);
     assert_eq!(world.state(), SensorState::Stalled);
-    // pulled out while no session has it open, and plugged in again
+    // The sensor is unplugged while no session has it open, and plugged in again.
     while world.open {
         world.pass(50_000_000);
     }
@@ -460,8 +460,8 @@ fn happening() -> impl Strategy<Value = Happening> {
 }
 
 proptest! {
-    /// In every sequence of events: never opened twice (checked in the world), and streaming within 12 s once all is
-    /// well again.
+    /// In every sequence of events the port is never opened twice (checked in the world), and the sensor streams within
+    /// 12 s once all faults have passed.
     #[test]
     fn every_state_ends_by_itself(happenings in proptest::collection::vec(happening(), 0..60)) {
         let mut world = World::new(default_output());
@@ -502,7 +502,7 @@ proptest! {
     }
 }
 
-/// A sensor whose output was switched off answers the probe; a line that carries noise does not.
+/// A sensor whose output was switched off answers the probe; a noisy line does not.
 #[test]
 fn replies_to_a_probe_are_no_garbage() {
     for (garbage, cause) in [(0, GapCause::Silent), (40, GapCause::Silent), (400, GapCause::Checksum)] {
@@ -519,7 +519,7 @@ fn replies_to_a_probe_are_no_garbage() {
     }
 }
 
-/// The sensor sends at a rate that was not configured, or was reset to the settings in its flash.
+/// The sensor sends at a rate that was not configured, or was reset to the settings in its flash: the registers decide.
 #[test]
 fn a_doubt_about_the_rate_is_answered_by_the_registers() {
     let ymr = ascii_kind(14).unwrap();

@@ -1,4 +1,4 @@
-//! Arguments of what draws a capture: `plot`, `report`.
+//! Arguments of commands that draw a capture: `plot`, `report`.
 
 use super::recordings::moment;
 use super::{SamplingArgs, rate};
@@ -16,7 +16,7 @@ pub struct PlotArgs {
     /// allan-gyro
     #[arg(value_name = "NAME", value_parser = picture)]
     pub picture: Picture,
-    /// The file, which ends with .svg or .png; `-` is SVG on standard output
+    /// The file, with the ending .svg or .png; `-` is SVG on standard output
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Of a time series: from this time on, RFC 3339 or seconds since the first sample
@@ -28,10 +28,10 @@ pub struct PlotArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// How samples came about
+    /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Replace the file where it exists
+    /// Replace an existing file
     #[arg(long)]
     pub force: bool,
 }
@@ -41,16 +41,16 @@ pub struct PlotArgs {
 pub struct ReportArgs {
     /// Id, name, `latest`, or the path of a recording
     pub capture: String,
-    /// The file, which ends with .html; `-` is standard output
+    /// The file, with the ending .html; `-` is standard output
     #[arg(long, value_name = "FILE.html")]
     pub out: PathBuf,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// How samples came about
+    /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Replace the file where it exists
+    /// Replace an existing file
     #[arg(long)]
     pub force: bool,
 }

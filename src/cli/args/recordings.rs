@@ -1,4 +1,4 @@
-//! Arguments of what brings recordings in and out: `import`, `export`.
+//! Arguments of commands that read and write recordings: `import`, `export`.
 
 use super::{SamplingArgs, one_of, rate};
 use crate::store::Moment;
@@ -17,14 +17,14 @@ pub struct ImportArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// How samples came about: kept with the capture, for its jobs
+    /// The sampling of the sensor: kept with the capture, for its jobs
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// What the columns of a foreign CSV are: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
+    /// Meaning of the columns of a foreign CSV: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
     /// '#3=gyro_x_dps' by position. May be given several times
     #[arg(long, value_name = "FOREIGN=NAME,…")]
     pub columns: Vec<String>,
-    /// Definition of a message type that a bag does not bring along: the type's .msg file, called after the type, or
+    /// Definition of a message type that a bag lacks: the type's .msg file, named after the type, or
     /// 'package/msg/Name=FILE.msg'. May be given several times
     #[arg(long, value_name = "[TYPE=]FILE.msg")]
     pub message_definition: Vec<String>,
@@ -42,7 +42,7 @@ pub struct ExportArgs {
     /// Id, name, `latest`, or the path of a recording; several only with --partitioned
     #[arg(required_unless_present = "all", value_name = "CAPTURE")]
     pub captures: Vec<String>,
-    /// Form of the file (default: the one that --out ends with, csv on standard output)
+    /// Form of the file (default: by the ending of --out; csv on standard output)
     #[arg(long, value_parser = sample_format())]
     pub format: Option<SampleFormat>,
     /// From this time on: RFC 3339, or seconds since the first sample
@@ -51,25 +51,26 @@ pub struct ExportArgs {
     /// Before this time: RFC 3339, or seconds since the first sample
     #[arg(long, value_name = "T", value_parser = moment)]
     pub to: Option<Moment>,
-    /// Only these, with commas between, such as gyro_x,gyro_y (default: all that the capture has)
+    /// Only these, separated by commas, such as gyro_x,gyro_y (default: all that the capture has)
     #[arg(long, value_name = "NAMES", value_parser = channel_list)]
     pub channels: Option<ChannelList>,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
-    /// What time_s counts from in csv and ndjson
+    /// Origin of time_s in csv and ndjson
     #[arg(long, value_enum, default_value_t = TimeOrigin::First)]
     pub time: TimeOrigin,
     /// The file (default: `-`, standard output)
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Write each capture as Parquet into a data set: DIR/sensor=…/date=…/capture-….parquet; one that is there is replaced
+    /// Write each capture as Parquet into a data set: DIR/sensor=…/date=…/capture-….parquet; existing files are
+    /// replaced
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "format", "from", "to", "rate", "time"])]
     pub partitioned: Option<PathBuf>,
-    /// All captures that have samples
+    /// Export all captures that have samples
     #[arg(long, requires = "partitioned", conflicts_with = "captures")]
     pub all: bool,
-    /// Replace the file where it exists
+    /// Replace an existing file
     #[arg(long)]
     pub force: bool,
 }
@@ -85,7 +86,7 @@ fn sample_format() -> impl TypedValueParser<Value = SampleFormat> {
     one_of(values.map(|(format, help)| (PossibleValue::new(format.name()).help(help), format)).collect())
 }
 
-/// What times count from.
+/// The origin of times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum TimeOrigin {
     /// The capture's first sample

@@ -63,7 +63,7 @@ fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
     let long = name_of(Path::new(&format!("{} {}.csv", "ä".repeat(99), "b".repeat(40))));
     assert_eq!(long, "ä".repeat(99), "no space at the end is left by the cut");
     check_name(&long).unwrap();
-    // These are not valid names: such a capture is named after the time.
+    // These are not valid names: the capture is named after the time.
     for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
         check_name(&name_of(Path::new(file))).unwrap_err();
     }

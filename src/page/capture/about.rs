@@ -1,10 +1,10 @@
-//! The origin of the data: the sensor, its configuration, and the program.
+//! The section on the origin of the data: the sensor, its configuration, and the program.
 
 use super::{CaptureView, escaped, opened, wide};
 use serde_json::Value;
 use std::fmt::Write as _;
 
-/// The table.
+/// Writes the table.
 pub(super) fn section(out: &mut String, view: &CaptureView<'_>) {
     let of = &view.facts.row;
     let channels: Vec<&str> = of.channels.iter().map(|channel| channel.name()).collect();
@@ -34,7 +34,7 @@ fn row(out: &mut String, name: &str, value: &str) {
     let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td></tr>", escaped(name), escaped(value));
 }
 
-/// A value with parts, as it is stored.
+/// Writes a value with parts, as it is stored.
 fn nested(out: &mut String, key: &str, value: &Value, open: &str) {
     let text = serde_json::to_string_pretty(value).unwrap_or_default();
     let _ = write!(

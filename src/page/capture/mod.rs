@@ -16,7 +16,8 @@ use std::fmt::Write as _;
 /// A picture on the page.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Figure {
-    /// Fetched from there when it scrolls into view; `told` is the description for users who cannot see it.
+    /// A picture that is fetched from its address when it scrolls into view; `told` describes it for users who cannot
+    /// see it.
     Linked {
         /// Its description.
         told: String,
@@ -25,11 +26,11 @@ pub enum Figure {
         /// Its height in units in which its width is 560.
         height: u32,
     },
-    /// Part of the file: `<svg>…</svg>`.
+    /// A picture that is part of the file: `<svg>…</svg>`.
     Drawn(String),
 }
 
-/// What the database has of a capture, apart from its analyses.
+/// The facts about a capture in the database, apart from its analyses.
 #[derive(Debug, Clone)]
 pub struct Facts {
     /// Its row.
@@ -47,7 +48,7 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// A remark, if samples may still arrive.
+    /// Returns a remark, if samples may still arrive.
     pub fn remark(&self) -> Option<String> {
         self.row.state.is_open().then(|| "It still runs: this is what there is so far.".to_owned())
     }
@@ -56,9 +57,9 @@ impl Facts {
 /// The content of the page.
 #[derive(Debug, Clone, Copy)]
 pub struct CaptureView<'a> {
-    /// What the database has.
+    /// The facts in the database.
     pub facts: &'a Facts,
-    /// Whether it is in a database, where others know its id.
+    /// Whether it is in a database, so that it has an id.
     pub is_kept: bool,
     /// Its analyses.
     pub documents: &'a Documents,
@@ -66,7 +67,7 @@ pub struct CaptureView<'a> {
     pub remarks: &'a [String],
     /// Whether the page will show something that is being computed.
     pub waits: bool,
-    /// Diagnoses; without the enclosed ones.
+    /// Its diagnoses, apart from the enclosed ones.
     pub diagnoses: &'a [DiagnosisRow],
     /// Pictures by name, such as `allan-gyro`; missing ones are not shown.
     pub figures: &'a BTreeMap<String, Figure>,
@@ -78,7 +79,7 @@ pub struct CaptureView<'a> {
 }
 
 impl CaptureView<'_> {
-    /// The id for links: on a page of the daemon.
+    /// Returns the capture's id for links; `None` if this is no page of the daemon.
     fn link(&self) -> Option<i64> {
         self.served.map(|_| self.facts.row.id)
     }
@@ -91,7 +92,7 @@ const HEADINGS: [(&str, &str); 4] = [("<h2>", "<h4>"), ("</h2>", "</h4>"), ("<h1
 /// Triads that have pictures.
 const TRIADS: [Triad; 3] = [Triad::Gyro, Triad::Accel, Triad::Mag];
 
-/// The page.
+/// Returns the page.
 pub fn capture(view: &CaptureView<'_>) -> String {
     let mut out = String::new();
     head(&mut out, view);
@@ -118,19 +119,19 @@ pub fn capture(view: &CaptureView<'_>) -> String {
     framed(&view.facts.row.name, kind, &out)
 }
 
-/// Entries in the order of the channels' names.
+/// Returns the entries in the order of the channels' names.
 fn by_name<T>(channels: &BTreeMap<Channel, T>) -> Vec<(&'static str, &T)> {
     let mut entries: Vec<_> = channels.iter().map(|(channel, of)| (channel.name(), of)).collect();
     entries.sort_by_key(|(name, _)| *name);
     entries
 }
 
-/// The attribute of parts that can be closed: a file may be printed, and a closed part is lost on paper.
+/// Returns the attribute of parts that can be closed: a file may be printed, and a closed part is lost on paper.
 fn opened(view: &CaptureView<'_>) -> &'static str {
     if view.served.is_none() { " open" } else { "" }
 }
 
-/// The picture with that name, if it exists.
+/// Writes the picture with that name, if it exists; returns whether it does.
 fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
     // Writing to a text cannot fail.
     match view.figures.get(name) {
@@ -186,7 +187,7 @@ fn head(out: &mut String, view: &CaptureView<'_>) {
     }
 }
 
-/// The contents of the capture in one sentence.
+/// Returns the contents of the capture in one sentence.
 fn sentence(of: &CaptureRow) -> String {
     let assumed = if of.rate_assumed { " (assumed)" } else { "" };
     let rate = of.rate_hz.map_or_else(String::new, |rate| format!(" at {} Hz{assumed}", super::figure::plain(rate)));
@@ -205,7 +206,7 @@ fn sentence(of: &CaptureRow) -> String {
     format!("{}{planned}{rate}: {} samples, {missing}", span(of.duration_s), of.samples)
 }
 
-/// The requests that the page offers; users without scripts have curl.
+/// Writes the requests that the page offers; users without scripts have curl.
 fn wishes(out: &mut String, of: &CaptureRow, token: bool) {
     let id = of.id;
     let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");

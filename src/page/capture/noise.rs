@@ -12,10 +12,10 @@ use imu_noise::fit::{Estimate, GaussMarkov, NoiseParameters};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-/// The datasheet that sensors are compared with, and the prefix of the models that it covers.
+/// The datasheet with which sensors are compared, and the prefix of the models that it covers.
 const DATASHEET: (&str, &str) = ("vn-100", "VN-100");
 
-/// The sections of the noise parameters and of the pictures that belong to them.
+/// Writes the sections of the noise parameters and of the pictures that belong to them.
 pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>) {
     if of.channels.is_empty() {
         return;
@@ -55,7 +55,7 @@ pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>
     }
 }
 
-/// The parameters beside the datasheet, unless the sensor is known to be another maker's.
+/// Returns the parameters beside the datasheet, unless the sensor is known to be another maker's.
 fn compared(report: &NoiseReport, model: &str, row: &CaptureRow) -> Option<Comparison> {
     let (sheet, family) = DATASHEET;
     let sheet = Datasheet::named(sheet).ok().filter(|_| model.is_empty() || model.starts_with(family))?;
@@ -88,7 +88,7 @@ fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>) {
     *out += "</table></div>";
 }
 
-/// A parameter in the unit of the standard, and below it in the units in common use.
+/// Returns a parameter in the unit of the standard, and below it in the units in common use.
 fn cell(of: &Estimate) -> String {
     let unit = escaped(&of.unit);
     let alone = if of.source.is_some() { "<div class=\"soft\">from the Allan deviation alone</div>" } else { "" };
@@ -119,7 +119,7 @@ fn cell(of: &Estimate) -> String {
     out + alone
 }
 
-/// Further remarks on a channel: first whether it may be used at all.
+/// Returns further remarks on a channel: first whether its parameters may be used.
 fn more(of: &NoiseParameters) -> String {
     let mut all: Vec<String> = Vec::new();
     if !of.usable {
@@ -139,13 +139,13 @@ fn more(of: &NoiseParameters) -> String {
     all.join("<br>")
 }
 
-/// The sentence with a capital first letter.
+/// Returns the sentence with a capital first letter.
 fn capitalized(sentence: &str) -> String {
     let mut letters = sentence.chars();
     letters.next().map(|first| format!("{}{}.", first.to_uppercase(), letters.as_str())).unwrap_or_default()
 }
 
-/// The numbers to paste, and where; on a served page with links to the files.
+/// Writes the numbers to paste, and where to paste them; on a served page with links to the files.
 fn paste(out: &mut String, paste: &Paste, id: Option<i64>) {
     let (header, rows) = paste.table(plain);
     if rows.is_empty() {

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 /// Channels in the order of the sensor's manual.
 const ORDER: [&str; 5] = ["yaw", "pitch", "roll", "gyro", "accel"];
 
-/// The table.
+/// Writes the table.
 pub(super) fn section(out: &mut String, channels: &BTreeMap<Channel, Statistics>) {
     if channels.is_empty() {
         return;
@@ -29,7 +29,7 @@ pub(super) fn section(out: &mut String, channels: &BTreeMap<Channel, Statistics>
     channels.sort_by_key(|(name, _)| place(name));
     for (name, own) in channels {
         let _ = write!(out, "<tr><th scope=\"row\">{}</th><td>{}</td>", name, escaped(&own.unit));
-        // A level of 9.8 with noise of a thousandth needs its digits.
+        // A level of 9.8 with noise of a thousandth needs all its digits.
         let digits = |value: f64| rounded(value, 6);
         let cells = [
             own.mean.map(digits),

@@ -27,7 +27,8 @@ fn facts() -> Facts {
     Facts { row: rows::capture(), accounting, gaps: vec![gap], causes, events: vec![event], longest: 1000 }
 }
 
-/// Four channels: one with everything, except where `changed` differs, one whose record is too short, one in motion.
+/// Returns four channels: one with everything, except where `changed` differs, one whose record is too short, one in
+/// motion.
 fn noise(changed: Value) -> NoiseReport {
     let unknown = |unit: &str| json!({"value": null, "identified": false, "unit": unit});
     let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "identified": true, "unit": "rad/s/√Hz", "also": {"deg/√h": 0.34377}});

@@ -61,7 +61,7 @@ pub(super) fn spectra(out: &mut String, report: &Diagnosis, drawn: &Drawings) {
     named_first(out, report, spectra.iter().map(|of| (&*of.channel, picture(of))));
 }
 
-/// Pictures of channels with a finding, then the others, which are shown on request.
+/// Writes the pictures of channels with a finding, then the others, which are shown on request.
 fn named_first<'a>(out: &mut String, report: &Diagnosis, pictures: impl Iterator<Item = (&'a str, String)>) {
     let (found, others): (Vec<_>, Vec<_>) = pictures.partition(|(channel, _)| named(report, channel));
     let all = |of: &[(&str, String)]| {

@@ -54,7 +54,7 @@ pub(super) fn causes(out: &mut String, report: &Diagnosis) {
     *out += "</ul>";
 }
 
-/// The parameters of a cause that the sensor or the model has, channel by channel, in a list.
+/// Returns the parameters of a cause that the sensor or the model has, channel by channel, in a list.
 fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> String {
     if all.is_empty() {
         return String::new();
@@ -81,7 +81,8 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
     out + "</ul>"
 }
 
-/// The unit of an effect's parameter on a channel, if it follows the channel's; other parameters have it in their names.
+/// Returns the unit of an effect's parameter on a channel, if it follows the channel's; other parameters have it in
+/// their names.
 fn unit(cause: &Cause, place: &str, parameter: &str, value: &Value) -> Option<String> {
     let unit = Channel::from_name(place)?.unit();
     let of = cause.effect.spec().parameters.iter().find(|of| of.name == parameter)?.unit;
@@ -97,7 +98,7 @@ fn unit(cause: &Cause, place: &str, parameter: &str, value: &Value) -> Option<St
     })
 }
 
-/// One value, or a list of several.
+/// Returns one value, or the values of a list.
 fn entries(value: &Value) -> Vec<&Value> {
     match value {
         Value::Array(list) => list.iter().collect(),
@@ -216,7 +217,7 @@ pub(super) fn places(out: &mut String, report: &Diagnosis) {
     *out += "</table></div>";
 }
 
-/// The state of the motion at a gap that it drives.
+/// Returns the state of the motion at a gap that it drives.
 fn driver(of: &Driver) -> String {
     let Driver { quantity, axis, unit, range, pose } = of;
     let [from, to] = range.map(plain);
@@ -242,7 +243,7 @@ pub(super) fn alternatives(out: &mut String, report: &Diagnosis) {
     }
 }
 
-/// The content of a place: the name of its effect, or another description.
+/// Returns the content of a place: the name of its effect, or another description.
 fn what<'a>(report: &'a Diagnosis, place: &Place) -> &'a str {
     match place.of {
         Of::Cause(index) => report.causes.get(index).map_or("–", |cause| cause.effect.name()),

@@ -1,4 +1,4 @@
-//! The size of the gap: in total, and channel by channel down to what a true model shows.
+//! The size of the gap: in total, and channel by channel down to the gap of a true model.
 
 use super::super::escaped;
 use super::super::figure::{percent, plain};
@@ -7,10 +7,10 @@ use imu_diagnosis::Diagnosis;
 use imu_diagnosis::report::Discrepancy;
 use std::fmt::Write as _;
 
-/// The bars' minimum scale, as a multiple of what a true model shows.
+/// The bars' minimum scale, as a multiple of a true model's gap.
 const SCALE: f64 = 20.0;
 
-/// A bar of a length between 0 and 1, with a minimum width.
+/// Returns a bar of a length between 0 and 1, with a minimum width.
 fn bar(share: f64, class: &str) -> String {
     // A value that is not finite gets the minimum width.
     let width = if share.is_finite() { (100.0 * share).clamp(0.3, 100.0) } else { 0.3 };
@@ -27,7 +27,7 @@ pub(super) fn section(out: &mut String, gap: &Discrepancy) {
         ("with what was found", gap.after, "after"),
         ("a true model shows", gap.floor, "floor"),
     ];
-    // Without a gap the bars are short: the scale reaches at least to this multiple of what a true model shows.
+    // Without a gap the bars are short: the scale reaches at least to this multiple of a true model's gap.
     let least = SCALE * gap.floor.max(f64::MIN_POSITIVE);
     let most = rows.iter().map(|(_, value, _)| *value).fold(least, f64::max);
     let _ = write!(out, "<h2>The gap, in {}</h2><div class=\"bars\">", escaped(&gap.unit));
@@ -49,7 +49,7 @@ pub(super) fn section(out: &mut String, gap: &Discrepancy) {
     let _ = write!(out, "<p class=\"soft\">Measured on the {}.{chance}</p>", escaped(&gap.measured_on));
 }
 
-/// One bar per channel.
+/// Writes one bar per channel.
 pub(super) fn by_channel(out: &mut String, report: &Diagnosis) {
     let picture = closing(&report.per_channel, &report.discrepancy.unit);
     if !picture.is_empty() {

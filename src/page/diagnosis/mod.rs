@@ -1,4 +1,5 @@
-//! The page of a diagnosis: the sentence, the size of the gap and what closes it, its place, and what the model lacks.
+//! The page of a diagnosis: the sentence, the size of the gap and the effects that close it, its place, and the effects
+//! missing in the model.
 
 mod drawn;
 mod findings;
@@ -14,13 +15,13 @@ use std::fmt::Write as _;
 /// Links to the same data for programs; label and address.
 pub type Links<'a> = &'a [(&'a str, String)];
 
-/// The page of a diagnosis, with the data of its pictures.
+/// Returns the page of a diagnosis, with the data of its pictures.
 pub fn diagnosis(report: &Diagnosis, drawings: &Drawings, links: Links<'_>) -> String {
     let kind = if links.is_empty() { Kind::File } else { Kind::Served };
     framed(&format!("Diagnosis: {}", report.summary), kind, &diagnosis_body(report, drawings, links))
 }
 
-/// The body's content of the same page, to be [enclosed](super::CaptureView::enclosed) in another one.
+/// Returns the body's content of that page, to be [enclosed](super::CaptureView::enclosed) in another one.
 pub fn diagnosis_body(report: &Diagnosis, drawings: &Drawings, links: Links<'_>) -> String {
     let mut out = String::new();
     head(&mut out, report);
@@ -65,7 +66,7 @@ fn head(out: &mut String, report: &Diagnosis) {
     );
 }
 
-/// Whether anything was found on a channel.
+/// Returns whether anything was found on a channel.
 fn named(report: &Diagnosis, channel: &str) -> bool {
     report.r#where.iter().any(|of| of.channel == channel)
         || report.parameters.iter().any(|of| of.channel == channel)

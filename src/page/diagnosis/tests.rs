@@ -38,7 +38,7 @@ fn drawn(spectra: &Value) -> Value {
     json!({"spectra": spectra})
 }
 
-/// The page of stored documents.
+/// Returns the page of stored documents.
 fn page_of(report: &Value, drawings: &Value, links: Links<'_>) -> String {
     let report = Diagnosis::deserialize(report).unwrap();
     diagnosis(&report, &Drawings::deserialize(drawings).unwrap(), links)

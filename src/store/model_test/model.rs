@@ -1,4 +1,5 @@
-//! The model: what the store must hold, as plain lists, and what a power loss may leave of a file. It touches no disk.
+//! The model: the content that the store must hold, as plain lists, and the possible remains of a file after a power
+//! loss. It touches no disk.
 
 use crate::store::JobState;
 use crate::store::tests::{gap, sample, segment};
@@ -10,7 +11,7 @@ use std::collections::BTreeMap;
 /// The sensor's time from one sample to the next.
 const PERIOD_NS: u64 = 25_000_000;
 
-/// A capture that contains what was sent. Its samples' values follow from their numbers.
+/// A capture with the samples that were sent. The samples' values follow from their numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Capture {
     pub(super) samples: u64,
@@ -32,7 +33,7 @@ impl Capture {
         }
     }
 
-    /// The records that come next: a gap of `missing` samples or none, then samples, then duplicates.
+    /// Returns the records that come next: a gap of `missing` samples or none, then samples, then duplicates.
     pub(super) fn next(&self, missing: u64, samples: u64, duplicates: u64) -> Vec<Record> {
         let mut records = Vec::new();
         let mut number = self.segments.len() as u32;
@@ -75,7 +76,7 @@ impl Capture {
     }
 }
 
-/// What a reader sees: the visible captures, and the jobs over them with their state and their checkpoint.
+/// The content that a reader sees: the visible captures, and the jobs over them with their state and their checkpoint.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Content {
     pub(super) captures: BTreeMap<i64, Capture>,
@@ -83,7 +84,7 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// The content after a start: no job is being worked on.
+    /// Returns the content after a start: no job is being worked on.
     pub(super) fn after_start(mut self) -> Self {
         self.jobs.values_mut().filter(|job| job.1 == JobState::Running).for_each(|job| job.1 = JobState::Queued);
         self
@@ -120,8 +121,8 @@ pub(super) enum Instant {
 }
 
 impl Files {
-    /// The instants between `self`, which is synced, and `after` at which the power may fail. With `one`, no more than
-    /// one transaction lies between them: only then is the order known in which log and file were written.
+    /// Returns the instants between `self`, which is synced, and `after` at which the power may fail. With `one`, no
+    /// more than one transaction lies between them: only then is the order known in which log and file were written.
     pub(super) fn instants(&self, after: &Self, one: bool) -> Vec<Instant> {
         let mut instants = vec![Instant::Done];
         let (file, log) = (self.database != after.database, self.log != after.log);
@@ -138,8 +139,8 @@ impl Files {
         instants
     }
 
-    /// The remains of a power loss at that instant. The pages that were not synced are any mix of before, after, halves
-    /// and garbage.
+    /// Returns the remains of a power loss at that instant. The pages that were not synced are any mix of before,
+    /// after, halves and garbage.
     pub(super) fn lost(&self, after: &Self, at: Instant, random: &mut impl RngExt) -> Self {
         match at {
             Instant::Header => {

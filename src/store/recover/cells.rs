@@ -10,12 +10,12 @@ use std::str::FromStr;
 /// The longest chain of overflow pages that is followed; registers and results stay far below.
 const OVERFLOW_MAX: usize = 4096;
 
-/// A column's value if it is of this type; a column of type REAL may be stored as an integer.
+/// Returns a column's value if it is of this type; a column of type REAL may be stored as an integer.
 pub(super) fn get<T: FromSql>(row: &[Value], column: usize) -> Option<T> {
     T::column_result(row.get(column)?.into()).ok()
 }
 
-/// The value that a column names.
+/// Returns the value that a column names.
 pub(super) fn named<T: FromStr>(row: &[Value], column: usize) -> Option<T> {
     get::<String>(row, column)?.parse().ok()
 }

@@ -104,7 +104,7 @@ impl Image {
         Ok(())
     }
 
-    /// A page, counted from 1; `None` if it cannot be read.
+    /// Returns a page, counted from 1; `None` if it cannot be read.
     pub(super) fn page(&self, number: u32) -> Option<Vec<u8>> {
         if number == 0 {
             return None;
@@ -125,7 +125,7 @@ pub(super) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     bytes.get(at..at + 4).and_then(|four| four.try_into().ok()).map_or(0, u32::from_be_bytes)
 }
 
-/// The log's checksum (fileformat2, 4.2): over pairs of 32-bit words in the byte order that the header states.
+/// Returns the log's checksum (fileformat2, 4.2): over pairs of 32-bit words in the byte order that the header states.
 fn checksum(bytes: &[u8], seed: [u32; 2], big_endian: bool) -> [u32; 2] {
     let [mut s0, mut s1] = seed;
     for pair in bytes.chunks_exact(8) {

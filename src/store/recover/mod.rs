@@ -1,4 +1,4 @@
-//! Recovery: a new database with everything that is intact in a damaged one, which is only read.
+//! Recovery: copies everything that is intact in a damaged database into a new one. The damaged database is only read.
 //!
 //! The pages are read without SQLite, so that a damaged page costs only its own content. A batch is taken if all its
 //! rows are present and match its checksum. Samples of no batch (written by older versions, or the batch's own row is
@@ -33,7 +33,7 @@ const STEP: usize = 4000;
 const PIECE: i64 = 4096;
 /// The number of contested places of a batch for which both versions are tried.
 const CONTESTED: usize = 8;
-/// Lost batches that are listed for each capture.
+/// The maximum number of listed lost batches of each capture.
 const LISTED: usize = 1000;
 
 /// The outcome for one capture.
@@ -43,25 +43,25 @@ pub struct RecoveredCapture {
     pub id: i64,
     /// Its name.
     pub name: String,
-    /// Samples in the new database.
+    /// Number of samples in the new database.
     pub samples: u64,
-    /// Of these, samples that no checksum covers.
+    /// Of these, samples without a checksum.
     pub without_checksum: u64,
-    /// Samples that are lost.
+    /// Number of samples lost.
     pub samples_lost: u64,
-    /// Batches taken.
+    /// Number of batches taken.
     pub batches: u64,
-    /// Batches lost.
+    /// Number of batches lost.
     pub batches_lost: u64,
     /// First and last `seq`, in the damaged database, of batches that are lost; the first thousand.
     pub lost: Vec<(i64, i64)>,
-    /// Gaps taken, without those that stand for lost samples.
+    /// Number of gaps taken, without those that stand for lost samples.
     pub gaps: u64,
-    /// Gaps lost, as far as the capture's own count shows.
+    /// Number of gaps lost, as far as the capture's own count shows.
     pub gaps_lost: u64,
-    /// Events taken.
+    /// Number of events taken.
     pub events: u64,
-    /// Segments lost; their samples are in segments that were made up.
+    /// Number of segments lost; their samples are in segments that were made up.
     pub segments_lost: u64,
 }
 
@@ -78,14 +78,14 @@ pub struct RecoverReport {
     pub damaged_pages: u64,
     /// Rows that cannot be read on pages that can.
     pub damaged_rows: u64,
-    /// Frames of the log that are not what was written.
+    /// Frames of the log with a wrong checksum.
     pub damaged_frames: u64,
     /// The findings of a check of the damaged database, also if no row was lost.
     pub findings: Vec<Finding>,
 }
 
 impl RecoverReport {
-    /// Whether anything is known to be lost or damaged.
+    /// Returns whether anything is known to be lost or damaged.
     pub fn has_damage(&self) -> bool {
         !self.findings.is_empty()
             || self.damaged_pages + self.damaged_rows + self.damaged_frames > 0
@@ -144,7 +144,7 @@ struct Rebuilt<'a> {
     report: RecoveredCapture,
     pending: Vec<(i64, Record)>,
     row: Vec<Value>,
-    /// Samples that the capture had.
+    /// End of the capture's sample numbers.
     end: i64,
     gaps: std::vec::IntoIter<Gap>,
     next_gap: Option<Gap>,
@@ -277,7 +277,7 @@ impl<'a> Rebuilt<'a> {
         let lost = self.lost_before(&row, &segment, known);
         let begins = same.is_none() || lost.is_some() || !gaps.is_empty();
         let leading = self.segments == 0;
-        // The rate that a gap is counted at is that of the segment before; at the beginning there is none yet.
+        // The rate of the segment before determines the count of a gap; at the beginning there is no such segment yet.
         for gap in gaps.into_iter().chain(lost).filter(|_| !leading).collect::<Vec<_>>() {
             self.push(Record::Gap(Gap { before_seq: self.next_seq, ..gap }))?;
         }
@@ -308,8 +308,8 @@ impl<'a> Rebuilt<'a> {
         self.push(record)
     }
 
-    /// The samples lost between the last sample and this one: counted by the sensor's clock if it spans the hole, else
-    /// by the numbers.
+    /// Returns the samples lost between the last sample and this one: counted by the sensor's clock if it spans the
+    /// hole, else by the numbers.
     fn lost_before(&self, row: &StoredRow, segment: &Segment, known: u64) -> Option<Gap> {
         let last = self.last.as_ref()?;
         let (_, before) = self.segment.as_ref()?;
@@ -334,7 +334,7 @@ impl<'a> Rebuilt<'a> {
         })
     }
 
-    /// The samples lost before the first one present.
+    /// Returns the samples lost before the first one present.
     fn leading_gap(&self, row: &StoredRow) -> Gap {
         let started = get(&self.row, 8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
         Gap {
@@ -348,7 +348,7 @@ impl<'a> Rebuilt<'a> {
         }
     }
 
-    /// The segment that a sample's row names; a new one is made up if it is lost.
+    /// Returns the segment that a sample's row names; a new one is made up if it is lost.
     fn segment_of(&mut self, row: &StoredRow) -> Segment {
         let id = self.report.id;
         if let Some(found) = self.salvage.segments.get(&id).and_then(|segments| segments.get(&row.segment_id)) {
@@ -369,7 +369,7 @@ impl<'a> Rebuilt<'a> {
         let channels = Channel::ALL.into_iter().zip(row.values).filter(|(_, value)| value.is_some());
         Segment {
             number: 0,
-            // It must not be joined to what precedes it: nothing shows that the sensor's clock ran on.
+            // It must not be joined to the segment before: nothing shows that the sensor's clock ran on.
             epoch: like.as_ref().map_or(1, |segment| segment.epoch + 1),
             first_seq: 0,
             rate_hz: like.map_or_else(|| self.rate_after(row), |segment| segment.rate_hz),
@@ -381,7 +381,7 @@ impl<'a> Rebuilt<'a> {
         }
     }
 
-    /// The rate of the capture, or of the samples that follow, in Hz.
+    /// Returns the rate of the capture, or of the samples that follow, in Hz.
     fn rate_after(&mut self, row: &StoredRow) -> f64 {
         if let Some(rate_hz) = get(&self.row, 10).filter(|rate_hz| *rate_hz > 0.0) {
             return rate_hz;
@@ -428,7 +428,7 @@ impl<'a> Rebuilt<'a> {
         let trailing: Vec<Gap> = self.next_gap.take().into_iter().chain(self.gaps.by_ref()).collect();
         if let Some((last, (_, segment))) = self.last.zip(self.segment.clone()) {
             let lost = (self.end - 1 - last.seq).max(0) as u64;
-            // A capture that continues measures again what it lacks since its last sample.
+            // A capture that continues measures the gap since its last sample again.
             let lost = Gap {
                 before_seq: self.next_seq,
                 from_utc_ns: last.host_utc_ns,
@@ -476,7 +476,7 @@ impl<'a> Rebuilt<'a> {
         Ok(self.report)
     }
 
-    /// Events and configurations.
+    /// Copies events and configurations.
     fn trail(&mut self) -> Result<(), StoreError> {
         let id = self.report.id;
         let transaction = self.connection.transaction()?;
@@ -502,7 +502,8 @@ impl<'a> Rebuilt<'a> {
     }
 }
 
-/// The batch's rows, if all are present and match its checksum. If several rows claim the same place, each is tried.
+/// Returns the batch's rows, if all are present and match its checksum. If several rows claim the same place, each is
+/// tried.
 fn intact(batch: &BatchRow, rows: &BTreeMap<i64, Vec<StoredRow>>) -> Option<Vec<StoredRow>> {
     if rows.len() as i64 != batch.count {
         return None;

@@ -1,7 +1,7 @@
-//! Salvage: reads what the pages of a damaged database still hold, table by table.
+//! Salvage: reads the rows on the pages of a damaged database, table by table.
 //!
 //! The table of a page is known from the tree that contains it, or from the form of its rows if the path to it is
-//! destroyed. Rows of small tables are kept; of samples only the places are kept.
+//! destroyed. Rows of small tables are kept; for samples only the places are kept.
 
 use super::super::CaptureState;
 use super::super::batch::{BatchRow, StoredRow};
@@ -27,7 +27,7 @@ pub(super) struct Places {
     single: BTreeMap<i64, u32>,
 }
 
-/// Everything that was found in the file.
+/// All rows found in the file.
 #[derive(Debug)]
 pub(super) struct Salvage {
     pub(super) image: Image,
@@ -84,7 +84,7 @@ impl Salvage {
         salvage
     }
 
-    /// The table of every page that can be reached from a root.
+    /// Returns the table of every page that can be reached from a root.
     fn owners(&self) -> BTreeMap<u32, String> {
         let mut owners = BTreeMap::new();
         let mut schema = BTreeSet::new();
@@ -123,7 +123,7 @@ impl Salvage {
         }
     }
 
-    /// Free pages: their content was deleted (fileformat2, 1.5).
+    /// Returns the free pages: their content was deleted (fileformat2, 1.5).
     fn free_pages(&self) -> BTreeSet<u32> {
         let mut free = BTreeSet::new();
         let mut trunk = self.image.page(1).map_or(0, |page| u32_at(&page, 32));
@@ -186,7 +186,8 @@ impl Salvage {
         }
     }
 
-    /// The readable samples of `first..end`, by `seq`; several versions if a damaged row claims another's place.
+    /// Returns the readable samples of `first..end`, by `seq`; several versions if a damaged row claims another's
+    /// place.
     pub(super) fn samples(&mut self, capture: i64, first: i64, end: i64) -> BTreeMap<i64, Vec<StoredRow>> {
         let mut pages = BTreeSet::new();
         if let Some(places) = self.places.get(&capture) {
@@ -222,7 +223,7 @@ impl Salvage {
         })
     }
 
-    /// The `seq` after the last sample found.
+    /// Returns the `seq` after the last sample found.
     pub(super) fn end_of(&self, capture: i64) -> i64 {
         let Some(places) = self.places.get(&capture) else { return 0 };
         let leaf = places.leaves.iter().map(|leaf| leaf.1 + 1).max().unwrap_or(0);

@@ -1,5 +1,5 @@
-//! Failures of the writer: what an error reveals about the disk or the file, and the reaction to it. The writer waits
-//! and tries again, closes the connection that is in doubt, or ends the writing of a damaged database.
+//! Failures of the writer: determines from an error the state of the disk or the file, and reacts. The writer waits and
+//! tries again, closes the connection that is in doubt, or ends the writing of a damaged database.
 
 use super::super::damage::Damage;
 use super::super::progress::{IO_FAILURES, locked};
@@ -12,12 +12,12 @@ use tokio::time::Instant;
 
 /// First and longest delay before a failed commit is tried again.
 pub(super) const RETRY: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(1));
-/// The same after an I/O error: the third error ends the process, so that a disk which recovers has some seconds.
+/// The delays after an I/O error: the third error ends the process, so that a disk which recovers has some seconds.
 const RETRY_IO: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(5));
 /// Less free space than this explains an error that does not name its cause.
 const NO_SPACE_BYTES: u64 = 1 << 20;
 
-/// A storage error, without its typed origin.
+/// A storage error without its typed source.
 #[derive(Debug, Clone)]
 pub(in crate::store) struct Failure {
     pub(in crate::store) state: StorageState,
@@ -39,7 +39,7 @@ impl Failure {
     }
 }
 
-/// Whether the error concerns the disk rather than the request.
+/// Returns whether the error concerns the disk rather than the request.
 pub(in crate::store) fn concerns_storage(error: &StoreError) -> bool {
     use rusqlite::ErrorCode as Code;
     matches!(error, StoreError::Sqlite(error) if matches!(
@@ -50,8 +50,8 @@ pub(in crate::store) fn concerns_storage(error: &StoreError) -> bool {
         || error.is_damage()
 }
 
-/// Whether the disk only failed to read: nothing was written, and earlier writes are not in doubt. In the middle of a
-/// statement SQLite instead reports a read's EIO as a damaged database.
+/// Returns whether the disk only failed to read: nothing was written, and earlier writes are not in doubt. In the
+/// middle of a statement SQLite instead reports a read's EIO as a damaged database.
 pub(super) fn only_reading_failed(error: &StoreError) -> bool {
     use rusqlite::ffi::{SQLITE_IOERR_CORRUPTFS, SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ};
     const READING: [i32; 3] = [SQLITE_IOERR_READ, SQLITE_IOERR_SHORT_READ, SQLITE_IOERR_CORRUPTFS];
@@ -59,7 +59,8 @@ pub(super) fn only_reading_failed(error: &StoreError) -> bool {
 }
 
 impl Writer {
-    /// A reader found damage. This also counts while the disk refuses writes, but not for a file that is gone.
+    /// Handles damage that a reader found. This also counts while the disk refuses writes, but not for a file that is
+    /// gone.
     pub(in crate::store) fn take_report(&mut self, failure: Failure) {
         if self.damage.is_none() && !self.file.is_lost(&self.path) {
             self.fail(failure);
@@ -173,7 +174,7 @@ impl Writer {
         }
     }
 
-    /// How the thread ends if the database is damaged.
+    /// Ends the thread if the database is damaged; returns the damage.
     pub(super) fn stop_damaged(&mut self) -> Result<(), StoreError> {
         let records = self.batch.len() + self.records.len();
         if records > 0 {

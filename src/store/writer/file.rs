@@ -16,7 +16,7 @@ pub(super) fn last_batch(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.query_row("SELECT batch FROM writer", [], |row| row.get(0))?)
 }
 
-/// The effect on the captures of a batch that turned out to be on disk.
+/// Returns the effect of a batch on the captures, after it turned out to be on disk.
 pub(super) fn committed_of(connection: &Connection, batch: &[(i64, Record)]) -> Result<Inserted, StoreError> {
     let mut inserted = Inserted::default();
     let captures: std::collections::BTreeSet<i64> = batch.iter().map(|(id, _)| *id).collect();
@@ -67,7 +67,7 @@ pub(super) fn copy_log(connection: &Connection) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// SQLite's report without its headline.
+/// Returns SQLite's report without its headline, in one line.
 pub(in crate::store) fn one_line(report: &str) -> String {
     report.trim_start_matches("*** in database main ***").trim().replace('\n', "; ")
 }

@@ -1,8 +1,8 @@
-//! `vn100d import` beside a running daemon goes through it.
+//! `vn100d import` beside a running daemon uses the daemon.
 
 use super::*;
 
-/// Runs `vn100d import --json` on the world's database; its exit code and answer.
+/// Runs `vn100d import --json` on the world's database; returns its exit code, report and error output.
 fn import(world: &World, arguments: &[&str]) -> (Option<i32>, Value, String) {
     let output = program()
         .args(["--data-dir", world.path("data").to_str().unwrap()])
@@ -14,13 +14,13 @@ fn import(world: &World, arguments: &[&str]) -> (Option<i32>, Value, String) {
     (output.status.code(), answer, String::from_utf8_lossy(&output.stderr).into_owned())
 }
 
-/// As docs/cli.md says of import: beside a daemon it goes through it, with the same report and exit codes.
+/// As docs/cli.md states for `import`: beside a daemon it uses the daemon, with the same report and exit codes.
 #[test]
 fn an_import_beside_a_daemon_goes_through_it_and_is_the_import_without_one() {
     let world = World::new();
     let mut csv = String::from("time_s,gyro_x_rad_s,colour\n");
     for row in 0..scaled(40_000, 2_000_000) {
-        // One hole of 40 samples, one line that is none.
+        // One hole of 40 samples, one line that is not a sample.
         let at = (row + if row < 5000 { 0 } else { 40 }) as f64 / 40.0;
         csv.push_str(&format!("{at:.3},{:.6},red\n", noise(row as u64, Channel::GyroX)));
         if row == 100 {
@@ -61,7 +61,7 @@ fn an_import_beside_a_daemon_goes_through_it_and_is_the_import_without_one() {
     let capture = world.get("/v1/captures/packed");
     assert_eq!((capture["state"].as_str(), capture["missing"].as_u64()), (Some("imported"), Some(40)));
 
-    // What is refused is refused as without a daemon: by exit code, by the name the user knows.
+    // Refusals are the same as without a daemon: by exit code, and by the name that the user knows.
     std::fs::write(world.path("nonsense.txt"), "this is no recording\n".repeat(200)).unwrap();
     let nonsense = world.path("nonsense.txt");
     let (code, _, errors) = import(&world, &[nonsense.to_str().unwrap()]);
@@ -73,7 +73,7 @@ fn an_import_beside_a_daemon_goes_through_it_and_is_the_import_without_one() {
     let (code, _, errors) = import(&world, &[world.path("third.csv").to_str().unwrap(), "--name", "packed"]);
     assert_eq!(code, Some(1), "{errors}");
     assert!(errors.contains("packed"), "{errors}");
-    // A body that is cut off leaves nothing.
+    // A body that is cut off leaves no trace.
     let head =
         "POST /v1/imports HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/csv\r\nContent-Length: 100000\r\n\r\n";
     let cut = sent(&world, &[head.as_bytes(), &csv.as_bytes()[..50_000]].concat()).unwrap();

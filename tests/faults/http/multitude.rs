@@ -1,15 +1,15 @@
-//! A seeded multitude of requests, and bytes that are none (E4).
+//! A seeded multitude of requests, and bytes that are not requests (row E4).
 
 use super::*;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
-/// A seeded generator of requests: routes, ids, queries, headers and bodies, many of which are none.
+/// A seeded generator of requests: routes, ids, queries, headers and bodies, many of them invalid.
 struct Fuzz {
     random: ChaCha8Rng,
 }
 
-/// A request that somebody may send.
+/// A request of a client.
 #[derive(Debug, Clone)]
 struct Asked {
     method: &'static str,
@@ -190,7 +190,7 @@ impl Fuzz {
         }
     }
 
-    /// The next request.
+    /// Returns the next request.
     fn next(&mut self) -> Asked {
         const HEADERS: [&str; 10] = [
             "accept",
@@ -212,7 +212,7 @@ impl Fuzz {
         let mut headers = vec![("host", b"localhost".to_vec())];
         for _ in 0..self.random.random_range(0..3) {
             let value = if self.chance(20) {
-                // Any byte that a header may carry, also such as are no UTF-8.
+                // Any byte that a header may carry, also bytes that are not UTF-8.
                 (0..20).map(|_| self.random.random_range(128..=255_u8)).collect()
             } else {
                 self.word().into_bytes()
@@ -230,7 +230,8 @@ impl Fuzz {
     }
 }
 
-/// What an answer must be, whatever was asked: declared in docs/openapi.json, an error a problem document, never 500.
+/// The requirements for an answer to any request: it is declared in docs/openapi.json, an error is a problem document,
+/// and it is never 500.
 struct Oracle {
     paths: Vec<(Vec<String>, Value)>,
 }
@@ -259,7 +260,7 @@ impl Oracle {
             .filter(|found| found.is_object())
     }
 
-    /// Panics where the answer is not what it must be.
+    /// Panics if the answer violates a requirement.
     fn check(&self, asked: &Asked, status: u16, media_type: &str, body: &[u8]) {
         let said =
             || format!("{asked:?}: {status} {media_type} {}", String::from_utf8_lossy(&body[..body.len().min(500)]));
@@ -276,7 +277,7 @@ impl Oracle {
             }
         }
         let Some(operation) = self.operation(asked) else {
-            // What no operation is declared for is an error, but for what is no part of the interface for programs.
+            // A request without a declared operation is an error, unless it is not part of the interface for programs.
             let page = ["/", "/openapi.json"].contains(&asked.target.split('?').next().unwrap());
             assert!(status >= 400 || page, "{}", said());
             return;
@@ -301,7 +302,7 @@ struct Inside {
     _store: vn100d::store::Store,
 }
 
-/// Takes no recording.
+/// Accepts no recording.
 #[derive(Debug)]
 struct NoImports;
 
@@ -350,7 +351,7 @@ impl Inside {
         Self { router: hyper_util::service::TowerToHyperService::new(router), jobs, _store: store }
     }
 
-    /// Status, media type and body; None for a target or header that HTTP itself cannot carry.
+    /// Returns status, media type and body; `None` for a target or header that HTTP itself cannot carry.
     async fn ask(&self, asked: &Asked) -> Option<(u16, String, Vec<u8>)> {
         use hyper::body::Body as _;
         use hyper::service::Service as _;
@@ -384,7 +385,7 @@ fn desk(world: &World) {
     fill(world, "few", &[Channel::GyroX], &plain(3), noise);
 }
 
-/// E4.
+/// Row E4.
 #[test]
 fn no_request_of_a_seeded_multitude_gives_a_500_or_an_undeclared_answer() {
     let world = World::new();
@@ -397,7 +398,7 @@ fn no_request_of_a_seeded_multitude_gives_a_500_or_an_undeclared_answer() {
         let (oracle, mut fuzz) = (Oracle::new(), Fuzz::new(7));
         for _ in 0..requests {
             let asked = fuzz.next();
-            // Both captures shall be there to the end.
+            // Both captures must exist to the end.
             if asked.method == "DELETE" && asked.target.starts_with("/v1/captures/") {
                 continue;
             }
@@ -408,7 +409,7 @@ fn no_request_of_a_seeded_multitude_gives_a_500_or_an_undeclared_answer() {
             answered += 1;
             if (400..500).contains(&status) {
                 refused += 1;
-                // A machine with other work may be late; asked again it is the request's own time.
+                // A machine with other work may be late; a repeated request shows the request's own time.
                 for _ in 0..5 {
                     if took > Duration::from_millis(50) {
                         let begun = Instant::now();
@@ -428,7 +429,7 @@ fn no_request_of_a_seeded_multitude_gives_a_500_or_an_undeclared_answer() {
     settle(&world);
 }
 
-/// E4, through the socket: what a client library would not send.
+/// Row E4, through the socket: bytes that a client library would not send.
 #[test]
 fn bytes_that_are_no_request_are_refused_and_the_daemon_answers_on() {
     let world = World::new();
@@ -467,7 +468,7 @@ fn bytes_that_are_no_request_are_refused_and_the_daemon_answers_on() {
             let text = String::from_utf8_lossy(&bytes);
             let status: u16 = text[9..12].parse().unwrap();
             assert!(expected.contains(&status), "{said}: {text}");
-            // What is no HTTP is refused by the server before the interface sees it.
+            // The server refuses bytes that are not HTTP before the interface sees them.
             assert!(text.contains("application/problem+json") || line.contains(&0xff), "{said}: {text}");
         }
         assert!(took <= Duration::from_millis(50), "{said}: {took:?}");
@@ -490,7 +491,7 @@ fn bytes_that_are_no_request_are_refused_and_the_daemon_answers_on() {
             bytes.truncate(fuzz.random.random_range(0..bytes.len()));
         }
         let mut stream = connect(&world);
-        // The daemon may close before it has all of it.
+        // The daemon may close before it has received all bytes.
         if stream.write_all(&bytes).is_ok() && stream.shutdown(std::net::Shutdown::Write).is_ok() {
             let mut answer = Vec::new();
             let _ = stream.read_to_end(&mut answer);

@@ -1,4 +1,4 @@
-//! SIGHUP: a terminal that is closed, and a manager that wants the configuration read again.
+//! SIGHUP: a terminal that is closed, and a manager that requests a reload of the configuration.
 
 use super::{Manager, START, integer};
 use crate::tools;
@@ -8,14 +8,14 @@ use rustix::process::Signal;
 use std::process::Command;
 use std::time::Duration;
 
-/// Asserts that the sensor's output was put back: ASCII, as it was before the daemon configured it.
+/// Asserts that the sensor's output was restored: ASCII, as before the daemon configured it.
 fn assert_restored(world: &World) {
     let probe = vn100d(&["--json", "probe", "--device", world.port().to_str().unwrap()]);
     let found: serde_json::Value = serde_json::from_slice(&probe.stdout).unwrap();
     assert_eq!(found["output"], "VNYMR", "{found}");
 }
 
-/// The daemon as a person or a manager starts it: this process's own manager is none of its business.
+/// Returns the daemon as started by a user or a manager: this process's own manager must not be notified.
 fn outside_of_systemd() -> Command {
     let mut command = program();
     command.env_remove("INVOCATION_ID");
@@ -30,7 +30,7 @@ fn a_hangup_ends_the_capture_cleanly_unless_it_is_to_go_on() {
     let mut daemon = world.daemon_of(outside_of_systemd(), &port, "", &["--capture", "5h"]);
     world.until_more_samples(40, &daemon);
     let samples = world.get("/v1/status")["capture"]["samples"].as_u64().unwrap();
-    // The shell passes the first on, the kernel sends the second when the shell ends: two are not two wishes.
+    // The shell passes the first on, the kernel sends the second when the shell ends: two signals are one request.
     daemon.signal(Signal::HUP);
     daemon.signal(Signal::HUP);
     assert_eq!(daemon.wait(Duration::from_secs(15)), Some(0), "{}", daemon.log());
@@ -54,7 +54,7 @@ fn a_hangup_ends_the_capture_cleanly_unless_it_is_to_go_on() {
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
 }
 
-/// A terminal of its own that is closed: the signal comes from the kernel, and nothing can be written any more.
+/// The daemon's own terminal is closed: the signal comes from the kernel, and nothing can be written any more.
 #[test]
 fn a_terminal_that_is_closed_ends_the_capture_cleanly_or_is_not_missed() {
     if !tools::have("script", "it gives the daemon a terminal") {

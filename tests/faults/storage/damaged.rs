@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 const EACH: u64 = 100;
 
-/// Everything in a database, or the error that reading it ends in.
+/// Returns everything in a database, or the error that reading it returns.
 fn content(database: &Path) -> Result<Vec<String>, rusqlite::Error> {
     let connection = rusqlite::Connection::open_with_flags(database, rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY)?;
     let mut all = Vec::new();
@@ -24,7 +24,7 @@ fn content(database: &Path) -> Result<Vec<String>, rusqlite::Error> {
     Ok(all)
 }
 
-/// Bytes and times of the files in a folder.
+/// Returns content and times of the files in a folder.
 fn state_of(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let files = std::fs::read_dir(folder).unwrap().flatten();
     files
@@ -35,7 +35,7 @@ fn state_of(folder: &Path) -> BTreeMap<String, Vec<u8>> {
         .collect()
 }
 
-/// The daemon refuses the database with one sentence, and changes nothing of it.
+/// Checks that the daemon refuses the database with one sentence and changes nothing in it; returns the sentence.
 fn refused(world: &World) -> String {
     let before = state_of(&world.path("data"));
     let mut daemon = begin(world, &[], "", &[]);
@@ -65,8 +65,8 @@ fn recovered(world: &World) -> serde_json::Value {
     report
 }
 
-/// Batches that have a byte on these pages: by their rows' times and by their checksum, which stand in the pages as they
-/// are. Knows nothing of the format but that an integer is big-endian.
+/// Returns the batches that have a byte on these pages: by their rows' times and by their checksum, which the pages
+/// contain unchanged. It only assumes that integers are big-endian.
 fn touched(image: &[u8], pages: &BTreeSet<usize>, batches: &[(u64, u64, u32)]) -> BTreeSet<u64> {
     let mut of_time = BTreeMap::new();
     for (first, count, _) in batches {
@@ -86,7 +86,7 @@ fn touched(image: &[u8], pages: &BTreeSet<usize>, batches: &[(u64, u64, u32)]) -
     found
 }
 
-/// C8.
+/// Row C8.
 #[test]
 fn flipped_bits_are_found_at_the_start_and_every_intact_batch_is_salvaged() {
     let world = World::new();
@@ -110,7 +110,7 @@ fn flipped_bits_are_found_at_the_start_and_every_intact_batch_is_salvaged() {
     let (mut harmless, mut least) = (0, u64::MAX);
     let rounds = tools::scaled(10, 100);
     for round in 0..rounds {
-        // One bit at first, in the end one on each of a hundred pages.
+        // First one bit, finally one on each of a hundred pages.
         let flips = match round {
             0..4 => 1,
             4..8 => tools::scaled(5, 20),
@@ -128,13 +128,13 @@ fn flipped_bits_are_found_at_the_start_and_every_intact_batch_is_salvaged() {
             let checked = vn100d(&["check", world.database().to_str().unwrap()]);
             checked.status.success()
         } {
-            // A byte that nothing rests on.
+            // Nothing depends on this byte.
             harmless += 1;
             continue;
         }
         let mut daemon = begin(&world, &[], "", &[]);
         let code = daemon.wait(Duration::from_secs(20));
-        // Page 1 may be so damaged that the file looks like no database of ours: refused all the same.
+        // Page 1 may be so damaged that the file does not look like a database of this program: it is refused too.
         assert!(matches!(code, Some(74 | 73)), "round {round}: {code:?} {}", daemon.log());
         assert!(last_words(&daemon).contains("vn100d recover"), "{}", daemon.log());
         assert!(std::fs::read(world.database()).unwrap() == image, "the damaged file was changed");
@@ -146,7 +146,7 @@ fn flipped_bits_are_found_at_the_start_and_every_intact_batch_is_salvaged() {
         let samples: u64 = captures.iter().map(|capture| capture["samples"].as_u64().unwrap()).sum();
         assert!(samples >= must, "round {round}: {samples} of {all}, {must} are intact: {report}");
         least = least.min(samples);
-        // What is salvaged is what was written.
+        // The salvaged data must be the written data.
         let salvaged = rusqlite::Connection::open(world.path("salvaged.db")).unwrap();
         let wrong: i64 = salvaged
             .query_row(
@@ -162,7 +162,7 @@ fn flipped_bits_are_found_at_the_start_and_every_intact_batch_is_salvaged() {
     assert!(harmless < rounds / 2);
 }
 
-/// C8.
+/// Row C8.
 #[test]
 fn a_truncated_database_is_refused_and_its_rest_salvaged() {
     let world = World::new();
@@ -176,7 +176,7 @@ fn a_truncated_database_is_refused_and_its_rest_salvaged() {
     assert!((3000..10_000).contains(&samples), "{report}");
 }
 
-/// C8.
+/// Row C8.
 #[test]
 fn a_log_that_was_taken_away_is_noticed() {
     let world = World::new();
@@ -190,14 +190,14 @@ fn a_log_that_was_taken_away_is_noticed() {
     std::fs::remove_file(&log).unwrap();
     let said = refused(&world);
     assert!(said.contains("-wal") && said.contains(".lock"), "{said}");
-    // Put back, everything is there.
+    // Once the log is back, everything is there.
     std::fs::write(&log, taken).unwrap();
     let mut daemon = start(&world, &[], "", &[]);
     until_committed(&world, acknowledged + 1, START, &daemon);
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C8, while the daemon runs: a purge meets a damaged page of a capture that nobody reads any more.
+/// Row C8, while the daemon runs: a purge finds a damaged page of a capture that no client reads any more.
 #[test]
 fn damage_met_in_use_ends_the_daemon_with_what_to_run_and_no_start_writes_to_it_again() {
     let world = World::new();
@@ -205,7 +205,7 @@ fn damage_met_in_use_ends_the_daemon_with_what_to_run_and_no_start_writes_to_it_
     let _sensor = world.emulate(FAST);
     let mut daemon = start(&world, &[], "", &["--capture", "1h"]);
     until_committed(&world, 80, START, &daemon);
-    // Whichever page holds this row: its time stands there as it is.
+    // The page that holds this row contains its time unchanged.
     let image = std::fs::read(world.database()).unwrap();
     let row = utc_ns(50 * EACH).to_be_bytes();
     let page = image.windows(8).position(|window| window == row).unwrap() / 4096;

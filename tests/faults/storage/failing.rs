@@ -3,7 +3,7 @@
 use super::*;
 use crate::tools;
 
-/// Runs a capture with one fault injected and audits it: nothing lost, no gap, everything committed.
+/// Runs a capture with one injected fault and audits it: nothing is lost, there is no gap, everything is committed.
 fn survives(calls: &str, inject: &str) {
     let world = World::new();
     build(&world.database(), 1, 10);
@@ -13,7 +13,7 @@ fn survives(calls: &str, inject: &str) {
     let begun = Instant::now();
     while world.try_get("/healthz").is_none() {
         if daemon.log().contains("error: ") {
-            // It struck before anything was under way: systemd starts the daemon again.
+            // The fault struck before the start was complete: systemd starts the daemon again.
             assert_eq!(daemon.wait(START), Some(74), "{}", daemon.log());
             daemon = begin(&world, &[], configuration, &["--capture", "1h"]);
         }
@@ -33,7 +33,7 @@ fn survives(calls: &str, inject: &str) {
     assert!(matches!(count, rusqlite::types::Value::Integer(count) if *count >= acknowledged), "{inject}");
 }
 
-/// The fault at operation 1, 2, 3 … of the writer; several worlds at once.
+/// Injects the fault at operation 1, 2, 3 … of the writer; several worlds run at once.
 fn sweep(call: &'static str, error: &'static str, operations: &[u32]) {
     let turn = std::sync::Arc::new(std::sync::Mutex::new(operations.to_vec()));
     let workers: Vec<_> = (0..4)
@@ -54,7 +54,7 @@ fn operations(every_push: &[u32], full: u32) -> Vec<u32> {
     tools::scaled(every_push.to_vec(), (1..=full).collect())
 }
 
-/// C2.
+/// Row C2.
 #[test]
 fn a_write_that_finds_no_space_loses_nothing_wherever_it_is() {
     if tools::have("strace", "faults are injected into system calls") {
@@ -62,7 +62,7 @@ fn a_write_that_finds_no_space_loses_nothing_wherever_it_is() {
     }
 }
 
-/// C2.
+/// Row C2.
 #[test]
 fn a_write_that_fails_loses_nothing_wherever_it_is() {
     if tools::have("strace", "faults are injected into system calls") {
@@ -70,7 +70,7 @@ fn a_write_that_fails_loses_nothing_wherever_it_is() {
     }
 }
 
-/// C3.
+/// Row C3.
 #[test]
 fn a_sync_that_fails_loses_nothing_and_acknowledges_nothing() {
     if tools::have("strace", "faults are injected into system calls") {
@@ -78,7 +78,7 @@ fn a_sync_that_fails_loses_nothing_and_acknowledges_nothing() {
     }
 }
 
-/// C3.
+/// Row C3.
 #[test]
 fn after_three_failures_within_a_minute_the_daemon_ends_for_systemd_to_start_it_anew() {
     if !tools::have("strace", "faults are injected into system calls") {
@@ -93,7 +93,7 @@ fn after_three_failures_within_a_minute_the_daemon_ends_for_systemd_to_start_it_
     assert_eq!(daemon.wait(Duration::from_secs(40)), Some(74), "{}", daemon.log());
     assert!(daemon.log().contains("three times within a minute"), "{}", daemon.log());
     drop(daemon);
-    // What follows is what systemd does.
+    // From here on the test does what systemd does.
     let mut daemon = start(&world, &[], "", &[]);
     let samples = || world.try_get("/v1/status")?["capture"]["samples"].as_u64();
     let goes_on = world.until("the capture goes on", START, samples, &daemon);
@@ -101,7 +101,7 @@ fn after_three_failures_within_a_minute_the_daemon_ends_for_systemd_to_start_it_
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C4.
+/// Row C4.
 #[test]
 fn slow_syncs_cost_no_sample_and_the_status_answers_meanwhile() {
     if !tools::have("strace", "syncs are delayed") {
@@ -110,7 +110,7 @@ fn slow_syncs_cost_no_sample_and_the_status_answers_meanwhile() {
     let world = World::new();
     let _sensor = world.emulate(FAST);
     let configuration = "[sensor]\nrate-hz = 400\nbaud = 921600\n";
-    // Every tenth takes 2 s.
+    // Every tenth sync takes 2 s.
     let traced = strace("trace=fsync", "inject=fsync:delay_enter=2000000:when=4+10");
     let mut daemon = start(&world, &traced, configuration, &["--capture", "1h"]);
     let watch = Watch::start(&world);
@@ -124,7 +124,7 @@ fn slow_syncs_cost_no_sample_and_the_status_answers_meanwhile() {
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C4.
+/// Row C4.
 #[test]
 fn one_sync_of_many_seconds_costs_no_sample() {
     if !tools::have("strace", "syncs are delayed") {
@@ -151,7 +151,7 @@ fn one_sync_of_many_seconds_costs_no_sample() {
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C5.
+/// Row C5.
 #[test]
 fn a_file_system_that_turns_read_only_is_said_and_writing_goes_on_when_it_can() {
     if !tools::have("strace", "the kernel lets no file system turn read-only under an open file, and back") {
@@ -173,14 +173,14 @@ fn a_file_system_that_turns_read_only_is_said_and_writing_goes_on_when_it_can() 
     stop_and_settle(&world, &mut daemon);
 }
 
-/// A small ext4 of its own under the world's data directory, that can be made to fail as a broken disk makes it.
+/// A small separate ext4 under the world's data directory, which can be made to fail like a broken disk.
 struct Ext4 {
     image: PathBuf,
     data: PathBuf,
 }
 
 impl Ext4 {
-    /// None where this machine lets nobody make one.
+    /// Returns `None` if this machine does not allow one.
     fn new(world: &World) -> Option<Self> {
         let disk = Self { image: world.path("disk.img"), data: world.path("data") };
         std::fs::create_dir_all(&disk.data).unwrap();
@@ -194,7 +194,7 @@ impl Ext4 {
         Command::new("mount").args(options).arg(&self.image).arg(&self.data).status().unwrap().success()
     }
 
-    /// What the kernel offers to test the handling of errors (Documentation/ABI/testing/sysfs-fs-ext4).
+    /// Returns the kernel's file for testing the handling of errors (Documentation/ABI/testing/sysfs-fs-ext4).
     fn trigger(&self) -> PathBuf {
         let mounts = std::fs::read_to_string("/proc/self/mounts").unwrap();
         let mut fields = mounts.lines().map(|line| line.split(' ').collect::<Vec<_>>());
@@ -203,12 +203,12 @@ impl Ext4 {
         Path::new("/sys/fs/ext4").join(device).join("trigger_fs_error")
     }
 
-    /// The kernel meets an error in it: read-only from now on, also for files that are open.
+    /// Makes the kernel find an error in it: it is read-only from now on, also for open files.
     fn fail(&self) {
         std::fs::write(self.trigger(), "1").unwrap();
     }
 
-    /// As an administrator does it: unmounted and mounted anew.
+    /// Unmounts and mounts it again, as an administrator does.
     fn mend(&self) {
         assert!(Command::new("umount").arg(&self.data).status().unwrap().success());
         assert!(self.mount());
@@ -221,7 +221,7 @@ impl Drop for Ext4 {
     }
 }
 
-/// C5, by the kernel itself.
+/// Row C5, by the kernel itself.
 #[test]
 fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_goes_on_once_it_is_mounted_anew() {
     if !tools::root("a file system of its own is mounted") {
@@ -243,7 +243,7 @@ fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_g
     let failed = Instant::now();
     until_state(&world, "storage_readonly", Duration::from_secs(5), &daemon);
     println!("storage_readonly after {:?}", failed.elapsed());
-    // Many attempts later it still waits: no loop of restarts, and nothing is dropped.
+    // Many attempts later it still waits: there is no loop of restarts, and nothing is dropped.
     std::thread::sleep(Duration::from_secs(tools::scaled(6, 20)));
     let waiting = status(&world);
     assert_eq!(waiting["storage"]["state"], "storage_readonly");

@@ -14,14 +14,14 @@ pub fn fill(folder: &Path) -> PathBuf {
     path
 }
 
-/// C1.
+/// Row C1.
 #[test]
 fn a_full_disk_is_said_at_once_costs_nothing_for_half_a_minute_and_one_gap_beyond() {
     if !tools::root("a file system of its own is mounted") {
         return;
     }
     let world = World::new();
-    // Room for what is recorded, and for what waits in memory.
+    // Room for the recorded data, and for the data that waits in memory.
     let mount = Mount::tmpfs(&world, tools::scaled("8m", "64m"));
     let _sensor = world.emulate(FAST);
     let rate = if tools::scaled(true, false) { 400 } else { 800 };
@@ -55,10 +55,10 @@ fn a_full_disk_is_said_at_once_costs_nothing_for_half_a_minute_and_one_gap_beyon
     until_committed(&world, received, Duration::from_secs(10), &daemon);
     assert_eq!(gaps(&world), Vec::<serde_json::Value>::new());
 
-    // Beyond what memory holds: 24,000 samples in the queue and a batch of 8,192.
+    // More than memory holds: 24,000 samples in the queue and a batch of 8,192.
     if tools::scaled(false, true) {
         let filler = fill(&mount.0);
-        // The log has room of its own until it is copied into the file.
+        // The log has its own space until it is copied into the file.
         until_state(&world, "storage_full", Duration::from_secs(90), &daemon);
         std::thread::sleep(Duration::from_secs(55));
         std::fs::remove_file(&filler).unwrap();

@@ -3,7 +3,7 @@
 use super::*;
 use crate::tools;
 
-/// C6.
+/// Row C6.
 #[test]
 fn a_foreign_write_lock_is_waited_out() {
     let world = World::new();
@@ -30,7 +30,7 @@ fn a_foreign_write_lock_is_waited_out() {
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C7.
+/// Row C7.
 #[test]
 fn a_long_reader_is_told_of_and_its_log_is_drained_when_it_ends() {
     let world = World::new();
@@ -63,7 +63,7 @@ fn a_long_reader_is_told_of_and_its_log_is_drained_when_it_ends() {
     stop_and_settle(&world, &mut daemon);
 }
 
-/// C9.
+/// Row C9.
 #[test]
 fn a_backup_during_a_capture_is_whole_and_costs_no_sample() {
     let world = World::new();
@@ -92,8 +92,8 @@ fn a_backup_during_a_capture_is_whole_and_costs_no_sample() {
     };
     let took = backup("copy-1.db").min(backup("copy-2.db"));
     println!("backup {took:?}, plain copy {copied:?}, {} bytes", world.database().metadata().unwrap().len());
-    // The start of a process does not grow with the database. In full the copy is that of a disk as fast as memory, where
-    // SQLite's work per page is to be seen (docs/reliability.md, C9).
+    // The start of a process does not grow with the database. In the full run the disk is as fast as memory, so that
+    // SQLite's work per page is visible (docs/reliability.md, C9).
     let limit = copied.mul_f64(tools::scaled(1.5, 4.0)) + Duration::from_millis(250);
     assert!(took <= limit, "backup {took:?}, plain copy {copied:?}");
     for name in ["copy-1.db", "copy-2.db"] {

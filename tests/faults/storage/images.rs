@@ -1,10 +1,10 @@
-//! What a power loss leaves (A2), and programs of other versions (A10).
+//! The remains of a power loss (row A2), and programs of other versions (row A10).
 
 use super::*;
 use crate::tools;
 use std::collections::BTreeMap;
 
-/// One thing done to a file.
+/// One change of a file.
 #[derive(Debug, Clone)]
 enum Change {
     Write { file: String, at: usize, bytes: Vec<u8> },
@@ -77,7 +77,7 @@ fn apply(files: &mut Files, change: &Change) {
     }
 }
 
-/// The image opens, is whole, and has every batch that was acknowledged.
+/// Checks that the image opens, is intact, and has every batch that was acknowledged.
 fn holds(files: &Files, acknowledged: i64, what: &str) {
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes) in files.iter().filter(|(name, _)| !name.ends_with("-shm")) {
@@ -106,7 +106,7 @@ fn holds(files: &Files, acknowledged: i64, what: &str) {
     assert_eq!(counted, there, "{what}");
 }
 
-/// A2.
+/// Row A2.
 #[test]
 fn after_a_power_loss_everything_acknowledged_is_there_wherever_it_strikes() {
     if !tools::have("strace", "every write and sync is recorded") {
@@ -144,7 +144,7 @@ fn after_a_power_loss_everything_acknowledged_is_there_wherever_it_strikes() {
     let syncs = changes.iter().filter(|change| matches!(change, Change::Sync { .. })).count();
     assert!(syncs > 10, "{syncs}");
 
-    // `now`: all that was written; `safe`: per file, as of its last sync. Removals and new names are taken as done.
+    // `now`: all written data; `safe`: each file as of its last sync. Removals and new names count as done.
     let (mut now, mut safe) = (Files::new(), Files::new());
     let (mut acknowledged, mut images) = (0, 0);
     let mut unsynced: Vec<Change> = Vec::new();
@@ -195,7 +195,7 @@ fn after_a_power_loss_everything_acknowledged_is_there_wherever_it_strikes() {
     assert!(acknowledged >= 3, "{acknowledged}");
 }
 
-/// The database of the first release: its schema alone, with one capture and some samples.
+/// Makes the database of the first release: its schema alone, with one capture and some samples.
 fn of_an_old_version(database: &Path, samples: u64) {
     std::fs::create_dir_all(database.parent().unwrap()).unwrap();
     let connection = rusqlite::Connection::open(database).unwrap();
@@ -224,7 +224,7 @@ fn of_an_old_version(database: &Path, samples: u64) {
     connection.execute("UPDATE segment SET samples = ?1", [samples as i64]).unwrap();
 }
 
-/// A10.
+/// Row A10.
 #[test]
 fn an_older_program_refuses_a_newer_database_with_both_versions() {
     let world = World::new();
@@ -241,7 +241,7 @@ fn an_older_program_refuses_a_newer_database_with_both_versions() {
     assert_eq!(shown.status.code(), Some(78));
 }
 
-/// A10.
+/// Row A10.
 #[test]
 fn an_upgrade_killed_anywhere_leaves_the_old_database_or_the_new_one() {
     if !tools::have("strace", "the program is killed at its n-th write") {

@@ -1,15 +1,15 @@
-//! A large database is as quick as a small one (C11).
+//! A large database answers as quickly as a small one (row C11).
 
 use super::*;
 use crate::tools;
 
-/// C11.
+/// Row C11.
 #[test]
 fn a_large_database_answers_as_quickly_as_a_small_one() {
     let world = World::new();
     let begun = Instant::now();
     build(&world.database(), tools::scaled(50, 1221), 8192);
-    // Captures in number: more than a page of them.
+    // More captures than fit on a page.
     {
         let connection = rusqlite::Connection::open(world.database()).unwrap();
         let rows = connection

@@ -21,7 +21,7 @@ fn goes_on(replace: impl Fn(&World)) -> World {
     assert_eq!(capture["state"], "capturing");
     let (stored, segments) = (capture["samples"].as_u64().unwrap(), capture["segments"].as_u64().unwrap());
     assert!(stored < received && segments == 1, "{capture}");
-    // From the first sample that the lost file had not acknowledged: nothing in flight was dropped.
+    // The new file begins with the first sample that the lost file had not acknowledged: nothing in flight was dropped.
     let events = world.get("/v1/captures/latest/events");
     let said = events["events"].as_array().unwrap().iter().find(|event| event["kind"] == "warning").unwrap();
     let lost: u64 = said["message"].as_str().unwrap().split(' ').filter_map(|word| word.parse().ok()).next().unwrap();
@@ -32,7 +32,7 @@ fn goes_on(replace: impl Fn(&World)) -> World {
     let now = status(&world);
     let (samples, committed) =
         (now["capture"]["samples"].as_u64().unwrap(), now["capture"]["committed"].as_u64().unwrap());
-    // Acknowledged is also what the lost file had.
+    // Samples of the lost file count as acknowledged too.
     assert!(committed > lost && samples.abs_diff(committed) <= 80, "{lost} {now}");
     stop_and_settle(&world, &mut daemon);
     let rows = world.query("SELECT count(*) FROM sample WHERE capture_id = (SELECT max(id) FROM capture)");
@@ -41,27 +41,28 @@ fn goes_on(replace: impl Fn(&World)) -> World {
     world
 }
 
-/// C10.
+/// Row C10.
 #[test]
 fn a_deleted_database_is_noticed_and_a_new_file_goes_on() {
     goes_on(|world| std::fs::remove_file(world.database()).unwrap());
 }
 
-/// C10.
+/// Row C10.
 #[test]
 fn a_database_moved_away_is_complete_and_a_new_file_goes_on() {
     let away = tempfile::tempdir().unwrap();
     let moved = away.path().join("moved.db");
     let world = goes_on(|world| std::fs::rename(world.database(), &moved).unwrap());
     assert!(sound(&moved));
-    // By the sensor's clock the new file goes on where the old one ends: 40 Hz, not one sample between.
+    // By the sensor's clock the new file continues at the end of the old one: at 40 Hz, no sample is missing between
+    // them.
     let old = rusqlite::Connection::open(&moved).unwrap();
     let last: i64 = old.query_row("SELECT max(device_time_ns) FROM sample", [], |row| row.get(0)).unwrap();
     let first = world.query("SELECT min(device_time_ns) FROM sample");
     assert_eq!(first[0][0], rusqlite::types::Value::Integer(last + 25_000_000));
 }
 
-/// C10.
+/// Row C10.
 #[test]
 fn a_database_replaced_by_an_older_copy_goes_on_in_a_capture_of_its_own() {
     goes_on(|world| {

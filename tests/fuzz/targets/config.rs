@@ -1,4 +1,4 @@
-//! The configuration: taken, or refused with file and line.
+//! The configuration: accepted, or refused with file and line.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ const FILE: &str = "fuzz.toml";
 
 pub fn refused_with_its_place(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
-    // Would open whatever file is named.
+    // The configuration would open any file that is named.
     if text.contains("token") && text.contains("file") {
         return;
     }

@@ -3,10 +3,11 @@
 use imu_core::sample::DiscardCause;
 use vn100_proto::{BinaryAcceptance, BinaryHeader, Decoder, DecoderOptions, DecoderStats, Event};
 
-/// What the decoder may keep back: the longest frame and a run of garbage, with room for a piece of input.
+/// The maximum number of bytes that the decoder may keep back: the longest frame and a run of garbage, with room for a
+/// piece of input.
 const PENDING_MAX: usize = 8192;
 
-/// The input: a byte that says which frames are looked for, one that says how to split, then the stream.
+/// The input: a byte that selects the expected frames, one that determines how to split, then the stream.
 pub fn any_split(input: &[u8]) {
     let [acceptance, split, stream @ ..] = input else { return };
     let binary = match acceptance % 3 {
@@ -17,7 +18,7 @@ pub fn any_split(input: &[u8]) {
     let whole = decode(binary, std::iter::once(stream));
     let length = usize::from(*split % 64) + 1;
     assert_eq!(whole, decode(binary, stream.chunks(length)), "pieces of {length} bytes");
-    // Pieces of changing length, empty ones among them.
+    // Pieces of changing length, including empty ones.
     let mut rest = stream;
     let mut random = u32::from(*split) + 1;
     let pieces = std::iter::from_fn(|| {

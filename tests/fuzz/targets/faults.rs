@@ -1,4 +1,4 @@
-//! The emulator's script of faults: taken, or refused with its line; as many faults as lines that are not empty.
+//! The emulator's script of faults: accepted, or refused with its line; as many faults as lines that are not empty.
 
 use vn100d::emulator::faults::{Schedule, parse_line};
 
@@ -17,7 +17,7 @@ pub fn refused_with_its_line(input: &[u8]) {
                 assert!(next >= tick, "faults are in order");
                 tick = next;
                 let fault = schedule.due(tick).expect("it is due");
-                // What a fault is written as is read as that fault.
+                // The text of a fault must be read as that fault.
                 let again = parse_line(&fault.to_string(), "again", 1);
                 assert_eq!(again.ok().flatten(), Some(fault));
                 found += 1;

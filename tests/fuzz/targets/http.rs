@@ -17,10 +17,10 @@ const START_NS: i64 = 1_800_000_000_000_000_000;
 const PERIOD_NS: u64 = 25_000_000;
 /// Samples before the gap and after it.
 const SAMPLES: [u64; 2] = [300, 100];
-/// Longest answer that is read.
+/// Longest answer that is read, in bytes.
 const ANSWER_BYTES: usize = 16 << 20;
 
-/// Refuses every recording: reading them has a target of its own.
+/// Refuses every recording: reading them is another target.
 #[derive(Debug)]
 struct NoImports;
 
@@ -30,7 +30,7 @@ impl Importer for NoImports {
     }
 }
 
-/// An interface over a database of its own.
+/// An interface over a separate database.
 struct World {
     runtime: tokio::runtime::Runtime,
     service: TowerToHyperService<axum::Router>,
@@ -49,7 +49,7 @@ impl World {
         fill(&store);
         let jobs = Jobs::start(&store, JobsOptions::default()).expect("jobs");
         let (status, watched) = tokio::sync::watch::channel(Status::default());
-        // Nobody captures: what asks for it is told that the daemon is stopping.
+        // No capture task runs: its requests are answered with the message that the daemon is stopping.
         let (control, _) = CaptureControl::pair();
         let parts = ApiParts {
             status: watched,
@@ -74,7 +74,7 @@ impl World {
     }
 }
 
-/// A capture of two segments with a gap between them.
+/// Stores a capture of two segments with a gap between them.
 fn fill(store: &Store) {
     let mut capture = NewCapture::new("fuzz", CaptureState::Imported);
     capture.started_utc_ns = Some(START_NS);
@@ -123,7 +123,7 @@ pub fn no_server_error(input: &[u8]) {
     answered(input);
 }
 
-/// The status of the answer; `None` where the input is no request.
+/// Returns the status of the answer; `None` if the input is no request.
 pub fn answered(input: &[u8]) -> Option<StatusCode> {
     let (request, is_head) = request(input)?;
     let status = WORLD.with(|world| {
@@ -149,7 +149,7 @@ pub fn answered(input: &[u8]) -> Option<StatusCode> {
     Some(status)
 }
 
-/// `None` where it is no request that a server would pass on, or one that would end the world.
+/// Returns the request; `None` if a server would not pass it on, or if it would end the world.
 fn request(input: &[u8]) -> Option<(Request<Body>, bool)> {
     let (head, body) = match input.windows(2).position(|window| window == b"\n\n") {
         Some(end) => (&input[..end], &input[end + 2..]),

@@ -1,6 +1,6 @@
-//! Targets: what must hold for any bytes. Each function panics where it does not.
+//! Targets: properties that must hold for any bytes. Each function panics if its property does not hold.
 //!
-//! One definition for the harness on stable (`tests/fuzz/main.rs`) and for libFuzzer (`fuzz/fuzz_targets`).
+//! Each is defined once for the harness on stable (`tests/fuzz/main.rs`) and for libFuzzer (`fuzz/fuzz_targets`).
 
 mod config;
 mod decoder;
@@ -11,7 +11,7 @@ mod recording;
 /// A function of any bytes.
 pub type Target = fn(&[u8]);
 
-/// Every target by its name.
+/// All targets by name.
 pub const TARGETS: [(&str, Target); 10] = [
     ("decoder", decoder::any_split),
     ("csv", recording::csv),

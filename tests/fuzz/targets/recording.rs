@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// A line that is longer is read in pieces.
 const LINE_BYTES: usize = 4096;
-/// How inputs begin that are of another kind than text.
+/// The beginnings of inputs that are not text.
 const NO_TEXT: [&[u8]; 5] = [b"#ROSBAG", b"SQLite format 3", b"\x89MCAP", b"\x1F\x8B", b"\xFA"];
 
 fn is_no_text(input: &[u8]) -> bool {
@@ -15,7 +15,8 @@ fn is_no_text(input: &[u8]) -> bool {
 
 pub fn csv(input: &[u8]) {
     let Some(items) = holds(input) else { return };
-    // Quotation marks may hold line ends, other kinds are other targets; else each line that is not empty is a row.
+    // Quotation marks may hold line ends, other kinds are other targets; otherwise each line that is not empty is a
+    // row.
     if input.contains(&b'"') || input.windows(3).any(|window| window == b"$VN") || is_no_text(input) {
         return;
     }
@@ -33,7 +34,7 @@ pub fn raw_text(input: &[u8]) {
     if lines.iter().any(|line| line.len() >= LINE_BYTES) {
         return;
     }
-    // Which of the line-wise kinds it was found to be does not matter here: `$VN` may stand beyond what is looked at.
+    // The detected line-wise kind does not matter here: `$VN` may stand beyond the examined part.
     let rejected: BTreeSet<u64> = items.iter().filter_map(|(rejected, _)| *rejected).collect();
     if items.iter().any(|(_, is_csv)| *is_csv) {
         return;
@@ -46,13 +47,13 @@ pub fn raw_text(input: &[u8]) {
     }
 }
 
-/// A kind of which no more is known than of all.
+/// Tests a recording of any kind: only the common properties are known.
 pub fn any(input: &[u8]) {
     holds(input);
 }
 
-/// Reads it as the import does and checks what must hold; each item's line, where it was rejected, and whether the
-/// recording is a CSV. `None` where it was refused as a whole.
+/// Reads the recording as the import does and checks the properties. Returns each item's line, if it was rejected, and
+/// whether the recording is a CSV; `None` if it was refused as a whole.
 fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
     let options = Options { started_utc_ns: 1, ..Options::default() };
     let recording = match Recording::read(Input::memory("fuzz", input), options) {

@@ -6,11 +6,11 @@
 //! With the sensor's clock ([`Timebase::Device`]) a step of k periods means k − 1 missing samples, exactly. A step back
 //! beyond [`REORDER_WINDOW_NS`] is a reset and begins a new epoch, across which `missing` follows from the host's
 //! clock. Without it ([`Timebase::Arrival`]) a sample counts as missing only when the stream stays late: arrivals are
-//! late by latency, never early, and a burst that catches up lost nothing. The samples concerned are held until this,
-//! and whether the rate is still the same, is decided.
+//! late by latency, never early, and a burst that catches up lost nothing. These samples are held until it is decided
+//! whether samples are missing and whether the rate is still the same.
 //!
-//! `ticks` decides about samples with the sensor's ticks, `arrival` about those without; the common part is here.
-//! Tested by the properties below: received + missing = sent, for any losses, jitter and bursts.
+//! `ticks` decides about samples with the sensor's ticks, `arrival` about those without; this file has the common part.
+//! The properties below are tested: received + missing = sent, for any losses, jitter and bursts.
 
 mod arrival;
 #[cfg(test)]
@@ -25,25 +25,26 @@ use ticks::Trial;
 use super::{DiscardCause, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::units::period_ns;
 
-/// A device time that lies back by no more than this is a duplicate or a reordered frame; beyond it the clock was reset.
+/// A device time that goes back by at most this is a duplicate or a reordered frame; by more, the clock was reset.
 pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
-/// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times what both may).
+/// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times the drift that both may have).
 const DRIFT: f64 = 500e-6;
 
 /// The result for one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Observation {
-    /// It was taken (or is held until it is known whether samples are missing before it).
+    /// The sample was taken (or is held until it is known whether samples are missing before it).
     Taken,
-    /// A sample with its device time exists already.
+    /// A sample with the same device time exists already.
     Duplicate,
-    /// A later one was taken before it.
+    /// A later sample was taken before it.
     OutOfOrder,
-    /// It was taken, and the sensor's clock restarted before it.
+    /// The sample was taken, and the sensor's clock restarted before it.
     AfterReset,
-    /// It was taken, and the sensor's clock was set ahead before it, by this much more than the host's advanced, ns.
+    /// The sample was taken, and the sensor's clock was set ahead before it, by this much more than the host's
+    /// advanced, ns.
     ClockAhead(u64),
-    /// It was taken, and the last dozen came at another rate than before.
+    /// The sample was taken, and the last dozen samples came at another rate than before.
     RateChanged {
         /// The rate so far, Hz.
         from_hz: f64,
@@ -52,12 +53,12 @@ pub enum Observation {
     },
 }
 
-/// The doubt about the rate that the arrivals of samples without time raise, for a caller that can query the sensor.
+/// The doubt about the rate raised by the arrivals of samples without time, for a caller that can query the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RateDoubt {
     /// The samples do not arrive at the rate; it is undecided whether samples are lost or the rate has changed.
     Open,
-    /// The samples came at another rate for long enough: it was adopted.
+    /// The samples came at another rate for long enough, and the rate was adopted.
     Changed,
 }
 
@@ -80,9 +81,10 @@ pub struct Accountant {
     rate_hz: f64,
     timebase: Timebase,
     last: Option<Position>,
-    /// Rate of the last sample's segment, Hz: differs from `rate_hz` if that was announced and no sample came since.
+    /// Rate of the last sample's segment, Hz: it differs from `rate_hz` if a new rate was announced and no sample has
+    /// come since.
     last_rate_hz: f64,
-    /// A segment is open and the next sample may continue it.
+    /// The open segment, which the next sample may continue.
     open: Option<Segment>,
     segments: u32,
     epoch: u32,
@@ -91,15 +93,15 @@ pub struct Accountant {
     gaps: u64,
     /// The cause of an interruption of the connection since the last sample.
     interrupted: Option<GapCause>,
-    /// The reason why samples may be missing although the connection is open: a rejected frame, a stalled host.
+    /// The reason why samples may be missing although the connection is open: a rejected frame or a stalled host.
     suspicion: Option<GapCause>,
-    /// The host's own trouble: the cause of gaps shown by samples that arrive until then, monotonic ns.
+    /// The host's own trouble, which is the cause of gaps shown by samples that arrive until this monotonic time, ns.
     host_trouble: Option<(GapCause, u64)>,
     /// Samples whose steps have one wrong length: another rate, or losses.
     trial: Trial,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
-    /// The observation at a sample that was held.
+    /// The observation at a held sample.
     told: Option<Observation>,
     arrival: Arrival,
     /// The doubt not yet passed to the caller that can query the sensor.
@@ -107,28 +109,28 @@ pub struct Accountant {
     /// The host's own lateness in reading, ns: a shorter delay shows nothing about the sensor.
     host_jitter_ns: f64,
     backward: u32,
-    /// By how much the last sample was read later than the quickest of its epoch, ns.
+    /// How much later the last sample was read than the quickest of its epoch, ns.
     late_ns: f64,
-    /// For how long no sample has come earlier than the quickest so far, ns of the sensor's clock.
+    /// How long no sample has come earlier than the quickest so far, ns of the sensor's clock.
     on_line_ns: f64,
 }
 
 impl Accountant {
-    /// An accountant of a new capture. `rate_hz` is above 0.
+    /// Creates an accountant of a new capture. `rate_hz` is above 0.
     pub fn new(rate_hz: f64, timebase: Timebase) -> Self {
         Self { rate_hz, timebase, last_rate_hz: rate_hz, epoch: 1, ..Self::default() }
     }
 
-    /// The same, for a host whose own lateness in reading is up to `host_jitter_ns`.
+    /// Returns the accountant for a host whose own lateness in reading is up to `host_jitter_ns`.
     ///
     /// At real time the host's jitter is below a period. If time runs faster, the jitter is multiplied by the speed.
-    /// Without the sensor's clock a shorter silence cannot be distinguished from it.
+    /// Without the sensor's clock, a shorter silence cannot be distinguished from jitter.
     pub fn with_host_jitter(self, host_jitter_ns: f64) -> Self {
         Self { host_jitter_ns, ..self }
     }
 
-    /// An accountant that continues where an earlier one stopped. `segments`, `epoch`, `received`, `missing`, `gaps`
-    /// and the last sample's position are those in the database. Samples missing until the next one have `cause`.
+    /// Returns an accountant that continues where an earlier one stopped. `segments`, `epoch`, `received`, `missing`,
+    /// `gaps` and the last sample's position come from the database. Samples missing until the next one have `cause`.
     pub fn resume(
         rate_hz: f64,
         timebase: Timebase,
@@ -150,52 +152,52 @@ impl Accountant {
         }
     }
 
-    /// Samples received (held ones included).
+    /// Returns the number of received samples, held ones included.
     pub fn received(&self) -> u64 {
         self.received + self.held()
     }
 
-    /// Samples that are held until it is known whether some are missing before them.
+    /// Returns the number of samples that are held until it is known whether some are missing before them.
     pub fn held(&self) -> u64 {
         (self.arrival.held.len() + self.trial.held.len()) as u64
     }
 
-    /// The frame number of the first held sample.
+    /// Returns the frame number of the first held sample.
     pub fn held_from(&self) -> Option<u64> {
         self.arrival.held.first().or(self.trial.held.first()).map(|sample| sample.frame)
     }
 
-    /// Samples missing.
+    /// Returns the number of missing samples.
     pub fn missing(&self) -> u64 {
         self.missing
     }
 
-    /// Gaps recorded.
+    /// Returns the number of recorded gaps.
     pub fn gaps(&self) -> u64 {
         self.gaps
     }
 
-    /// Output rate in Hz.
+    /// Returns the output rate in Hz.
     pub fn rate_hz(&self) -> f64 {
         self.rate_hz
     }
 
-    /// The timebase of the samples.
+    /// Returns the timebase of the samples.
     pub fn timebase(&self) -> Timebase {
         self.timebase
     }
 
-    /// The run of the sensor's clock, from 1.
+    /// Returns the number of the run of the sensor's clock, from 1.
     pub fn epoch(&self) -> u32 {
         self.epoch
     }
 
-    /// The last sample taken.
+    /// Returns the last sample taken.
     pub fn last(&self) -> Option<Position> {
         self.last
     }
 
-    /// The cause that a gap would have if one appeared now.
+    /// Returns the cause that a gap would have if one appeared now.
     pub fn interruption(&self) -> Option<GapCause> {
         self.interrupted
     }
@@ -204,7 +206,7 @@ impl Accountant {
     pub fn interrupt(&mut self, cause: GapCause, out: &mut Vec<Record>) {
         self.settle(out);
         if self.last.is_some() {
-            // The host is the cause of whatever follows from its own standstill.
+            // The host is the cause of all effects of its own standstill.
             let cause = self.host_trouble.map_or(cause, |(cause, _)| cause);
             self.interrupted.get_or_insert(cause);
         }
@@ -218,12 +220,12 @@ impl Accountant {
         }
     }
 
-    /// The doubt about the rate since the last call, if any.
+    /// Returns and clears the doubt about the rate, if any.
     pub fn take_doubt(&mut self) -> Option<RateDoubt> {
         self.doubt.take()
     }
 
-    /// Measurements that were held and turned out to be no samples, since the last call: number and cause.
+    /// Returns the measurements that were held and turned out to be no samples, since the last call: number and cause.
     pub fn take_refused(&mut self) -> Vec<(u64, DiscardCause)> {
         std::mem::take(&mut self.refused)
     }
@@ -286,9 +288,10 @@ impl Accountant {
         );
     }
 
-    /// A gap between the last sample and this one. It ends when this one would have come without delay. Its length is
-    /// that of the sensor's clock, else that of the host's monotonic one or of the missing samples. Two samples that
-    /// are read at once do not determine a length, nor does civil time that was stepped or set in between.
+    /// Returns a gap between the last sample and this one. It ends when this one would have come without delay. Its
+    /// length is that of the sensor's clock, else that of the host's monotonic one or of the missing samples. Two
+    /// samples that are read at once do not determine a length, and neither does civil time that was stepped or set in
+    /// between.
     fn gap(
         &self,
         last: &Position,
@@ -318,7 +321,7 @@ impl Accountant {
         out.push(Record::Gap(gap));
     }
 
-    /// The most likely cause of a gap that appears now.
+    /// Returns the most likely cause of a gap that appears now.
     fn cause(&self) -> GapCause {
         let host = self.host_trouble.map(|(cause, _)| cause);
         self.interrupted.or(host).or(self.suspicion).unwrap_or(GapCause::Silent)
@@ -337,7 +340,7 @@ impl Accountant {
     fn take(&mut self, sample: Sample, out: &mut Vec<Record>) {
         self.interrupted = None;
         self.suspicion = None;
-        // An announced count that does not arrive is none.
+        // A count that was announced but does not arrive is not used.
         let timebase = match self.timebase {
             Timebase::SyncCounter if sample.sync_count.is_none() => Timebase::Arrival,
             timebase => timebase,
@@ -355,7 +358,7 @@ impl Accountant {
                 channels: sample.channels(),
                 first_device_time_ns: sample.device_time_ns,
                 first_utc_ns: sample.host_utc_ns,
-                // The recorder knows it.
+                // The recorder knows the boot.
                 boot_id: None,
             };
             out.push(Record::Segment(segment.clone()));
@@ -373,12 +376,12 @@ impl Accountant {
     }
 }
 
-/// Whether the host's monotonic clock determines the distance of the two samples.
+/// Returns whether the host's monotonic clock determines the distance of the two samples.
 fn is_one_boot(last: &Position, sample: &Sample) -> bool {
     last.host_mono_ns > 0 && sample.host_mono_ns >= last.host_mono_ns
 }
 
-/// Host time from the last sample to a later instant, ns: monotonic within one boot, civil across boots.
+/// Returns the host time from the last sample to a later instant, ns: monotonic within one boot, civil across boots.
 pub fn host_elapsed_ns(last: &Position, mono_ns: u64, utc_ns: i64) -> f64 {
     if last.host_mono_ns > 0 && mono_ns >= last.host_mono_ns {
         (mono_ns - last.host_mono_ns) as f64
@@ -390,8 +393,8 @@ pub fn host_elapsed_ns(last: &Position, mono_ns: u64, utc_ns: i64) -> f64 {
 /// Civil time before 2025 is that of a host whose clock has not been set, UTC ns.
 pub const UTC_UNSET_BEFORE_NS: i64 = 1_735_689_600_000_000_000;
 
-/// Civil time from one instant to a later one, ns; 0 if it went back, or if the clock was set in between so that the
-/// duration is unknown. Then only the sensor's own clock counts.
+/// Returns the civil time from one instant to a later one, ns; 0 if it went back, or if the clock was set in between so
+/// that the duration is unknown. In these cases only the sensor's own clock counts.
 fn civil_elapsed_ns(from_utc_ns: i64, to_utc_ns: i64) -> f64 {
     if from_utc_ns < UTC_UNSET_BEFORE_NS && to_utc_ns >= UTC_UNSET_BEFORE_NS {
         return 0.0;

@@ -1,10 +1,11 @@
 //! Audit: checks whether a capture's numbers agree with each other and with the sensor's own ticks. Pure.
 //!
-//! There are two identities, each of independently counted numbers:
+//! There are two identities of independently counted numbers:
 //!
 //! 1. `received = committed + in flight + discarded`. `received` is counted where valid measurements leave the decoder,
-//!    before anything decides about them; `committed` are rows; `in flight` is what is held or waits for its commit;
-//!    `discarded` are valid measurements that did not become a sample, by cause ([`super::DiscardCause::is_frame`]).
+//!    before anything decides about them; `committed` are rows; `in flight` are samples that are held or wait for their
+//!    commit; `discarded` are valid measurements that did not become a sample, by cause
+//!    ([`super::DiscardCause::is_frame`]).
 //! 2. `expected = committed + Σ gap.missing`. `expected` follows from the first and the last tick of each stretch: the
 //!    segments of one epoch with one rate and one timebase. Between stretches (a reset, another rate, another format)
 //!    and behind the last sample only host time determines the missing samples, and arrival times provide nothing to
@@ -12,11 +13,11 @@
 //!
 //! First and last tick determine the number of samples only if all of them lie on one grid: the last one a whole number
 //! of periods behind the first. If another rate came and went while nothing arrived, or a reset was missed, the ticks
-//! continue between two places of that grid, and the distance across is no number of samples. Two and a half periods
-//! may be three; two such distances are five periods and may be six. So a distance that is no whole number of periods
-//! is rounded by itself, its gap is checked against it, and the ticks behind it count on a separate grid. Whole ones
-//! are never rounded separately: a gap that counts one too few is found however many segments lie between first and
-//! last.
+//! continue between two places of that grid, and the distance is not a number of samples. Two and a half periods may be
+//! three samples; two such distances are five periods and may be six samples. A distance that is not a whole number of
+//! periods is therefore rounded on its own, its gap is checked against it, and the ticks behind it count on a separate
+//! grid. Whole distances are never rounded separately: a gap that counts one too few is found, however many segments
+//! lie between first and last.
 //!
 //! The definition is in one place: [`audit_in_order`]. The store feeds it row by row from one snapshot of the database, tests
 //! from memory ([`audit`]).
@@ -26,10 +27,11 @@ use crate::units::period_ns;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A list of stretches in a report has at most this many entries; those that do not hold come first.
+/// The maximum number of stretches listed in a report; those that do not hold come first.
 pub const STRETCHES_SHOWN: usize = 100;
 
-/// Two segments whose distance is further than this share of a period from a whole number of periods are on two grids.
+/// Two segments whose distance differs by more than this share of a period from a whole number of periods are on two
+/// grids.
 const OFF_GRID: f64 = 0.05;
 
 /// The facts about a segment that the audit needs.
@@ -37,11 +39,11 @@ const OFF_GRID: f64 = 0.05;
 pub struct SegmentFacts {
     /// Number within the capture, from 1.
     pub number: u32,
-    /// One run of the sensor's clock.
+    /// The run of the sensor's clock.
     pub epoch: u32,
-    /// `seq` of its first sample.
+    /// `seq` of the segment's first sample.
     pub first_seq: u64,
-    /// Samples that it has.
+    /// Number of samples in the segment.
     pub samples: u64,
     /// Output rate in Hz.
     pub rate_hz: f64,
@@ -55,16 +57,16 @@ pub struct SegmentFacts {
 /// The facts about a gap that the audit needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GapFacts {
-    /// `seq` of the first sample after it.
+    /// `seq` of the first sample after the gap.
     pub before_seq: u64,
-    /// Samples missing.
+    /// Number of missing samples.
     pub missing: u64,
 }
 
 /// The counts of a capture.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct CountFacts {
-    /// Valid measurements that left the decoder during the capture; `None` if they were not counted.
+    /// Valid measurements that left the decoder during the capture; `None` if not counted.
     pub received: Option<u64>,
     /// Rows of table `sample`.
     pub committed: u64,
@@ -81,32 +83,32 @@ pub struct CountFacts {
 pub struct Stretch {
     /// One run of the sensor's clock, from 1.
     pub epoch: u32,
-    /// Its first segment.
+    /// The first segment of the stretch.
     pub first_segment: u32,
-    /// Its last segment.
+    /// The last segment of the stretch.
     pub last_segment: u32,
     /// Output rate in Hz.
     pub rate_hz: f64,
-    /// What its times rest on.
+    /// The timebase of the times.
     pub timebase: Timebase,
-    /// Samples it has.
+    /// Number of samples in the stretch.
     pub samples: u64,
-    /// Missing samples in the gaps inside it.
+    /// Number of missing samples in the gaps inside the stretch.
     pub missing: u64,
-    /// Samples that its first and last tick ask for; null where its times are no ticks.
+    /// Number of samples according to the first and last tick; null if the times are not ticks.
     pub expected: Option<u64>,
     /// `expected` − `samples` − `missing`: 0.
     pub difference: i64,
 }
 
-/// What cannot be checked against ticks.
+/// Samples that cannot be checked against ticks.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Unchecked {
-    /// Why.
+    /// The reason.
     pub reason: String,
-    /// Samples that it concerns.
+    /// Number of samples concerned.
     pub samples: u64,
-    /// Missing samples that it concerns.
+    /// Number of missing samples concerned.
     pub missing: u64,
 }
 
@@ -115,7 +117,7 @@ pub struct Unchecked {
 pub struct Report {
     /// Whether every number agrees.
     pub holds: bool,
-    /// Valid measurements that left the decoder; null for a capture of a version that did not count them.
+    /// Valid measurements that left the decoder; null for a capture made by a version that did not count them.
     pub received: Option<u64>,
     /// Samples on disk.
     pub committed: u64,
@@ -125,7 +127,8 @@ pub struct Report {
     pub discarded: BTreeMap<String, u64>,
     /// `received` − `committed` − `in_flight` − `discarded`: 0.
     pub received_difference: i64,
-    /// Samples that the sensor's ticks ask for, as of the last commit; across epochs and without ticks as recorded.
+    /// Number of samples according to the sensor's ticks, as of the last commit; across epochs and without ticks, as
+    /// recorded.
     pub expected: u64,
     /// Samples missing, as of the last commit.
     pub missing: u64,
@@ -133,16 +136,16 @@ pub struct Report {
     pub expected_difference: i64,
     /// Runs of the sensor's clock at one rate, those that do not hold first; at most 100 are listed.
     pub stretches: Vec<Stretch>,
-    /// How many are not listed.
+    /// Number of stretches that are not listed.
     pub stretches_omitted: u64,
-    /// What could not be checked against ticks, and why.
+    /// Samples that could not be checked against ticks, with the reason.
     pub unchecked: Vec<Unchecked>,
-    /// What disagrees, one sentence each.
+    /// Disagreements, one sentence each.
     pub violations: Vec<String>,
 }
 
 impl Report {
-    /// The same report for a running capture: the first identity at the instant at which `received` measurements had
+    /// Returns the report for a running capture: the first identity at the instant at which `received` measurements had
     /// arrived, `committed` of them were on disk and `in_flight` on their way there.
     pub fn at_this_instant(
         self,
@@ -166,7 +169,7 @@ impl Report {
     }
 }
 
-/// Computes `received` − `committed` − `in_flight` − `discarded`; violations are reported.
+/// Computes `received` − `committed` − `in_flight` − `discarded` and reports violations.
 fn first_identity(
     received: Option<u64>,
     committed: u64,
@@ -199,11 +202,12 @@ pub fn audit(segments: &[SegmentFacts], gaps: &[GapFacts], counts: CountFacts) -
     }
 }
 
-/// As [`audit`], for segments in the order of their numbers and gaps in the order of `before_seq`, one after the other.
-/// However many there are, only one stretch and the entries of the report are in memory.
+/// Checks a capture as [`audit`] does, for segments in the order of their numbers and gaps in the order of
+/// `before_seq`, one after the other. However many there are, only one stretch and the entries of the report are in
+/// memory.
 ///
 /// # Errors
-/// The first error of either of them.
+/// The first error of either iterator.
 pub fn audit_in_order<E>(
     segments: impl IntoIterator<Item = Result<SegmentFacts, E>>,
     gaps: impl IntoIterator<Item = Result<GapFacts, E>>,
@@ -272,7 +276,7 @@ struct Open {
     before_grid: u64,
 }
 
-/// The number of periods from one tick to a later one of the sensor's clock.
+/// Returns the number of periods from one tick to a later one of the sensor's clock.
 fn periods(from: u64, to: u64, rate_hz: f64) -> f64 {
     to.wrapping_sub(from) as f64 / period_ns(rate_hz)
 }
@@ -300,7 +304,7 @@ impl Open {
         }
         self.last = segment.clone();
     }
-    /// The stretch, without its missing samples.
+    /// Returns the stretch, without its missing samples.
     fn stretch(&self) -> Stretch {
         let Self { first, last, .. } = self;
         let expected = first.ticks.zip(last.ticks).and_then(|((from, _), (_, to))| match first.timebase {
@@ -363,7 +367,7 @@ impl<E, G: Iterator<Item = Result<GapFacts, E>>> Walk<G> {
         })
     }
 
-    /// Each segment begins where the one before ends.
+    /// Follows the segments: each one begins where the one before ends.
     fn follow(&mut self, segment: &SegmentFacts) {
         self.segment_count += 1;
         if segment.first_seq != self.next_seq {
@@ -378,7 +382,7 @@ impl<E, G: Iterator<Item = Result<GapFacts, E>>> Walk<G> {
         self.next_seq = segment.first_seq + segment.samples;
     }
 
-    /// The next gap before this `seq`.
+    /// Returns the next gap before this `seq`.
     fn gap_before(&mut self, seq: u64) -> Result<Option<GapFacts>, E> {
         let Some(gap) = self.next_gap.filter(|gap| gap.before_seq < seq) else { return Ok(None) };
         self.gap_count += 1;
@@ -392,7 +396,7 @@ impl<E, G: Iterator<Item = Result<GapFacts, E>>> Walk<G> {
         self.unchecked.entry(BETWEEN).or_default().1 += gap.missing;
     }
 
-    /// Takes in a stretch that is whole, with the gaps inside it.
+    /// Takes in a complete stretch, with the gaps inside it.
     fn close(&mut self, open: Open) -> Result<(), E> {
         let mut stretch = open.stretch();
         while let Some(gap) = self.gap_before(open.first_seq + open.samples)? {
@@ -575,7 +579,7 @@ mod tests {
         assert_eq!(report.violations.len(), 3, "{:?}", report.violations);
     }
 
-    /// The sensor had another rate while nothing arrived, twice: each distance is two and a half periods.
+    /// The sensor twice had another rate while nothing arrived: each distance is two and a half periods.
     #[test]
     fn a_distance_that_is_no_whole_number_of_periods_is_checked_by_itself() {
         let half = PERIOD_NS / 2;
@@ -587,7 +591,7 @@ mod tests {
             segment(1, 1, 0, 10, 100),
             shifted(segment(2, 1, 10, 10, 111), half),
             segment(3, 1, 20, 10, 123),
-            // On the same grid: seven are missing.
+            // On the same grid; seven are missing.
             segment(4, 1, 30, 10, 140),
         ];
         let report = |missing: [u64; 3]| {
@@ -618,7 +622,7 @@ mod tests {
 
     #[test]
     fn what_is_listed_is_bounded_and_the_rest_is_counted() {
-        // Each segment an epoch of its own, every other one a sample short, and nothing follows on anything.
+        // Each segment has its own epoch, every other one is a sample short, and no segment continues another.
         let segments = (0..1000).map(|number: u32| {
             let mut one = segment(number + 1, number + 1, u64::from(number) * 20, 10, 0);
             one.ticks = Some((0, (9 + u64::from(number % 2)) * PERIOD_NS));
@@ -629,7 +633,7 @@ mod tests {
         assert_eq!((report.expected, report.missing, report.expected_difference), (10_000 + 500 + 2997, 2997, 500));
         assert_eq!((report.stretches.len(), report.stretches_omitted), (STRETCHES_SHOWN, 900));
         assert!(report.stretches.iter().all(|stretch| stretch.difference == 1));
-        // A hundred of each sort and one line for the others.
+        // A hundred of each kind, and one line for the others.
         assert_eq!(report.violations.len(), 202, "{:?}", report.violations.last());
         assert_eq!(report.violations[100], "and 400 more of this kind");
         assert_eq!(report.unchecked[0].missing, 2997);

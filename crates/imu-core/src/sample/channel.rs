@@ -27,7 +27,7 @@ pub enum Channel {
     Pressure,
 }
 
-/// Three channels that belong together.
+/// A group of three channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::IntoStaticStr)]
@@ -41,7 +41,7 @@ pub enum Triad {
 }
 
 impl Triad {
-    /// The triad's three channels in the order x, y, z (yaw, pitch, roll).
+    /// Returns the triad's three channels in the order x, y, z (yaw, pitch, roll).
     pub fn channels(self) -> [Channel; 3] {
         use Channel::{AccelX, AccelY, AccelZ, GyroX, GyroY, GyroZ, MagX, MagY, MagZ, Pitch, Roll, Yaw};
         match self {
@@ -51,7 +51,7 @@ impl Triad {
             Self::Gyro => [GyroX, GyroY, GyroZ],
         }
     }
-    /// `attitude`, `mag`, `accel` or `gyro`.
+    /// Returns the name: `attitude`, `mag`, `accel` or `gyro`.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -76,15 +76,15 @@ impl Channel {
         Self::GyroZ,
     ];
 
-    /// The name in tables, JSON and on the command line.
+    /// Returns the name in tables, JSON and on the command line.
     pub fn name(self) -> &'static str {
         self.into()
     }
-    /// The channel with that name.
+    /// Returns the channel with that name.
     pub fn from_name(name: &str) -> Option<Self> {
         name.parse().ok()
     }
-    /// The channels of a comma-separated list of names, each once.
+    /// Returns the channels of a comma-separated list of names, each once.
     ///
     /// # Errors
     /// [`ChannelError::Unknown`] with the first unknown name.
@@ -99,10 +99,10 @@ impl Channel {
         }
         Ok(channels)
     }
-    /// The wanted channels of those that a capture has; all of these if none are named.
+    /// Returns the requested channels of a capture, or all of its channels if none are named.
     ///
     /// # Errors
-    /// [`ChannelError::Absent`] with the first that it does not have.
+    /// [`ChannelError::Absent`] with the first channel that the capture does not have.
     pub fn chosen(wanted: Option<&[Self]>, has: &[Self]) -> Result<Vec<Self>, ChannelError> {
         let channels = wanted.unwrap_or(has).to_vec();
         match channels.iter().find(|channel| !has.contains(channel)) {
@@ -110,11 +110,11 @@ impl Channel {
             None => Ok(channels),
         }
     }
-    /// The name of its column in files that include the unit (docs/formats.md): `gyro_x_rad_s`.
+    /// Returns the name of the channel's column in files that include the unit (docs/formats.md): `gyro_x_rad_s`.
     pub fn column_name(self) -> String {
         format!("{}{}", self.name(), self.csv_suffix())
     }
-    /// The triad the channel belongs to; temperature and pressure stand alone.
+    /// Returns the triad of the channel; temperature and pressure stand alone.
     pub fn triad(self) -> Option<Triad> {
         match self {
             Self::Yaw | Self::Pitch | Self::Roll => Some(Triad::Attitude),
@@ -124,7 +124,7 @@ impl Channel {
             Self::Temperature | Self::Pressure => None,
         }
     }
-    /// The unit the sensor sends and the database holds.
+    /// Returns the unit in which the sensor sends and the database holds the channel.
     pub fn unit(self) -> &'static str {
         match self.triad() {
             Some(Triad::Attitude) => "deg",
@@ -135,7 +135,7 @@ impl Channel {
             None => "kPa",
         }
     }
-    /// The suffix that names the unit in a CSV header (docs/formats.md): `gyro_x` + `_rad_s`.
+    /// Returns the suffix that names the unit in a CSV header (docs/formats.md): `gyro_x` + `_rad_s`.
     pub fn csv_suffix(self) -> &'static str {
         match self.triad() {
             Some(Triad::Attitude) => "_deg",
@@ -146,7 +146,8 @@ impl Channel {
             None => "_kpa",
         }
     }
-    /// Decimals of the VN-100's ASCII output in firmware 2 and 3 (recorded lines of 122 bytes; AN110's packet lengths).
+    /// Returns the number of decimals in the VN-100's ASCII output in firmware 2 and 3 (recorded lines of 122 bytes;
+    /// AN110's packet lengths).
     pub fn ascii_decimals(self) -> usize {
         match self.triad() {
             Some(Triad::Attitude | Triad::Accel) => 3,
@@ -156,9 +157,9 @@ impl Channel {
             None => 3,
         }
     }
-    /// A power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit. It fixes
-    /// the fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s² (VN-100 data
-    /// sheet), with room for other sensors.
+    /// Returns a power of two (its exponent) that no plausible value of this channel reaches, in the channel's unit. It
+    /// fixes the fixed-point scale of exact sums. Gyro ±2000 °/s = 34.9 rad/s and accelerometer ±16 g = 157 m/s²
+    /// (VN-100 data sheet), with room for other sensors.
     pub fn range_exponent(self) -> u32 {
         match self.triad() {
             Some(Triad::Attitude) => 9,
@@ -170,7 +171,7 @@ impl Channel {
     }
 }
 
-/// The number of characters of an unknown name that are repeated.
+/// The maximum number of characters of an unknown name in a message.
 const NAME_CHARS: usize = 40;
 
 /// The reasons why requested channels are not returned.
@@ -201,7 +202,7 @@ fn names(channels: &[Channel]) -> String {
 pub struct ChannelSet(u16);
 
 impl ChannelSet {
-    /// No channel.
+    /// The empty set.
     pub const EMPTY: Self = Self(0);
     /// Adds a channel.
     pub fn insert(&mut self, channel: Channel) {
@@ -211,19 +212,19 @@ impl ChannelSet {
     pub fn remove(&mut self, channel: Channel) {
         self.0 &= !(1 << channel as u8);
     }
-    /// Whether the channel is in the set.
+    /// Returns whether the channel is in the set.
     pub fn contains(self, channel: Channel) -> bool {
         self.0 & (1 << channel as u8) != 0
     }
-    /// The channels of either set.
+    /// Returns the channels of either set.
     pub fn union(self, other: Self) -> Self {
         Self(self.0 | other.0)
     }
-    /// Whether the set has no channel.
+    /// Returns whether the set has no channel.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
-    /// The channels in column order.
+    /// Returns the channels in column order.
     pub fn iter(self) -> impl Iterator<Item = Channel> {
         Channel::ALL.into_iter().filter(move |channel| self.contains(*channel))
     }

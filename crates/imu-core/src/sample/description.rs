@@ -1,7 +1,6 @@
 //! Descriptions: a capture's sensor and how it was configured, as the database and the interfaces hold them.
 //!
-//! These JSON documents keep whatever keys they came with. What the program reads of them, it reads through the methods
-//! here.
+//! These JSON documents keep all keys that they came with. The program reads them through the methods here.
 
 use crate::units::IMU_RATE_HZ;
 use serde::{Deserialize, Serialize};
@@ -12,26 +11,26 @@ use std::fmt;
 /// Register contents by number.
 pub type Registers = BTreeMap<u16, String>;
 
-/// A sensor as it was found when it was connected. A register that the sensor does not have is absent.
+/// A sensor as found when it was connected. A register that the sensor does not have is absent.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ConnectedSensor {
     /// The port's name.
     pub port: Option<String>,
-    /// Baud rate.
+    /// The baud rate.
     pub baud: Option<u32>,
-    /// Register 1.
+    /// Register 1: the model.
     pub model: Option<String>,
-    /// Register 2.
+    /// Register 2: the hardware revision.
     pub hardware_revision: Option<String>,
-    /// Register 3.
+    /// Register 3: the serial number.
     pub serial_number: Option<String>,
-    /// Register 4.
+    /// Register 4: the firmware version.
     pub firmware: Option<String>,
-    /// The measurements that are recorded: the name of a message, or the groups and fields of a binary output.
+    /// The recorded measurements: the name of a message, or the groups and fields of a binary output.
     pub output: String,
     /// Output rate in Hz.
     pub rate_hz: f64,
-    /// Register 85.
+    /// Register 85: the filter windows.
     pub filter_window: Option<Register85>,
     /// The latency timer of the port's adapter, if it has one.
     pub latency_timer_ms: Option<u32>,
@@ -42,7 +41,7 @@ pub struct ConnectedSensor {
 }
 
 impl ConnectedSensor {
-    /// Identifies the sensor.
+    /// Returns the description that identifies the sensor.
     pub fn sensor(&self) -> SensorDescription {
         SensorDescription(json!({
             "model": self.model,
@@ -52,9 +51,9 @@ impl ConnectedSensor {
         }))
     }
 
-    /// Everything, as the configuration of a capture.
+    /// Returns all data as the configuration of a capture.
     pub fn configuration(&self) -> CaptureConfiguration {
-        // Numbers and texts can be written.
+        // Numbers and texts can always be written.
         CaptureConfiguration(serde_json::to_value(self).unwrap_or_default())
     }
 }
@@ -62,20 +61,20 @@ impl ConnectedSensor {
 /// Windows of the sensor's filters in internal samples; 0 and 1 are no averaging.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FilterWindows {
-    /// Magnetometer.
+    /// Window of the magnetometer.
     pub mag: u32,
-    /// Accelerometer.
+    /// Window of the accelerometer.
     pub accel: u32,
-    /// Gyroscope.
+    /// Window of the gyroscope.
     pub gyro: u32,
 }
 
 impl FilterWindows {
-    /// The factory's setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of a
-    /// unit's 800 Hz output).
+    /// The factory setting (user manual UM001 rev 2.45, table of factory defaults; confirmed by the autocorrelation of
+    /// a unit's 800 Hz output).
     pub const FACTORY: Self = Self { mag: 0, accel: 4, gyro: 4 };
 
-    /// The windows as a user states them. There is no such statement for the magnetometer.
+    /// Returns the windows as a user states them. There is no such statement for the magnetometer.
     pub fn stated(window: u32) -> Self {
         Self { mag: 0, accel: window, gyro: window }
     }
@@ -84,17 +83,17 @@ impl FilterWindows {
 /// All windows of register 85.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Register85 {
-    /// Those of the inertial sensors and the magnetometer.
+    /// The windows of the inertial sensors and the magnetometer.
     #[serde(flatten)]
     pub windows: FilterWindows,
-    /// Temperature.
+    /// Window of the temperature.
     pub temperature: u32,
-    /// Pressure.
+    /// Window of the pressure.
     pub pressure: u32,
 }
 
 impl Register85 {
-    /// Reads the register's contents.
+    /// Parses the register's contents.
     pub fn parse(text: &str) -> Option<Self> {
         let windows: Vec<u32> = text.split(',').take(5).filter_map(|field| field.trim().parse().ok()).collect();
         let [mag, accel, gyro, temperature, pressure] = windows[..] else { return None };
@@ -102,19 +101,19 @@ impl Register85 {
     }
 }
 
-/// States that the sensor sends means of its own samples.
+/// The user's statement that the sensor sends means of its own samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StatedSampling {
-    /// Samples per mean.
+    /// Number of samples per mean.
     pub filter_window: u32,
-    /// Rate of these samples, Hz. Without it the known one is used, else a VN-100's.
+    /// Rate of these samples, Hz. Without it the known rate is used, else that of a VN-100.
     #[serde(default)]
     pub internal_rate_hz: Option<f64>,
 }
 
 impl StatedSampling {
-    /// The statement in the form that a capture stores.
+    /// Returns the statement in the form stored with a capture.
     pub fn kept(self) -> Self {
         Self { internal_rate_hz: Some(self.internal_rate_hz.unwrap_or(IMU_RATE_HZ)), ..self }
     }
@@ -126,15 +125,15 @@ impl StatedSampling {
 pub struct SensorDescription(Value);
 
 impl SensorDescription {
-    /// The model.
+    /// Returns the model.
     pub fn model(&self) -> Option<&str> {
         self.0["model"].as_str()
     }
-    /// The serial number.
+    /// Returns the serial number.
     pub fn serial_number(&self) -> Option<&str> {
         self.0["serial_number"].as_str()
     }
-    /// The version of the firmware.
+    /// Returns the version of the firmware.
     pub fn firmware(&self) -> Option<&str> {
         self.0["firmware"].as_str()
     }
@@ -146,31 +145,31 @@ impl SensorDescription {
 pub struct CaptureConfiguration(Value);
 
 impl CaptureConfiguration {
-    /// The measurements that a sensor sent ([`ConnectedSensor::output`]).
+    /// Returns the measurements that a sensor sent ([`ConnectedSensor::output`]).
     pub fn output(&self) -> Option<&str> {
         self.0["output"].as_str()
     }
-    /// The output registers before the program changed them.
+    /// Returns the output registers before the program changed them.
     pub fn previous_output(&self) -> Registers {
         Registers::deserialize(&self.0["previous_output"]).unwrap_or_default()
     }
-    /// The filter windows of register 85.
+    /// Returns the filter windows of register 85.
     pub fn register_85(&self) -> Option<FilterWindows> {
         FilterWindows::deserialize(&self.0["filter_window"]).ok()
     }
-    /// The sampling that the user stated at an import.
+    /// Returns the sampling that the user stated at an import.
     pub fn stated_sampling(&self) -> Option<StatedSampling> {
         StatedSampling::deserialize(&self.0["sampling"]).ok().map(StatedSampling::kept)
     }
-    /// The filter windows: those of register 85, else as the import stated.
+    /// Returns the filter windows: those of register 85, else those stated at the import.
     pub fn filter_windows(&self) -> Option<FilterWindows> {
         self.register_85().or_else(|| Some(FilterWindows::stated(self.stated_sampling()?.filter_window)))
     }
-    /// The kind of recording that was imported.
+    /// Returns the kind of recording that was imported.
     pub fn recording_kind(&self) -> Option<&str> {
         self.0["kind"].as_str()
     }
-    /// What a user should know about an imported recording, a sentence each.
+    /// Returns remarks for the user about an imported recording, one sentence each.
     pub fn remarks(&self) -> impl Iterator<Item = &str> {
         self.0["remarks"].as_array().into_iter().flatten().filter_map(Value::as_str)
     }
@@ -179,7 +178,7 @@ impl CaptureConfiguration {
 macro_rules! document {
     ($($name:ident),*) => {$(
         impl $name {
-            /// The keys with their values.
+            /// Returns the keys with their values.
             pub fn entries(&self) -> impl Iterator<Item = (&str, &Value)> {
                 self.0.as_object().into_iter().flatten().map(|(key, value)| (key.as_str(), value))
             }

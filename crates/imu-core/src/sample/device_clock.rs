@@ -1,13 +1,14 @@
 //! Device clock: compares the sensor's clock with the host's, from arrival times. Pure.
 //!
-//! A measurement arrives late by its latency and never early, so that the truth lies under the points (device time,
-//! arrival − device time). The estimate is the line under all points that is closest to them on average: the edge of their
-//! lower convex hull over their mean time (the linear programme of Moon, Skelly and Towsley, INFOCOM 1999). Memory is
-//! bounded: the least late arrival of each bin of time is kept, and bins are joined in pairs when there are too many.
+//! A measurement arrives late by its latency and never early, so that the true line lies under the points (device time,
+//! arrival − device time). The estimate is the line under all points that is closest to them on average: the edge of
+//! their lower convex hull over their mean time (the linear programme of Moon, Skelly and Towsley, INFOCOM 1999).
+//! Memory is bounded: the least late arrival of each bin of time is kept, and bins are joined in pairs when there are
+//! too many.
 //!
-//! The host's side is `CLOCK_BOOTTIME`, the clock of every `host_mono_ns`: NTP disciplines its rate, so that in the long run
-//! it is the better clock of the two, and while NTP slews (at most 500 ppm) the slew is part of the skew that is shown.
-//! `CLOCK_MONOTONIC_RAW` would be free of slews, but has the host crystal's own error, tens of ppm, for good.
+//! The host's side is `CLOCK_BOOTTIME`, the clock of every `host_mono_ns`: NTP disciplines its rate, so that in the
+//! long run it is the better clock of the two. While NTP slews (at most 500 ppm), the slew is part of the reported
+//! skew. `CLOCK_MONOTONIC_RAW` would be free of slews, but permanently has the host crystal's own error, tens of ppm.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,27 +16,28 @@ use serde::{Deserialize, Serialize};
 const BINS: usize = 256;
 /// The initial width of a bin, ns.
 const BIN_NS: u64 = 500_000_000;
-/// Until this much time of the sensor has passed, its rate is not estimated, s.
+/// The rate of the sensor's clock is not estimated before it has run for this long, s.
 const SPAN_S: f64 = 5.0;
 
 /// The sensor's clock as the host sees it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ClockEstimate {
-    /// How much faster than the host's clock the sensor's runs, ppm.
+    /// How much faster the sensor's clock runs than the host's, ppm.
     pub skew_ppm: f64,
-    /// Half of the interval that holds `skew_ppm`, from how far the least late arrivals scatter, ppm.
+    /// Half of the interval that contains `skew_ppm`, from the scatter of the least late arrivals, ppm.
     pub skew_ppm_uncertainty: f64,
-    /// Host monotonic time minus device time at the last measurement, latency excluded as far as the quickest arrivals do, s.
+    /// Host monotonic time minus device time at the last measurement, without latency as far as the quickest arrivals
+    /// show it, s.
     pub offset_s: f64,
-    /// How late measurements arrive beyond the quickest: on average, ms.
+    /// Mean latency of measurements beyond the quickest ones, ms.
     pub latency_mean_ms: f64,
-    /// The same, at worst: what a burst after a stall shows.
+    /// Maximum latency of measurements beyond the quickest ones, which a burst after a stall shows, ms.
     pub latency_max_ms: f64,
-    /// Time of the sensor that the estimate rests on, s.
+    /// Time of the sensor that the estimate is based on, s.
     pub span_s: f64,
 }
 
-/// The least late arrival of one bin: device time and arrival − device time, ns since the first measurement.
+/// The least late arrival of a bin: device time and arrival − device time, ns since the first measurement.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Point {
     device_ns: f64,
@@ -51,7 +53,7 @@ pub struct DeviceClock {
     first: Option<(u64, u64)>,
     last_device_ns: u64,
     bin_ns: u64,
-    /// Bins in order; the last is being filled. Number and least late arrival.
+    /// Bins in order; the last one is being filled. Each has its number and its least late arrival.
     bins: Vec<(u64, Point)>,
     /// Sum and number of the delays, for their mean.
     sum_ns: f64,
@@ -61,8 +63,8 @@ pub struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// Takes a measurement of this run of the sensor's clock; another run begins a new estimate. The accounting
-    /// determines the run ([`super::Accountant::epoch`]), with a number that distinguishes one capture from the next.
+    /// Takes a measurement of a run of the sensor's clock; another run begins a new estimate. The accounting determines
+    /// the run ([`super::Accountant::epoch`]), combined with a number that distinguishes one capture from the next.
     pub fn note(&mut self, run: (i64, u32), device_ns: u64, host_mono_ns: u64) {
         if self.run != run {
             *self = Self { run, ..Self::default() };
@@ -115,7 +117,7 @@ impl DeviceClock {
         self.bins = joined;
     }
 
-    /// The present estimate; `None` before there is enough data.
+    /// Returns the present estimate; `None` before there is enough data.
     pub fn estimate(&self) -> Option<ClockEstimate> {
         let (device_0, host_0) = self.first?;
         let (first, last) = (self.bins.first()?.1, self.bins.last()?.1);
@@ -131,8 +133,8 @@ impl DeviceClock {
         })?;
         let slope = (to.delay_ns - from.delay_ns) / (to.device_ns - from.device_ns);
         let line = |at: f64| from.delay_ns + slope * (at - from.device_ns);
-        // The quickest arrivals of the bins lie above the line by what is left of their latency: a line through the ends
-        // of that band would be steeper or flatter by so much.
+        // The quickest arrivals of the bins lie above the line by the rest of their latency: a line through the ends of
+        // that band would be steeper or flatter by this much.
         let mut above: Vec<f64> = self.bins.iter().map(|(_, point)| point.delay_ns - line(point.device_ns)).collect();
         above.sort_by(f64::total_cmp);
         let band_ns = above.get(above.len() * 9 / 10).copied().unwrap_or(0.0).max(1e3);
@@ -151,7 +153,7 @@ impl DeviceClock {
     }
 }
 
-/// The lower convex hull of points in the order of their device time (Andrew's monotone chain).
+/// Returns the lower convex hull of points in the order of their device time (Andrew's monotone chain).
 fn lower_hull(points: impl Iterator<Item = Point>) -> Vec<Point> {
     let mut hull: Vec<Point> = Vec::new();
     for point in points {
@@ -173,7 +175,7 @@ mod tests {
     use super::*;
     use crate::sample::{Accountant, Channel, Record, Sample, Timebase};
 
-    /// Pseudo-random latency in ns: 0.2 ms at least, some milliseconds mostly, now and then a stall.
+    /// Returns a pseudo-random latency in ns: at least 0.2 ms, usually some milliseconds, sometimes a stall.
     fn latency_ns(index: u64) -> u64 {
         let mut bits = index.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ (index >> 7);
         bits ^= bits >> 31;
@@ -183,7 +185,7 @@ mod tests {
         200_000 + bits % 8_000_000 + stall
     }
 
-    /// An hour (or so) at 40 Hz: the sensor fast by `drift_ppm`, the host's clock by `slew_ppm`.
+    /// Simulates about an hour at 40 Hz: the sensor's clock is fast by `drift_ppm`, the host's by `slew_ppm`.
     fn run(seconds: u64, drift_ppm: f64, slew_ppm: f64) -> (ClockEstimate, f64, u64) {
         let (mut clock, mut accountant) = (DeviceClock::default(), Accountant::new(40.0, Timebase::Device));
         let mut out: Vec<Record> = Vec::new();
@@ -229,7 +231,7 @@ mod tests {
         assert!((estimate.latency_max_ms - 300.0).abs() < 10.0, "{estimate:?}");
     }
 
-    /// Ten seconds of one run of the sensor's clock, then ten of another that begins at `again_ns`.
+    /// Simulates ten seconds of one run of the sensor's clock, then ten of another that begins at `again_ns`.
     fn two_runs(again_ns: u64) -> (Option<ClockEstimate>, u32) {
         let (mut clock, mut accountant) = (DeviceClock::default(), Accountant::new(40.0, Timebase::Device));
         let mut out = Vec::new();
@@ -247,7 +249,7 @@ mod tests {
         (clock.estimate(), accountant.epoch())
     }
 
-    /// Only the accounting decides where a run begins: back to zero, back by less than a second, ahead by an hour.
+    /// Only the accounting decides where a run begins: back to zero, back by less than a second, or ahead by an hour.
     #[test]
     fn a_clock_that_starts_again_begins_a_new_estimate_where_the_accounting_says_so() {
         for again_ns in [0, 59_500_000_000, 3_660_000_000_000] {

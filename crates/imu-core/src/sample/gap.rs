@@ -13,7 +13,7 @@ pub enum GapCause {
     Unplugged,
     /// The sensor's clock started again.
     SensorReset,
-    /// The port stayed, the sensor sent nothing.
+    /// The port stayed, but the sensor sent nothing.
     Silent,
     /// A frame failed its checksum or was cut.
     Checksum,
@@ -27,16 +27,16 @@ pub enum GapCause {
     HostSuspend,
     /// The daemon was not running.
     DaemonStopped,
-    /// The disk was too slow and the queue full.
+    /// The disk was too slow and the queue was full.
     StorageBackpressure,
-    /// Missing in an imported recording.
+    /// The samples are missing in an imported recording.
     Source,
 }
 
 impl GapCause {
     /// All causes.
     pub const ALL: [Self; 11] = variants();
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }

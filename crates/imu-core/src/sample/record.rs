@@ -1,26 +1,26 @@
-//! Records: what a capture writes, in the order it happened. They carry samples from the reader to the store.
+//! Records: the contents of a capture in the order of events. They carry samples from the reader to the store.
 
 use super::device_clock::ClockEstimate;
 use super::{ChannelSet, ConnectedSensor, Gap, Sample};
 use crate::variants;
 use serde::{Deserialize, Serialize};
 
-/// What the times of a segment rest on.
+/// The source of a segment's times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Timebase {
-    /// The sensor's TimeStartup.
+    /// The sensor's clock (TimeStartup).
     #[default]
     Device,
     /// The sensor's sync counter in ASCII messages.
     SyncCounter,
-    /// The host's arrival times at the told rate: ASCII messages carry no time.
+    /// The host's arrival times at the stated rate, because ASCII messages carry no time.
     Arrival,
     /// The stamps of an imported recording.
     Stamps,
-    /// The row number at a told rate: an imported recording without stamps.
+    /// The row number at a stated rate, for an imported recording without stamps.
     Rate,
 }
 
@@ -29,69 +29,69 @@ pub enum Timebase {
 pub struct Segment {
     /// Number within the capture, from 1; column `segment_id`.
     pub number: u32,
-    /// Counts the stretches of one run of the sensor's clock, from 1: a reset begins a new epoch.
+    /// Number of the run of the sensor's clock, from 1: a reset begins a new epoch.
     pub epoch: u32,
-    /// `seq` of its first sample.
+    /// `seq` of the segment's first sample.
     pub first_seq: u64,
     /// Output rate in Hz.
     pub rate_hz: f64,
     /// The timebase of its times.
     pub timebase: Timebase,
-    /// Channels its samples carry.
+    /// Channels of the segment's samples.
     pub channels: ChannelSet,
-    /// Device time of its first sample.
+    /// Device time of the first sample.
     pub first_device_time_ns: Option<u64>,
-    /// Host UTC of its first sample.
+    /// Host UTC of the first sample.
     pub first_utc_ns: i64,
-    /// The boot of the host that the monotonic times of its samples belong to, if known.
+    /// The host's boot in which the monotonic times of the samples count, if known.
     pub boot_id: Option<String>,
 }
 
-/// Why something that arrived did not become a sample.
+/// Why received data did not become a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum DiscardCause {
-    /// A frame whose checksum or CRC was wrong.
+    /// A frame with a wrong checksum or CRC.
     Checksum,
     /// Bytes that belong to no frame (the count is in bytes).
     GarbageBytes,
-    /// A frame whose checksum was right and whose fields were not numbers.
+    /// A frame with a right checksum whose fields are not numbers.
     Malformed,
-    /// A frame with a device time that was already there.
+    /// A frame with a device time that exists already.
     Duplicate,
-    /// A frame that came after a later one: its place is counted as missing already.
+    /// A frame that came after a later one: its place is already counted as missing.
     OutOfOrder,
-    /// A valid measurement of another type than the one configured.
+    /// A valid measurement of another type than the configured one.
     UnexpectedFormat,
     /// The queue to the disk was full.
     StorageBackpressure,
     /// A frame that came after the capture's planned end.
     AfterEnd,
-    /// A frame that came while the sensor was being found out or configured: not yet part of the stream.
+    /// A frame that came while the sensor was being identified or configured: not yet part of the stream.
     Probing,
 }
 
 impl DiscardCause {
     /// All causes.
     pub const ALL: [Self; 9] = variants();
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
-    /// Whether the discarded data is a valid measurement, one of those that `received` counts; the other causes are of
-    /// bytes that never became one.
+    /// Returns whether the discarded data is a valid measurement, which `received` counts. The other causes concern
+    /// bytes that never became a measurement.
     pub fn is_frame(self) -> bool {
         !matches!(self, Self::Checksum | Self::GarbageBytes | Self::Malformed)
     }
-    /// The cause with that name.
+    /// Returns the cause with that name.
     pub fn from_name(name: &str) -> Option<Self> {
         name.parse().ok()
     }
 }
 
-/// Kinds of events that a capture keeps.
+/// Kinds of events that are kept with a capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::IntoStaticStr)]
@@ -114,7 +114,7 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    /// The name in the database and JSON.
+    /// Returns the name in the database and JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -133,13 +133,13 @@ pub struct EventRecord {
     pub detail: Option<serde_json::Value>,
 }
 
-/// How a capture came to its end.
+/// How a capture ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptureEnd {
-    /// It has all that its duration asked for.
+    /// The capture has all samples that its duration requires.
     Complete,
-    /// Somebody stopped it.
+    /// A user stopped the capture.
     Stopped,
 }
 
@@ -148,11 +148,11 @@ pub enum CaptureEnd {
 pub enum Record {
     /// A new segment; its samples follow.
     Segment(Segment),
-    /// A sample of the segment opened last; `seq` counts the capture's samples from 0 without holes.
+    /// A sample of the segment opened last; `seq` counts the capture's samples from 0 without gaps.
     Sample {
         /// Position among the capture's samples.
         seq: u64,
-        /// Its segment's number.
+        /// The number of the sample's segment.
         segment: u32,
         /// The values.
         sample: Sample,
@@ -170,26 +170,26 @@ pub enum Record {
     },
     /// The sensor's clock compared with the host's in this epoch, as estimated now; the latest estimate is valid.
     DeviceClock {
-        /// One run of the sensor's clock.
+        /// The run of the sensor's clock.
         epoch: u32,
         /// The estimate.
         estimate: ClockEstimate,
     },
-    /// The host's civil time had not been set and was set by this much: times of this capture before `before_utc_ns`
-    /// are corrected.
+    /// The host's civil time was set for the first time, by this much: times of this capture before `before_utc_ns` are
+    /// corrected.
     UtcSet {
         /// The amount, ns.
         by_ns: i64,
-        /// Times before this are of the clock as it was, UTC ns.
+        /// Times before this come from the unset clock, UTC ns.
         before_utc_ns: i64,
-        /// The present boot of the host: the times of an earlier one are off by another amount. `None`: not known.
+        /// The present boot of the host: times of an earlier boot are off by another amount. `None` if it is not known.
         boot_id: Option<String>,
-        /// Samples before this were taken before that clock was set back.
+        /// Samples before this were taken before the clock was set back.
         since_seq: Option<u64>,
     },
-    /// The sensor and its registers as read when (re)connected; stored with the capture.
+    /// The sensor and its registers as read on (re)connection; stored with the capture.
     Configuration(Box<ConnectedSensor>),
-    /// The end; nothing of this capture follows except late discards.
+    /// The end; only late discards of this capture follow.
     Ended {
         /// The kind of end.
         how: CaptureEnd,

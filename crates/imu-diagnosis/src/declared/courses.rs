@@ -19,11 +19,11 @@ use std::collections::BTreeMap;
 pub(crate) struct Off {
     /// Its place in the model's list.
     pub(crate) place: usize,
-    /// Nats more with the channel's own size of it than with the model's.
+    /// Nats gained by the channel's own size of the effect over the model's size.
     pub(crate) otherwise: f64,
 }
 
-/// The explanation with the effects in which the model is right.
+/// Returns the explanation with the effects about which the model is right.
 pub(crate) fn as_declared(of: &Prepared) -> Explanation {
     Explanation {
         courses: of.shifts.iter().map(|(_, course, factor)| (*course, *factor)).collect(),
@@ -36,7 +36,7 @@ pub(crate) fn as_declared(of: &Prepared) -> Explanation {
     }
 }
 
-/// The model's effects that are off by more than their price: normal sizes about the true ones.
+/// Returns the model's effects that are off by more than their price. Sizes are normal about the true ones.
 pub(crate) fn off(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, prices: &Prices) -> Vec<Off> {
     let mut nats: BTreeMap<usize, f64> = BTreeMap::new();
     let mut add = |place: usize, kind: Kind, otherwise: f64| {
@@ -71,7 +71,8 @@ pub(crate) fn off(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, pri
     nats.into_iter().map(|(place, otherwise)| Off { place, otherwise }).collect()
 }
 
-/// Calls with place, kind and nats of each of the model's changes of variance; `even`: the series as if there were none.
+/// Calls `add` with place, kind and nats of each of the model's changes of variance. `even` is the series without such
+/// changes.
 fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Kind, f64)) {
     if let Some((place, declared)) = &of.scedasticity {
         let (kind, shape): (Kind, Vec<f64>) = match declared {
@@ -85,7 +86,7 @@ fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Ki
                 (Kind::VarianceProfile, (0..n).map(at).collect())
             }
         };
-        // Without a temperature the record does not show what follows it.
+        // Without a temperature, the record does not show effects that follow it.
         if shape.len() == even.len() {
             add(*place, kind, loudness::otherwise(even, &shape));
         }
@@ -104,7 +105,7 @@ fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Ki
         let own = residual[loud.from..loud.to].iter().map(|e| e * e).sum::<f64>();
         let samples = (loud.to - loud.from) as f64;
         let kind = if loud.is_interval(residual.len(), &of.bursts) { Kind::VarianceInterval } else { Kind::Bursts };
-        // Of k squares of variance v with mean m the likeliest v is m, by k/2·(m/v − 1 − ln m/v) nats.
+        // For k squares of variance v with mean m, the likeliest v is m, by k/2·(m/v − 1 − ln m/v) nats.
         let ratio = (own / samples) / mean.max(f64::MIN_POSITIVE) / loud.ratio;
         let ratio = ratio.max(1e-9);
         let shared = certain * samples * count / (samples + count).max(1.0);
@@ -112,7 +113,8 @@ fn variance_off(even: &Series<'_>, of: &Prepared, add: &mut impl FnMut(usize, Ki
     }
 }
 
-/// Nats more with the likeliest of several other time constants than with the model's, the amplitude free in both.
+/// Returns the nats gained by the likeliest of several other time constants over the model's, with free amplitude in
+/// both.
 fn of_another_time(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, place: usize, tau: f64) -> f64 {
     const FACTORS: [f64; 8] = [0.03, 0.1, 0.3, 0.6, 1.7, 3.0, 10.0, 30.0];
     let mut others = of.clone();
@@ -122,19 +124,20 @@ fn of_another_time(setting: &Setting<'_>, transform: &Cosines, of: &Prepared, pl
     FACTORS.into_iter().map(gain).fold(f64::NEG_INFINITY, f64::max) - gain(1.0)
 }
 
-/// Removes what is off from the knowledge of a channel, so that the search finds the channel's own effects instead.
+/// Removes effects that are off from a channel's known effects, so that the search finds the channel's own effects
+/// instead.
 pub(crate) fn strip(of: &mut Prepared, off: &[Off]) {
     let is_off = |place: usize| off.iter().any(|of| of.place == place);
     of.shifts.retain(|(place, ..)| !is_off(*place));
     of.loud.retain(|(place, _)| !is_off(*place));
     if of.scedasticity.take_if(|(place, _)| is_off(*place)).is_some() {
-        // Its N is that at the record's temperature then.
+        // The N is then the one at the record's temperature.
         of.declared.levels[0] -= std::mem::take(&mut of.white_shift);
     }
 }
 
-/// The constant that the model's correct shifts add to the level throughout the record, U: a temperature bias about
-/// another temperature than the record's mean, which courses do not include.
+/// Returns the constant that the model's correct shifts add to the level throughout the record, U: a temperature bias
+/// about another temperature than the record's mean, which courses do not include.
 pub(crate) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64, about_c: Option<&[f64]>) -> f64 {
     let about = about_c.unwrap_or_default();
     let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -156,15 +159,15 @@ pub(crate) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64,
     own.sum()
 }
 
-/// The first drifts and steps of a model's channel, each with its place in the model's list and its factor, U;
-/// those after them are taken as they are stated.
+/// Returns the first drifts and steps of a model's channel, each with its place in the model's list and its factor, U;
+/// the rest are taken as stated.
 pub(crate) fn shifts_of(
     model: &ChannelModel,
     samples: usize,
     rate_hz: f64,
     temperature_c: Option<f64>,
 ) -> Vec<(usize, Course, f64)> {
-    /// All are fitted together, in a time that grows with the square of their number.
+    /// Maximum number of courses; they are fitted together, in time that grows with the square of their number.
     const MOST: usize = 64;
     let of = |(place, effect): (usize, &std::sync::Arc<dyn Effect>)| {
         let number = |name: &str| effect.number(name).unwrap_or_default();
@@ -177,7 +180,7 @@ pub(crate) fn shifts_of(
             EffectKind::WarmUp => vec![(Course::WarmUp(number("tau_s") * rate_hz), number("amplitude"))],
             EffectKind::BiasStep => {
                 let at = (number("at_s") * rate_hz).ceil().max(0.0) as usize;
-                // A change that is over before the record, or comes after it, is part of its level.
+                // A change that is over before the record, or begins after it, is part of the record's level.
                 let inside = (1..samples).contains(&at);
                 inside.then(|| (Course::Step(at), number("size"))).into_iter().collect()
             }
@@ -188,7 +191,8 @@ pub(crate) fn shifts_of(
     model.effects.iter().enumerate().flat_map(of).take(MOST).collect()
 }
 
-/// How a level follows the temperature about its mean, which is `off_c` from where the effect vanishes.
+/// Describes how a level follows the temperature about its mean, which is `off_c` from the temperature at which the
+/// effect vanishes.
 fn of_temperature(number: &impl Fn(&str) -> f64, off_c: f64, rate_hz: f64) -> Vec<(Course, f64)> {
     let (slope, curvature) = (number("per_c"), number("per_c2"));
     let about_mean = slope + 2.0 * curvature * off_c;

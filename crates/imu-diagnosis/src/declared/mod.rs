@@ -17,23 +17,23 @@ use imu_model::effects::{Comb, Effect, Tone};
 use imu_model::simulator::ChannelModel;
 use std::sync::Arc;
 
-/// Nats of a line whose frequency is known: it is there.
+/// A line of known frequency with this many nats is present.
 const THERE: f64 = 6.0;
 
 /// One of the model's lines as a channel has it, in the series' scale.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct MeasuredLine {
-    /// Peak, and its standard error.
+    /// Peak and its standard error.
     pub(crate) amplitude: f64,
     pub(crate) error: f64,
-    /// Nats more than with the model's amplitude, and than without the line.
+    /// Nats gained over the model's amplitude, and over a series without the line.
     pub(crate) otherwise: f64,
     pub(crate) there: f64,
     /// Whether the channel's line differs from the model's statement.
     pub(crate) is_off: bool,
 }
 
-/// The model's lines as a channel has them: normal amplitudes about the true ones.
+/// Returns the model's lines as a channel has them. Amplitudes are normal about the true ones.
 ///
 /// A line whose stated interval reaches the channel's value agrees with the model.
 pub(crate) fn lines(series: &Series<'_>, of: &Prepared, model: &ChannelModel, prices: &Prices) -> Vec<MeasuredLine> {
@@ -57,14 +57,14 @@ pub(crate) fn lines(series: &Series<'_>, of: &Prepared, model: &ChannelModel, pr
     .collect()
 }
 
-/// The chance that noise alone puts one of the model's effects off by so many nats.
+/// Returns the chance that noise alone puts one of the model's effects off by this many nats.
 fn by_chance(nats: f64) -> f64 {
-    /// As many of them are looked at in a record.
+    /// Approximate number of such effects examined in a record.
     const LOOKED_AT: f64 = 100.0;
     (LOOKED_AT * (-nats).exp()).min(1.0)
 }
 
-/// Lines of the model that a channel lacks or has with other amplitudes.
+/// Returns lines of the model that a channel lacks or has with other amplitudes.
 pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let prepared = &of.prepared;
     let channel = prepared.channel;
@@ -93,8 +93,7 @@ pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
             _ => return None,
         };
         if is_there && prepared.lines.iter().any(|(of_effect, passed)| *of_effect == place && *passed < LEAST_PASSED) {
-            // Behind the model's filters, almost nothing is left of the line: what the channel shows there has another
-            // cause.
+            // Behind the model's filters, almost nothing remains of the line; a line on the channel has another cause.
             return None;
         }
         let (sense, says) = match is_there {
@@ -117,7 +116,7 @@ pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     model.effects.iter().enumerate().filter_map(named).collect()
 }
 
-/// Which of the model's effects each found one stands for, by its place in the list.
+/// Returns, for each found effect, the place of the model's effect that it stands for.
 pub(crate) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelModel) -> Vec<Option<usize>> {
     let mut places = vec![None; found.len()];
     let changed = steps.iter().filter_map(|step| step.of_model.filter(|(_, sense)| *sense == Sense::Size));
@@ -133,8 +132,8 @@ pub(crate) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelMo
     places
 }
 
-/// The model's spectral effects that a channel lacks: the search left them out, and no effect that was found stands for
-/// them.
+/// Returns the model's spectral effects that a channel lacks: the search left them out, and no effect that was found
+/// stands for them.
 pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>], level: f64) -> Vec<Named> {
     let channel = of.prepared.channel;
     let superfluous = of.steps.iter().filter_map(|step| {
@@ -163,8 +162,8 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
     superfluous.collect()
 }
 
-/// The model's drifts, steps and changes of variance that a channel lacks or has with other numbers. The channel's own are found
-/// separately.
+/// Returns the model's drifts, steps and changes of variance that a channel lacks or has with other numbers. The
+/// channel's own are found separately.
 pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let channel = of.prepared.channel;
     let named = |one: &courses::Off| {
@@ -186,7 +185,7 @@ pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     of.off.iter().filter_map(named).collect()
 }
 
-/// Whether what was found agrees with the model: its numbers lie inside intervals that are half as wide again.
+/// Returns whether a found effect agrees with the model: its numbers lie inside intervals that are half as wide again.
 fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
     let inside = |(name, [low, high]): &(&str, [f64; 2])| {
         let more = 0.25 * (high - low);
@@ -195,7 +194,8 @@ fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
     !found.ci95.is_empty() && found.ci95.iter().all(inside)
 }
 
-/// An effect that the model has at one place and the sensor at another is one effect with other numbers.
+/// Merges pairs of an effect that the model has at one place and the sensor at another: each is one effect with other
+/// numbers.
 pub(crate) fn elsewhere(named: &mut Vec<Named>) {
     let mut at = 0;
     while at < named.len() {
@@ -217,7 +217,7 @@ pub(crate) fn elsewhere(named: &mut Vec<Named>) {
             continue;
         };
         let lacked = named.remove(at);
-        // One place less where it stood before.
+        // The place moved down by one if it was behind the removed one.
         let other = other - usize::from(other > at);
         if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
             named.remove(other);

@@ -1,4 +1,4 @@
-//! Values: what a model states about single samples, stamps and shared noise, compared with the record.
+//! Values: compares a model's statements about single samples, stamps and shared noise with the record.
 
 use crate::censored;
 use crate::diagnose::{Findings, Found};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// Nats at or above which a number is off.
 const OFF: f64 = 12.0;
 
-/// The sensor does not have the model's effect at this place, or has it with other numbers.
+/// Returns a finding at the place of a model's effect that the sensor does not have, or has with other numbers.
 fn named(
     channel: Channel,
     declared: (usize, &Arc<dyn Effect>),
@@ -34,13 +34,13 @@ fn named(
     }
 }
 
-/// Nats by which a count of events is off from what is expected (Poisson).
+/// Returns the nats by which a count of events differs from the expected count (Poisson).
 fn poisson(count: f64, expected: f64) -> f64 {
     let expected = expected.max(1e-9);
     if count > 0.0 { count * (count / expected).ln() - (count - expected) } else { expected }
 }
 
-/// The effects on single samples in which a channel differs from the model's statement.
+/// Returns the effects on single samples in which a channel differs from the model's statement.
 pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> Vec<Named> {
     let channel = of.prepared.channel;
     let samples = of.prepared.samples.len() as f64;
@@ -77,7 +77,7 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
                 let error = of.spread.tails.max((2.0 / samples).sqrt());
                 let kurtosis = |degrees: f64| if degrees > 4.0 { 6.0 / (degrees - 4.0) } else { 6.0 };
                 let Some(degrees) = of.explanation.tails.filter(|degrees| *degrees < 60.0) else {
-                    // The fourth moment of so many samples has a standard deviation of √(24/n).
+                    // The fourth moment of this many samples has a standard deviation of √(24/n).
                     let nats = 0.5 * kurtosis(declared).powi(2) * samples / 24.0;
                     return off(None, nats, format!("{channel}: the sensor's noise is normal, the model's is not"));
                 };
@@ -131,7 +131,7 @@ fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Nam
     off(found, nats, evidence)
 }
 
-/// Samples that are sent again, more or less often than the model states.
+/// Reports samples that are sent again more or less often than the model states.
 pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let samples = found.samples as f64;
     let mut all = Vec::new();
@@ -157,10 +157,10 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     all
 }
 
-/// Shared noise of a model's channel: place, effect, standard deviation and the part of all its white noise's.
+/// Shared noise of a model's channel: place, effect, standard deviation, and share of all white noise of the channel.
 type Part<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
 
-/// Noise that channels share, more or less than the model states.
+/// Reports noise that channels share, if it is more or less than the model states.
 pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     /// If the shared part of a channel's white noise is larger than this, its size is not measured.
     const MOST: f64 = 0.9;
@@ -210,7 +210,7 @@ pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     all
 }
 
-/// Stamps and lost samples that differ from the model's statement.
+/// Reports stamps and lost samples that differ from the model's statement.
 pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, sim: &SensorModel) -> Vec<Named> {
     /// Part of a period that no stamp shows.
     const LEAST: f64 = 0.01;
@@ -232,7 +232,7 @@ pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, 
             (stamps.jitter_s, samples as f64 * ratio * ratio)
         }
     };
-    // A record without stamps and gaps does not show what was lost.
+    // A record without stamps and gaps does not show losses.
     let shows_drops = stamps.is_some() || dropped > 0;
     let by_drops = if shows_drops { poisson(dropped as f64, declared * samples as f64) } else { 0.0 };
     let nats = by_jitter + by_drops;
@@ -249,7 +249,7 @@ pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, 
         declared * samples as f64
     );
     let part = nats / own.len() as f64;
-    // It concerns the whole sensor.
+    // The effect concerns the whole sensor.
     let all = own.into_iter();
     all.map(|(channel, place, effect)| named(channel, (place, effect), found.clone(), part, evidence.clone())).collect()
 }

@@ -15,24 +15,25 @@ use serde::{Deserialize, Serialize};
 use simulated::simulated;
 use spectra::Bins;
 
-/// The data that is drawn, as `page::diagnosis` of `vn100d` takes it. Results of earlier versions have less of it.
+/// The data for the pictures, as `page::diagnosis` of `vn100d` takes it. Results of earlier versions have less of it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Drawings {
     /// The spectra of every channel that was compared.
     pub spectra: Vec<ChannelSpectra>,
-    /// The channels with findings, in a record at rest.
+    /// The timelines of channels with findings, in a record at rest.
     pub timelines: Vec<ChannelTimeline>,
     /// The residuals of a record of a motion.
     pub residuals: Vec<Residuals>,
 }
 
 impl Drawings {
-    /// Drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after the origin of its
-    /// times. Memory is that of three channels: the channels are simulated one after the other.
+    /// Returns drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after
+    /// the origin of its times. The channels are simulated one after the other, so that memory is that of three
+    /// channels.
     pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &Outcome) -> Self {
         let residuals = outcome.residuals.clone();
-        // A simulation without the motion does not show the course of a record with one.
+        // If the record has a motion, a simulation without the motion does not show the record's course.
         let at_rest = residuals.is_empty();
         let found = found(&outcome.diagnosis);
         let mut bins = Bins::new(real);
@@ -54,7 +55,7 @@ impl Drawings {
     }
 }
 
-/// The channels with findings.
+/// Returns the channels with findings.
 fn found(report: &Diagnosis) -> Vec<Channel> {
     let places = report.r#where.iter().map(|of| &of.channel);
     let parameters = report.parameters.iter().map(|of| &of.channel);

@@ -4,12 +4,12 @@ use super::Recording;
 use imu_core::sample::Channel;
 use imu_model::simulator::{SensorModel, Simulator};
 
-/// Pictures are the same for every caller. A simulator may show many realisations, and the pictures use this one. Both models
-/// receive the same noise, so that only the corrections differ between them.
+/// A simulator may show many realisations; the pictures use this one, so that they are the same for every caller. Both
+/// models receive the same noise, so that only the corrections differ between them.
 const SEED: u64 = 1;
 
-/// The channel as the model's simulator shows it, as long as the record and at its temperature; None if the model cannot run at
-/// the record's rate.
+/// Returns the channel as the model's simulator shows it, as long as the record and at its temperature; None if the
+/// model cannot run at the record's rate.
 pub(super) fn simulated(real: &Recording, model: &SensorModel, channel: Channel) -> Option<Vec<f64>> {
     let mut model = model.clone();
     model.channels.retain(|own, _| *own == channel);

@@ -1,4 +1,4 @@
-//! Spectra: a record's beside those of the model as it came and of the corrected one, for a picture of the gap.
+//! Spectra: the record's spectra beside those of the original and the corrected model, for a picture of the gap.
 
 use super::super::transform::Cosines;
 use super::super::written::numbers;
@@ -10,11 +10,11 @@ use imu_model::simulator::spectrum::Spectrum;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// Ratio of a bin's end to its begin, coefficients in it at least, and bins over the whole band.
+/// Ratio of a bin's end to its start, minimum number of coefficients in a bin, and number of bins over the whole band.
 const RATIO: f64 = 1.09;
 const LEAST: usize = 6;
 const BAND: usize = 240;
-/// Coefficients of a bin up to which each is compared with the model's value for that coefficient.
+/// In bins of at most this many coefficients, each coefficient is compared with the model's value for it.
 const NARROW: usize = 64;
 
 /// Amplitude densities of one channel in U/√Hz (the root of the two-sided density, so that white noise stands at N).
@@ -22,42 +22,44 @@ const NARROW: usize = 64;
 pub struct ChannelSpectra {
     /// The channel.
     pub channel: Cow<'static, str>,
-    /// U.
+    /// The unit, U.
     pub unit: Cow<'static, str>,
     /// Centres of the bins.
     #[serde(deserialize_with = "numbers")]
     pub frequency_hz: Vec<f64>,
-    /// The number of independent coefficients in each bin, given the samples that are there. It distinguishes chance
-    /// from a difference.
+    /// The number of independent coefficients in each bin, given the present samples. It distinguishes chance from a
+    /// difference.
     #[serde(default)]
     pub coefficients: Vec<f64>,
-    /// The record's: root of the mean of the squares in the bin.
+    /// The record's spectrum: the root of the mean square in each bin.
     #[serde(deserialize_with = "numbers")]
     pub real: Vec<f64>,
-    /// The model's as it came; none if it is neither its parameters' alone nor could be simulated.
+    /// The original model's spectrum; none if it does not follow from the parameters alone and could not be simulated.
     #[serde(default, deserialize_with = "numbers")]
     pub before: Option<Vec<f64>>,
-    /// The corrected model's.
+    /// The corrected model's spectrum.
     #[serde(default, deserialize_with = "numbers")]
     pub after: Option<Vec<f64>>,
-    /// Means over each bin of the record's power over the model's, before and after.
+    /// Mean of the ratio of the record's power to the model's in each bin, before and after.
     #[serde(default, deserialize_with = "numbers")]
     pub ratios: [Option<Vec<f64>>; 2],
-    /// Which of the two models' powers are a simulation's, with as much chance as the record's.
+    /// Whether each model's powers come from a simulation, with as much chance variation as the record's.
     #[serde(default)]
     pub simulated: [bool; 2],
-    /// By how much the variance of a power exceeds that of normal stationary noise: where few samples carry it, it is greater.
+    /// By how much the variance of a power exceeds that of normal stationary noise. It is greater if few samples carry
+    /// the power.
     #[serde(default = "usual")]
     pub scatter: f64,
 }
 
-/// The scatter of normal stationary noise, which results of earlier versions assume.
+/// Returns the scatter of normal stationary noise, which results of earlier versions assume.
 fn usual() -> f64 {
     1.0
 }
 
 impl ChannelSpectra {
-    /// The spectra of a record's channel; the models' spectra as they are known, else those of simulations.
+    /// Returns the spectra of a record's channel. The models' spectra are those known from their parameters, else those
+    /// of simulations.
     pub(super) fn new(
         bins: &mut Bins<'_>,
         (channel, values): (Channel, &[f64]),
@@ -97,13 +99,13 @@ impl ChannelSpectra {
     }
 }
 
-/// The spectrum of a model that is its parameters' alone.
+/// The spectrum of a model, if it follows from the parameters alone.
 #[derive(Debug, Clone)]
 pub(super) struct Known {
     /// Roots of the power densities of the bins, U/√Hz.
     densities: Vec<f64>,
-    /// Power densities: of each coefficient of a narrow bin, where a steep spectrum is not what it is in the middle; of the
-    /// others one for all.
+    /// Power densities: one per coefficient in narrow bins, where a steep spectrum differs from its middle value; one
+    /// for all in other bins.
     powers: Vec<Vec<f64>>,
 }
 
@@ -114,9 +116,9 @@ pub(super) struct Bins<'a> {
     transform: Cosines,
     /// First coefficient of each bin, and one past the last.
     edges: Vec<usize>,
-    /// The frequencies at which they begin and end, Hz.
+    /// The frequencies at which the bins begin and end, Hz.
     ends_hz: Vec<(f64, f64)>,
-    /// The share of the samples that are there.
+    /// The share of present samples.
     there: f64,
 }
 
@@ -130,8 +132,9 @@ impl<'a> Bins<'a> {
         Self { real, transform: Cosines::new(real.len()), edges, ends_hz, there }
     }
 
-    /// Power density of each coefficient of values with the record's missing samples. Straight lines bridge the missing samples.
-    /// Such lines have almost no power above the lowest frequencies, so the samples that are there stand for them.
+    /// Returns the power density of each coefficient of values with the record's missing samples. Straight lines bridge
+    /// the missing samples. Such lines have almost no power above the lowest frequencies, so the present samples stand
+    /// for them.
     fn powers(&mut self, values: &[f64]) -> Vec<f64> {
         let mut samples = bridged(values, &self.real.missing);
         self.transform.forward(&mut samples);
@@ -139,14 +142,14 @@ impl<'a> Bins<'a> {
         samples.iter().map(|value| value * value / per).collect()
     }
 
-    /// Their means over the bins.
+    /// Returns the means of powers over the bins.
     fn means(&self, powers: &[f64]) -> Vec<f64> {
         let mean =
             |of: &[usize]| powers.get(of[0]..of[1]).unwrap_or_default().iter().sum::<f64>() / (of[1] - of[0]) as f64;
         self.edges.windows(2).map(mean).collect()
     }
 
-    /// Means over the bins of the ratios to a model's.
+    /// Returns the means over the bins of the ratios to a model's powers.
     fn ratios(&self, powers: &[f64], model: &[Vec<f64>]) -> Vec<f64> {
         let of_bin = |(of, model): (&[usize], &Vec<f64>)| {
             let own = powers.get(of[0]..of[1]).unwrap_or_default();
@@ -159,8 +162,8 @@ impl<'a> Bins<'a> {
         self.edges.windows(2).zip(model).map(of_bin).collect()
     }
 
-    /// Of a model whose spectrum is its parameters' alone: none if it also depends on the other noise, the temperature or the
-    /// record, as what comes once does.
+    /// Returns the spectrum of a model, if it follows from the parameters alone. `None` if it also depends on the other
+    /// noise, the temperature or the record, as effects that occur once do.
     pub(super) fn of_model(&self, model: &SensorModel, channel: Channel) -> Option<Known> {
         let effects = &model.channels.get(&channel)?.effects;
         if effects.iter().any(|effect| effect.regressors() > 0 && effect.lines().is_empty()) {
@@ -191,7 +194,7 @@ fn roots(powers: &[f64]) -> Vec<f64> {
     powers.iter().map(|power| short(power.sqrt())).collect()
 }
 
-/// First coefficient of each bin, and one past the last.
+/// Returns the first coefficient of each bin, and one past the last.
 fn edges(samples: usize) -> Vec<usize> {
     let mut edges = vec![1];
     let widest = (samples / BAND).max(LEAST);
@@ -204,8 +207,9 @@ fn edges(samples: usize) -> Vec<usize> {
     edges
 }
 
-/// Values less their mean. If samples are missing a straight line from the mean of as many before to that of as many behind: a
-/// line between two samples would carry their noise over all of the gap, which is much at the lowest frequencies.
+/// Returns values less their mean. A straight line bridges missing samples, from the mean of as many samples before
+/// them to that of as many behind. A line between two samples would carry their noise over the whole gap, which is much
+/// at the lowest frequencies.
 fn bridged(values: &[f64], missing: &[bool]) -> Vec<f64> {
     let there = |index: &usize| values[*index].is_finite() && !missing.get(*index).copied().unwrap_or(false);
     let places: Vec<usize> = (0..values.len()).filter(there).collect();
@@ -230,8 +234,8 @@ fn bridged(values: &[f64], missing: &[bool]) -> Vec<f64> {
     out
 }
 
-/// The fourth moment over a normal one's: the variance of an average of squares over that of normal noise; at least 1, as slow
-/// courses are flat.
+/// Returns the fourth moment over that of a normal distribution: the variance of an average of squares over that of
+/// normal noise; at least 1, as slow courses are flat.
 fn excess(values: &[f64]) -> f64 {
     let there = || values.iter().filter(|value| value.is_finite());
     let count = there().count() as f64;
@@ -242,7 +246,7 @@ fn excess(values: &[f64]) -> f64 {
     if over.is_finite() { over.max(1.0) } else { 1.0 }
 }
 
-/// The value to four digits, more than a picture shows.
+/// Returns the value to four digits, more than a picture shows.
 fn short(value: f64) -> f64 {
     format!("{value:.3e}").parse().unwrap_or(value)
 }
@@ -295,7 +299,7 @@ mod tests {
             channels: [(Channel::GyroX, ChannelModel { n: 1e-3, k: 1e-4, ..ChannelModel::default() })].into(),
             ..SensorModel::default()
         };
-        // The first bin, and the last ones with a twentieth of the samples missing: means over forty records.
+        // Means over forty records of the first bin, and of the last bins with a twentieth of the samples missing.
         let (mut first, mut last) = (0.0, 0.0);
         for seed in 0..40 {
             let mut simulator = Simulator::new(&model, seed, 40.0, 200.0).unwrap();
@@ -348,7 +352,8 @@ mod tests {
     fn what_is_missing_is_bridged_and_numbers_are_short() {
         assert_eq!(bridged(&[1.0, f64::NAN, 3.0, 9.0], &[false, false, false, true]), [-1.0, 0.0, 1.0, 0.0]);
         assert_eq!((short(0.001_234_56), short(-98_765.4), short(0.0)), (0.001_235, -98_770.0, 0.0));
-        // A tenth of the samples has a hundred times the power: (0.1·10⁴ + 0.9)/10.9² for normal ones, a third of it for signs.
+        // A tenth of the samples has a hundred times the power: (0.1·10⁴ + 0.9)/10.9² for normal samples, a third of it
+        // for signs.
         let knock = |index: i32| if index % 10 == 0 { 10.0 } else { 1.0 } * f64::from(1 - 2 * (index / 10 % 2));
         let knocks: Vec<f64> = (0..2000).map(knock).collect();
         assert!((excess(&knocks) - 1000.9 / 3.0 / 10.9 / 10.9).abs() < 1e-9 && excess(&[1.0, 2.0]) == 1.0);

@@ -1,5 +1,5 @@
-//! Timelines: level and spread over time of a record, of a simulation of the model as it came, and of one of the corrected
-//! model, for a picture of what happens when.
+//! Timelines: level and spread over time of a record, of a simulation of the original model, and of one of the
+//! corrected model.
 
 use super::super::written::numbers;
 use super::Recording;
@@ -7,45 +7,45 @@ use imu_core::sample::Channel;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// Stretches over the record, and samples in one at least.
+/// Number of stretches over the record, and minimum number of samples in a stretch.
 const STRETCHES: usize = 240;
 const LEAST: usize = 16;
 /// Fewest samples in a record for which a timeline is drawn.
 const SHORTEST: usize = 4 * LEAST;
 
-/// Over time, in U: one value per stretch; None if more than half of a stretch is missing.
+/// Values over time, U, one per stretch; None if more than half of a stretch is missing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Stretches {
-    /// Means, less the mean of all.
+    /// Means, less the overall mean.
     pub level: Vec<Option<f64>>,
     /// Standard deviations inside the stretches.
     pub spread: Vec<Option<f64>>,
 }
 
-/// One channel's.
+/// The timeline of a channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ChannelTimeline {
     /// The channel.
     pub channel: Cow<'static, str>,
-    /// U.
+    /// The unit, U.
     pub unit: Cow<'static, str>,
     /// The stretches' middles, s since the capture's first sample.
     #[serde(deserialize_with = "numbers")]
     pub time_s: Vec<f64>,
-    /// How long a stretch is, s.
+    /// The length of a stretch, s.
     #[serde(deserialize_with = "numbers")]
     pub stretch_s: f64,
-    /// The record's.
+    /// The record's values.
     pub real: Stretches,
-    /// A simulation's of the model as it came; none if the model cannot be run at the record's rate.
+    /// The values of a simulation of the original model; none if the model cannot be run at the record's rate.
     pub before: Option<Stretches>,
-    /// A simulation's of the corrected model.
+    /// The values of a simulation of the corrected model.
     pub after: Option<Stretches>,
 }
 
 impl ChannelTimeline {
-    /// The timeline of a record's channel and its simulations, with times from `from_s` on; none for a record that is
-    /// too short.
+    /// Returns the timeline of a record's channel and its simulations, with times from `from_s` on; none for a record
+    /// that is too short.
     pub(super) fn new(
         real: &Recording,
         from_s: f64,
@@ -71,7 +71,7 @@ impl ChannelTimeline {
     }
 }
 
-/// Means and deviations of so many samples each, of the places where the record has one.
+/// Returns the means and deviations of stretches of `length` samples, over the samples that the record has.
 fn stretches(values: &[f64], real: &Recording, length: usize) -> Stretches {
     let moments = |index: usize| {
         let there = (index * length..(index + 1) * length).filter(|place| !real.is_missing(*place));
@@ -91,7 +91,7 @@ fn stretches(values: &[f64], real: &Recording, length: usize) -> Stretches {
     }
 }
 
-/// As many digits as a picture shows.
+/// Rounds to as many digits as a picture shows.
 fn short(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }

@@ -5,8 +5,9 @@ use crate::law::Shape;
 use crate::report::Sense;
 use crate::series::Series;
 
-/// The gain from leaving each of the model's spectral effects out, or from giving it other numbers if that is worth more than
-/// `worth` beyond leaving it out. `doubtful`: other numbers are searched everywhere, not only near the model's.
+/// Returns the gain from leaving each of the model's spectral effects out, or from giving it other numbers if that is
+/// worth more than `worth` beyond leaving it out. If `doubtful`, other numbers are searched everywhere, not only near
+/// the model's.
 pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> Vec<Candidate> {
     let declared = series.setting().declared.iter();
     let as_stated = declared.filter(|(place, _)| !series.explanation.without.contains(place));
@@ -18,7 +19,7 @@ pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> 
             let near = spectral::with_term(&bare, term.shape, [term.numbers.clone()])
                 .map(|found| spectral::candidate(&bare, kind, found));
             let anywhere = if doubtful { of_kind(&bare, kind) } else { None };
-            // A line whose sides are otherwise is no other effect.
+            // A line of different skirts is no other effect.
             let leaning = (term.shape == Shape::Resonance && term.numbers.len() == Shape::SYMMETRIC).then(|| {
                 let numbers = term.numbers.iter().copied().chain([0.0]).collect();
                 spectral::with_term(&bare, term.shape, [numbers]).map(|found| spectral::candidate(&bare, kind, found))
@@ -50,7 +51,7 @@ fn of_kind(series: &Series<'_>, kind: Kind) -> Option<Candidate> {
     }
 }
 
-/// The kind of a term.
+/// Returns the kind of a term.
 pub fn kind_of(shape: Shape) -> Kind {
     match shape {
         Shape::QuantizationNoise => Kind::QuantizationNoise,

@@ -1,18 +1,19 @@
-//! Leaps: steps of the level that are seen without a law of the noise, which such steps themselves spoil.
+//! Leaps: steps of the level that are visible without a law of the noise, which such steps distort.
 
-/// Samples between the starts of blocks, and in a block.
+/// Samples between the starts of blocks, and samples in a block.
 const STRIDE: usize = 32;
 const BLOCK: usize = 64;
-/// More steps than this are not steps of a level.
+/// With more steps than this, they are not steps of a level.
 const MOST: usize = 32;
 
-/// The places where the level leaps: the medians of the blocks before and behind differ far more than the medians about other
-/// places, and far more than the scatter of the nearby samples predicts.
+/// Returns the places where the level leaps: the medians of the blocks before and behind differ far more than the
+/// medians about other places, and far more than the scatter of the nearby samples predicts.
 ///
 /// A step that takes up to [`STRIDE`] samples to rise lies between the blocks. The place is where two constant levels
 /// fit best, by the sum of absolute distances.
 pub(super) fn leaps(values: &[f64]) -> Vec<usize> {
-    /// Robust standard deviations of differences between blocks, and errors of a median, from which on they are far more.
+    /// Medians differ far more if they differ by this many robust standard deviations of differences between blocks,
+    /// and by this many standard errors of a median.
     const TIMES: f64 = 15.0;
     const ERRORS: f64 = 10.0;
     let count = values.len().saturating_sub(BLOCK) / STRIDE;
@@ -43,7 +44,7 @@ pub(super) fn leaps(values: &[f64]) -> Vec<usize> {
             1.48 * median(&mut distances)
         };
         let spread = about(place - 3 * STRIDE, before).max(about(place + STRIDE, behind));
-        // A median's standard error is 1.25 of a mean's.
+        // A median's standard error is 1.25 times that of a mean.
         if size.abs() > ERRORS * 1.25 * spread / (BLOCK as f64).sqrt() {
             found.push(split(values, place, before, behind));
         }
@@ -52,7 +53,7 @@ pub(super) fn leaps(values: &[f64]) -> Vec<usize> {
     if found.len() > MOST { Vec::new() } else { found }
 }
 
-/// The place about another that parts samples of one level from those of the other best.
+/// Returns the place near another one that best separates the samples of one level from those of the other.
 fn split(values: &[f64], about: usize, before: f64, behind: f64) -> usize {
     let (from, to) = (about - 2 * STRIDE, (about + 2 * STRIDE).min(values.len()));
     let (mut sum, mut best) = (0.0, (0.0, from));
@@ -65,8 +66,8 @@ fn split(values: &[f64], about: usize, before: f64, behind: f64) -> usize {
     best.1
 }
 
-/// Whether the level behind a step of `size` at a place differs from the level before it for good, and not only during a loud
-/// stretch.
+/// Returns whether the level behind a step of `size` at a place differs from the level before it permanently, not only
+/// during a loud stretch.
 pub fn is_lasting(values: &[f64], at: usize, size: f64) -> bool {
     const LONG: usize = 512;
     let level = |from: usize, to: usize| (to - from >= STRIDE).then(|| median(&mut values[from..to].to_vec()));

@@ -1,4 +1,4 @@
-//! Level: a ramp, a temperature's influence, a warm-up, steps.
+//! Level: ramps, the influence of temperature, warm-ups and steps.
 
 use super::leaps::leaps;
 use super::{Candidate, Kind};
@@ -17,7 +17,7 @@ fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {
     series.explanation.courses.iter().any(|(course, _)| wanted(course))
 }
 
-/// A ramp.
+/// Searches for a ramp.
 pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| *course == Course::Ramp) {
         return None;
@@ -26,7 +26,7 @@ pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::RateRamp, &[Course::Ramp], drift))
 }
 
-/// The temperature.
+/// Searches for an influence of the temperature.
 pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
     if series.setting().courses.temperature().is_none() || has(series, |course| *course == Course::Temperature) {
         return None;
@@ -35,17 +35,17 @@ pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::TemperatureBias, &[Course::Temperature], drift))
 }
 
-/// The temperature otherwise than along a straight line at once, beside its straight line.
+/// Searches for an influence of the temperature other than an immediate straight line, beside that line.
 pub fn curve(series: &Series<'_>) -> Option<Candidate> {
     let known = |course: &Course| matches!(course, Course::Follows(_));
     if has(series, known) {
         return None;
     }
-    // With play it follows a straight line as well: that comes first.
+    // With play the level follows a straight line as well, which is found first.
     of_ways(series, |way| !matches!(way, Follow::Play(_)) || has(series, |course| *course == Course::Temperature))
 }
 
-/// The same without asking whether the straight line was found.
+/// Searches as [`curve`] does, but also if the straight line was not found.
 pub(super) fn curve_alone(series: &Series<'_>) -> Option<Candidate> {
     of_ways(series, |_| true)
 }
@@ -57,14 +57,14 @@ fn of_ways(series: &Series<'_>, wanted: impl Fn(Follow) -> bool) -> Option<Candi
     Some(candidate(series, Kind::TemperatureCurve, &[course], drift))
 }
 
-/// A warm-up: its time constant from a 200th to a quarter of the record.
+/// Searches for a warm-up with a time constant from a 200th to a quarter of the record.
 pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| matches!(course, Course::WarmUp(_))) {
         return None;
     }
     let n = series.len() as f64;
     let (least, most) = (n / 200.0, n / 4.0);
-    // At the present law, which is nearly enough to choose.
+    // The present law is precise enough for the choice.
     let score = |tau: f64| {
         let column = series.setting().courses.coefficients(Course::WarmUp(tau));
         let (mut product, mut square) = (0.0, 0.0);
@@ -99,15 +99,15 @@ pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
 pub(crate) const FURTHER: f64 = 14.0;
 const PRICE: f64 = 12.0;
 
-/// Steps: each at the peak of a matched filter of the whitened series, one after the other, then each once more beside all
-/// others.
+/// Searches for steps, each at the peak of a matched filter of the whitened series, one after the other; then examines
+/// each again beside all others.
 ///
-/// A level that goes to and fro between a few values is a process and not a chain of steps.
+/// A level that alternates between a few values is a process, not a chain of steps.
 pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
-    /// No sensor's level jumps more often: the cause is another effect.
+    /// No sensor's level jumps more often than this; otherwise the cause is another effect.
     const MOST: usize = 32;
     const SWEEPS: usize = 2;
-    // Leaps need no law: the search begins with them if they are worth more than chance makes.
+    // Leaps need no law. The search begins with them if they are worth more than chance.
     let mut found = leaps(&series.rest);
     let mut best = (!found.is_empty()).then(|| with_steps(series, &found)).filter(|best| best.gain > FURTHER);
     if best.is_none() {
@@ -119,7 +119,7 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
         let mut drift = with_steps(series, &with);
         drift.gain = drift.gain.max(0.0);
         let last = best.as_ref().map_or(0.0, |best| best.gain + FURTHER);
-        // The gain of a single step counts even if it is 0: calibration measures it.
+        // The gain of a single step counts even if it is 0, because calibration measures it.
         if best.is_some() && drift.gain < last {
             break;
         }
@@ -138,7 +138,7 @@ pub fn steps(series: &mut Series<'_>) -> Option<Candidate> {
         (found, drift) = (moved, again);
     }
     while found.len() > 1 {
-        // The gain of each beside the others, at the present law.
+        // Gain of each step beside the others, at the present law.
         let worth = |own: usize| 0.5 * drift.factors[own].powi(2) / drift.covariance[(own, own)];
         let weakest = (0..found.len()).min_by(|a, b| worth(*a).total_cmp(&worth(*b)));
         let Some(weakest) = weakest.filter(|own| worth(*own) < FURTHER) else { break };
@@ -158,7 +158,8 @@ fn with_steps(series: &Series<'_>, places: &[usize]) -> Drift {
     series.with_courses(&courses)
 }
 
-/// The place at which one more step fits best beside those that are known, or the one of them that is `moved`.
+/// Returns the place at which one more step fits best beside the known ones, or the new place of the step that is
+/// `moved`.
 fn further(series: &mut Series<'_>, found: &[usize], drift: Option<&Drift>, moved: Option<usize>) -> usize {
     let mut rest = series.coefficients.clone();
     let Some(drift) = drift else {
@@ -173,11 +174,11 @@ fn further(series: &mut Series<'_>, found: &[usize], drift: Option<&Drift>, move
     place(series, &spectrum, &rest)
 }
 
-/// Whether many steps lead to few levels again and again.
+/// Returns whether many steps lead to the same few levels again and again.
 fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
-    /// Steps and levels.
+    /// Numbers of steps and levels.
     const FEW: [(usize, usize); 2] = [(7, 2), (10, 3)];
-    /// Levels that differ by less than so many standard errors are one.
+    /// Levels that differ by less than this many standard errors are one level.
     const ERRORS: f64 = 4.0;
     if places.len() < FEW[0].0 {
         return false;
@@ -200,12 +201,12 @@ fn to_and_fro(places: &[usize], drift: &Drift) -> bool {
     FEW.iter().any(|(steps, most)| places.len() >= *steps && levels <= *most)
 }
 
-/// Makes one step of those in one direction, or of which one is far larger, that follow one another within a few samples: a real
-/// step takes some, which are left out. The first `known` courses are the model's own.
+/// Joins steps that follow one another within a few samples, if they have one direction or one is far larger. A real
+/// step takes some samples to rise, which are left out. The first `known` courses are the model's own.
 pub fn join_rises(explanation: &mut Explanation, known: usize) {
-    /// Samples within which steps are one.
+    /// Steps within this many samples are one step.
     const NEAR: usize = 40;
-    /// A step that is at most this part of another is a residue of the rise of that one.
+    /// A step that is at most this part of another is a residue of the rise of the other.
     const MINOR: f64 = 0.2;
     let mut steps: Vec<(usize, f64)> = Vec::new();
     for (course, factor) in explanation.courses.iter().skip(known) {
@@ -232,11 +233,11 @@ pub fn join_rises(explanation: &mut Explanation, known: usize) {
     }
 }
 
-/// Samples about the steps that are not on either level: a real step takes some samples to rise, in any shape.
+/// Returns samples about the steps that are on neither level. A real step takes some samples to rise, in any shape.
 pub fn rises(series: &Series<'_>) -> Vec<usize> {
-    /// Samples before and after a step that are looked at.
+    /// Samples examined before and after a step.
     const NEAR: usize = 40;
-    /// Nats that another variance about a step has to gain.
+    /// Nats that a different variance about a step has to gain.
     const LEAST: f64 = 8.0;
     let mut places = Vec::new();
     for (course, _) in &series.explanation.courses {
@@ -262,8 +263,8 @@ pub fn rises(series: &Series<'_>) -> Vec<usize> {
     places
 }
 
-/// The place at which a step fits best: the sum of the doubly whitened series from each sample on, over its standard
-/// deviation.
+/// Returns the place at which a step fits best: the sum of the doubly whitened series from each sample on, over its
+/// standard deviation.
 fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     const PLACES: usize = 96;
     let n = series.len();
@@ -294,7 +295,7 @@ fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     let known: Vec<f64> = places.iter().map(|at| information(*at)).collect();
     let (mut sum, mut best, mut segment) = (0.0, (0.0, n / 2), 0);
     for (t, value) in weighted.iter().enumerate() {
-        // The sum from t on is less the sum before it: the whole is 0.
+        // The sum from t on is minus the sum before it, because the whole is 0.
         if (margin..n - margin).contains(&t) {
             while segment + 2 < places.len() && places[segment + 1] <= t {
                 segment += 1;

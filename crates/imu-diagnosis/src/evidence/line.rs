@@ -1,4 +1,4 @@
-//! Lines: sines, and bands of noise that are narrow.
+//! Lines: sines and narrow bands of noise.
 
 use super::{Candidate, Kind};
 use crate::explanation::{Sine, alternates, per_product, turning};
@@ -7,11 +7,11 @@ use crate::law::{Data, Law, Shape, Term};
 use crate::series::Series;
 use imu_model::effects::{Effect, Resonance};
 
-/// Sines are searched from this number of periods in the record up. With fewer periods, a record cannot show that they
-/// recur.
+/// Sines need at least this number of periods in the record. With fewer periods, a record cannot show that they recur.
 const LEAST_PERIODS: f64 = 3.0;
 
-/// The strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in cycles per sample.
+/// Returns the strongest line of a residual's periodogram: its gain in nats at the present law, and its frequency in
+/// cycles per sample.
 fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
     let n = periodogram.len().checked_sub(1)?;
     let from = (2.0 * LEAST_PERIODS) as usize;
@@ -21,14 +21,14 @@ fn strongest(periodogram: &[f64]) -> Option<(f64, f64)> {
     if k == n {
         return Some((power(k), 0.5));
     }
-    // A parabola through ln of the power, then its top.
+    // Fits a parabola to ln of the power; its top is the frequency.
     let (left, middle, right) = (power(k - 1).ln(), power(k).ln(), power(k + 1).ln());
     let curvature = left - 2.0 * middle + right;
     let shift = if curvature < 0.0 { (0.5 * (left - right) / curvature).clamp(-0.5, 0.5) } else { 0.0 };
     Some((power(k), (k as f64 + shift) / (2.0 * n as f64)))
 }
 
-/// Σ x·cos and Σ x·sin at a frequency.
+/// Returns Σ x·cos and Σ x·sin at a frequency.
 fn products(values: &[f64], cycles: f64) -> [f64; 2] {
     let mut sums = [0.0; 2];
     turning(cycles, values.len(), |t, cosine, sine| {
@@ -38,7 +38,7 @@ fn products(values: &[f64], cycles: f64) -> [f64; 2] {
     sums
 }
 
-/// The frequency near `cycles` with the greatest power, in a record of so many samples.
+/// Returns the frequency near `cycles` with the greatest power, in a record of `samples` samples.
 fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
     let mut best = (power(cycles), cycles);
     let mut width = 0.15 / samples as f64;
@@ -55,7 +55,7 @@ fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
     best.1
 }
 
-/// A sine, the strongest that is left.
+/// Searches for a sine: the strongest that remains.
 pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let n = series.len();
     let residual = std::mem::take(&mut series.residual);
@@ -63,7 +63,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     series.residual = residual;
     let (power, cycles) = strongest(&periodogram)?;
     let mut explanation = series.explanation.clone();
-    // The greatest of n values by chance is about this.
+    // The greatest of n values is about this large by chance.
     if power < (n as f64).ln() + 1.0 {
         return Some(Candidate::missing(Kind::Tone, power, explanation));
     }
@@ -96,7 +96,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     Some(Candidate::missing(Kind::Tone, gain, explanation))
 }
 
-/// A narrow band of noise.
+/// Searches for a narrow band of noise.
 pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     const WIDTHS: [f64; 6] = [0.0001, 0.0004, 0.0015, 0.005, 0.015, 0.04];
     const MOST: usize = 4;
@@ -105,7 +105,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     if bands >= MOST {
         return None;
     }
-    // The band that stands out most, at several widths.
+    // The band that is most conspicuous, at several widths.
     let mut sums = vec![0.0; n];
     for k in 1..n {
         sums[k] = sums[k - 1] + series.whitened[k] * series.whitened[k];
@@ -130,7 +130,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let rate_hz = series.setting().rate_hz;
     let (frequency_hz, width_hz) = (cycles * rate_hz, count / (2.0 * n as f64) * rate_hz);
     let mut explanation = series.explanation.clone();
-    // The approximate gain by chance.
+    // The approximate gain of chance.
     if score < 9.0 {
         return Some(Candidate::missing(Kind::Resonance, score.max(0.0), explanation));
     }
@@ -146,7 +146,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     };
     let start = |share: f64, ratio: f64| {
         let bandwidth_hz = share * width_hz;
-        // The peak of such a band is σ²·rate/(π·bandwidth) two-sided.
+        // The two-sided peak of such a band is σ²·rate/(π·bandwidth).
         let unit = Resonance::new(frequency_hz, bandwidth_hz, 1.0);
         let top = rate_hz * unit.psd(frequency_hz, rate_hz).unwrap_or(1.0);
         let mut law = without.law.clone();

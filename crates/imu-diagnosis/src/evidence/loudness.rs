@@ -5,20 +5,21 @@ use crate::explanation::{LOUD, Loud, Scedasticity};
 use crate::series::Series;
 use nalgebra::{DMatrix, DVector};
 
-/// Squares above this carry no information about a variance that changes slowly: they are outliers.
+/// Squares above this are outliers. They carry no information about a variance that changes slowly.
 const LARGEST: f64 = 16.0;
 
-/// Cosines of a course of ln variance over the record, at first.
+/// Initial number of cosines of a course of ln variance over the record.
 const COSINES: usize = 12;
-/// ln of how many times as large a variance may be at one time as at others.
+/// ln of the largest ratio of variances at two times.
 const RANGE: f64 = 12.0;
 
 /// Shortest stretch, samples.
 const SHORTEST: usize = 6;
-/// A quiet stretch is as long at least: a few rounded values are easily equal.
+/// Shortest quiet stretch, samples. It is longer because a few rounded values are easily equal.
 const SHORTEST_QUIET: usize = 128;
 
-/// Means of squares over blocks, and samples in a block. Squares are limited relative to the variance that is known already.
+/// Returns the means of squares over blocks, and the samples in a block. Squares are limited relative to the known
+/// variance.
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
@@ -27,10 +28,11 @@ fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     (residual.chunks_exact(size).map(mean).collect(), size)
 }
 
-/// How the variance depends on time or temperature, found again if it is known already.
+/// Finds again how the variance depends on time or temperature, if that is known already.
 pub(crate) fn again(series: &Series<'_>, now: &Scedasticity) -> Option<Scedasticity> {
     let (mut means, size) = blocks(series);
-    // This dependence of the variance has been divided out of the residual; that of stretches stays out.
+    // This dependence of the variance has been divided out of the residual; the variance of stretches stays divided
+    // out.
     let n = series.len();
     let temperature = series.setting().courses.temperature().unwrap_or_default();
     let known = |t: usize| match now {
@@ -49,8 +51,8 @@ pub(crate) fn again(series: &Series<'_>, now: &Scedasticity) -> Option<Scedastic
     }
 }
 
-/// The mean square in each stretch that is not left out over that in no stretch, beside the other changes of the
-/// variance.
+/// Returns the mean square in each stretch that is not left out over that in no stretch, beside the other changes of
+/// the variance.
 pub(crate) fn ratios(series: &Series<'_>) -> Vec<Option<f64>> {
     let values = series.scores();
     let loud = &series.explanation.loud;
@@ -75,7 +77,7 @@ fn temperatures(series: &Series<'_>, size: usize) -> Option<Vec<f64>> {
     Some(temperature.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect())
 }
 
-/// The gain of a smooth course of ln variance, and the course at equally spaced instants.
+/// Returns the gain of a smooth course of ln variance, and the course at equally spaced instants.
 fn cosines(means: &[f64], size: usize, count: usize) -> Option<(f64, Vec<f64>)> {
     let instants = 1 + 60 * count.div_ceil(2 * COSINES).max(1);
     let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
@@ -91,7 +93,8 @@ fn cosines(means: &[f64], size: usize, count: usize) -> Option<(f64, Vec<f64>)> 
     Some((gain, (0..instants).map(at).collect()))
 }
 
-/// The course of as many cosines as are worth their number: one that is far from even is seen in more detail.
+/// Returns the course of as many cosines as are worth their number. A course that is far from even is seen in more
+/// detail.
 fn detailed(means: &[f64], size: usize) -> Option<Vec<f64>> {
     /// Nats that each cosine has to gain.
     const EACH: f64 = 3.0;
@@ -107,7 +110,7 @@ fn detailed(means: &[f64], size: usize) -> Option<Vec<f64>> {
     all.reduce(|a, b| if b.0 > a.0 { b } else { a }).map(|(_, values)| values)
 }
 
-/// The gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
+/// Returns the gain and coefficients of ln variance = Xβ over a constant, for means of `size` squares.
 fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, Vec<f64>)> {
     let rows = means.len();
     let level = means.iter().sum::<f64>() / rows as f64;
@@ -144,7 +147,8 @@ fn regression(means: &[f64], columns: &[Vec<f64>], size: usize) -> Option<(f64, 
     is_fit.then(|| (gain, beta.iter().copied().skip(1).collect()))
 }
 
-/// Nats more with the best multiple of a course of ln variance, one value a sample, than with the course itself.
+/// Returns the nats gained by the best multiple of a course of ln variance, one value per sample, over the course
+/// itself.
 pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
     let (means, size) = blocks(series);
     let column: Vec<f64> = shape.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect();
@@ -152,12 +156,12 @@ pub fn otherwise(series: &Series<'_>, shape: &[f64]) -> f64 {
     let rows = means.len() as f64;
     let level = means.iter().sum::<f64>() / rows;
     let own = means.iter().zip(&column).map(|(mean, x)| mean / x.exp()).sum::<f64>() / rows;
-    // Each with its likeliest constant.
+    // Each has its likeliest constant.
     let as_it_is = 0.5 * size as f64 * (rows * (level.ln() - own.ln()) - column.iter().sum::<f64>());
     best - as_it_is
 }
 
-/// Variance by temperature.
+/// Searches for a variance that depends on temperature.
 pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
     if series.explanation.scedasticity.is_some() {
         return None;
@@ -169,7 +173,7 @@ pub fn per_degree(series: &Series<'_>) -> Option<Candidate> {
     Some(Candidate::missing(Kind::VariancePerDegree, gain, explanation))
 }
 
-/// Variance over time, smoothly.
+/// Searches for a variance that changes smoothly with time.
 pub fn profile(series: &Series<'_>) -> Option<Candidate> {
     if series.explanation.scedasticity.is_some() {
         return None;
@@ -181,11 +185,11 @@ pub fn profile(series: &Series<'_>) -> Option<Candidate> {
     Some(Candidate::missing(Kind::VarianceProfile, gain, explanation))
 }
 
-/// Sums of squares up to each sample, as they are and limited.
+/// Sums of squares up to each sample, unlimited and limited.
 struct Sums {
     whole: Vec<f64>,
     limited: Vec<f64>,
-    /// Samples within 1 of 0.
+    /// Number of samples within 1 of 0.
     small: Vec<u32>,
 }
 
@@ -203,19 +207,20 @@ impl Sums {
         }
         sums
     }
-    /// Gain in nats of another variance inside, by squares that are limited, so that an outlier is no stretch.
+    /// Returns the gain in nats of a different variance inside, from limited squares, so that an outlier is no stretch.
     fn gain(&self, from: usize, to: usize, level: f64) -> f64 {
         let sum = (self.limited[to] - self.limited[from]) / level;
         let quiet = sum < (to - from) as f64 && to - from < SHORTEST_QUIET;
         if quiet { 0.0 } else { gain(sum, to - from) }
     }
-    /// Whether the gain is surely below `least`: r − 1 − ln r is below (r − 1)²/2, above 1, and below that over r otherwise.
+    /// Returns whether the gain is surely below `least`: r − 1 − ln r is below (r − 1)²/2, above 1, and below that over
+    /// r otherwise.
     fn hopeless(&self, from: usize, to: usize, level: f64, least: f64) -> bool {
         let count = (to - from) as f64;
         let ratio = (self.limited[to] - self.limited[from]) / (level * count);
         0.25 * count * (ratio - 1.0).powi(2) < least * ratio.clamp(1e-6, 1.0)
     }
-    /// The variance inside, its ratio to that outside, and the gain of having both, by the squares as they are.
+    /// Returns the variance inside, its ratio to that outside, and the gain of having both, from unlimited squares.
     fn split(&self, from: usize, to: usize) -> (f64, f64, f64) {
         let all = self.whole.len() - 1;
         let (inside, whole) = (self.whole[to] - self.whole[from], self.whole[all]);
@@ -224,8 +229,9 @@ impl Sums {
         let mean = whole / all as f64;
         (own, own / other, 0.5 * (all as f64 * mean.ln() - count * own.max(1e-9).ln() - rest * other.max(1e-9).ln()))
     }
-    /// Whether a stretch is loud throughout and not because of a few outliers. A normal distribution's small values are as rare
-    /// as its variance implies. A quiet stretch has to be long, because a few rounded values are easily equal.
+    /// Returns whether a stretch is loud throughout and not because of a few outliers. A normal distribution's small
+    /// values are as rare as its variance implies. A quiet stretch has to be long, because a few rounded values are
+    /// easily equal.
     fn genuine(&self, from: usize, to: usize, own: f64, ratio: f64) -> bool {
         if ratio < 1.0 {
             return to - from >= SHORTEST_QUIET;
@@ -234,7 +240,7 @@ impl Sums {
         let spread = (expected * (1.0 - expected) / (to - from) as f64).sqrt();
         self.small(from, to) < expected + 4.0 * spread + 0.1 * (0.683 - expected)
     }
-    /// Share of samples within 1 of 0: 0.683 of a standard normal's.
+    /// Returns the share of samples within 1 of 0: 0.683 for a standard normal distribution.
     fn small(&self, from: usize, to: usize) -> f64 {
         f64::from(self.small[to] - self.small[from]) / (to - from) as f64
     }
@@ -245,7 +251,7 @@ fn gain(sum: f64, count: usize) -> f64 {
     0.5 * count as f64 * (ratio - 1.0 - ratio.ln())
 }
 
-/// Mean square of the samples in no stretch.
+/// Returns the mean square of the samples in no stretch.
 fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     let mut outside = vec![true; residual.len()];
     stretches.iter().for_each(|loud| outside[loud.from..loud.to].fill(false));
@@ -254,16 +260,16 @@ fn level(residual: &[f64], stretches: &[Loud]) -> f64 {
     if count > 0 && sum > 0.0 { sum / f64::from(count) } else { 1.0 }
 }
 
-/// The variance of the usual noise of values whose variance is 1 on average, if it clearly differs from 1: that of most long
-/// blocks, or else the block variance that is nearest to the model's.
+/// Returns the variance of the usual noise among values whose overall variance is 1, if it clearly differs from 1. This
+/// is the variance of most long blocks, or else the block variance nearest to the model's.
 ///
 /// "Louder until here" and "quieter from here on" are two names of one change.
 fn usual(values: &[f64], declared: f64) -> f64 {
     const BLOCKS: usize = 64;
     const SHARES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
-    /// The ratio of variances from which on the variance is another, ln.
+    /// ln of the ratio from which on two variances differ clearly.
     const CLEARLY: f64 = 0.3;
-    /// The part of the blocks that is the usual noise's beyond doubt.
+    /// A variance that this part of the blocks has is beyond doubt that of the usual noise.
     const MOST: f64 = 0.6;
     let size = (values.len() / BLOCKS).max(64);
     let mean = |block: &[f64]| block.iter().map(|e| e * e).sum::<f64>() / size as f64;
@@ -281,14 +287,14 @@ fn usual(values: &[f64], declared: f64) -> f64 {
     nearest.filter(|own| apart(own) < apart(&1.0)).unwrap_or(1.0)
 }
 
-/// Nats of a stretch's two ends and ratio in a record of so many samples.
+/// Returns the nats that a stretch's two ends and ratio cost in a record of `samples` samples.
 pub(crate) fn price_of_one(samples: usize) -> f64 {
     const RATIO: f64 = 3.0;
     RATIO + 2.0 * (samples as f64).ln()
 }
 
-/// Stretches of another variance: one after the other, at the place of the greatest gain. Bursts and a long stretch are
-/// two effects.
+/// Finds stretches of a different variance one after the other, each at the place of the greatest gain. Bursts and a
+/// long stretch are two effects.
 pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     const MOST: usize = 40;
     const MOST_OF_RECORD: f64 = 0.2;
@@ -308,10 +314,10 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     let declared = (series.setting().white - series.explanation.law.levels[0]).exp();
     let mut gains: Vec<f64> = Vec::new();
     let mut found: Vec<Loud> = Vec::new();
-    // Places that look loud by a few values: they do not keep others from being found.
+    // Places that look loud because of a few values; they do not prevent other places from being found.
     let mut refused: Vec<(usize, usize)> = Vec::new();
     while found.len() < MOST {
-        // The stretches that are found already are brought to the level of the rest, and that to 1.
+        // Brings the stretches found so far to the level of the rest, and that level to 1.
         let level = level(&residual, &found);
         let mut even: Vec<f64> = residual.iter().map(|e| e / level.sqrt()).collect();
         for loud in &mut found {
@@ -332,7 +338,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };
         let (mut own, mut ratio, mut gain) = sums.split(from, to);
         let mut genuine = sums.genuine(from, to, own, ratio);
-        // Several bursts with quiet between them are not one: the loudest part of it.
+        // Several bursts with quiet between them are not one burst: take the loudest part.
         while !genuine && to - from >= 4 * SHORTEST {
             let Some(part) = loudest(&sums, from..to, (to - from) / 2, limited) else { break };
             (from, to) = part;
@@ -361,7 +367,7 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     let of = |kind: Kind, long: bool| {
         let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n, bursts) == long);
         let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
-        // If a good part of the record is loud, no stretch is quiet enough to represent its noise.
+        // If much of the record is loud, no quiet stretch represents its noise.
         let share = stretches.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
         let too_many = stretches.len() > 1 && share > MOST_OF_RECORD;
         let gain = own().map(|(_, gain)| gain).sum::<f64>();
@@ -379,11 +385,11 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     long.flatten().into_iter().chain(of(Kind::Bursts, false)).collect()
 }
 
-/// Makes one of stretches that follow one another, in order of time: the front of a burst may be found apart from it.
+/// Joins stretches that follow one another, in order of time: the front of a burst may be found separately.
 fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
-    /// Samples between them.
+    /// Maximum number of samples between two stretches of one burst.
     const NEAR: usize = 2;
-    /// Ratio of their variances.
+    /// Maximum ratio of their variances.
     const ALIKE: f64 = 4.0;
     let is_one = |a: &Loud, b: &Loud| {
         let apart = a.ratio / b.ratio;
@@ -409,9 +415,9 @@ fn join(found: &mut Vec<Loud>, gains: &mut Vec<f64>) {
     (*found, *gains) = joined.into_iter().unzip();
 }
 
-/// The stretch with the greatest gain: on a coarse set of places and lengths, then its ends moved.
+/// Returns the stretch with the greatest gain: first on a coarse set of places and lengths, then with its ends moved.
 fn loudest(sums: &Sums, within: std::ops::Range<usize>, longest: usize, level: f64) -> Option<(usize, usize)> {
-    /// The distance about an end within which a better one is searched, samples.
+    /// The distance about an end within which a better end is searched, samples.
     const NEAR: usize = 64;
     let mut best: (f64, usize, usize) = (0.0, 0, 0);
     let (first, end) = (within.start, within.end);

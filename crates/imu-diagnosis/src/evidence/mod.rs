@@ -15,8 +15,8 @@ use super::series::Series;
 use imu_model::effects::EffectKind;
 use serde::{Deserialize, Serialize};
 
-/// Defines the kinds: each with its effect, and the tail of its gain in records of noise alone: offsets at the lengths of
-/// [`crate::prices`] and a scale.
+/// Defines the kinds, each with its effect and the tail of its gain in records of noise alone: offsets at the lengths
+/// of [`crate::prices`], and a scale.
 macro_rules! kinds {
     ($($(#[$meta:meta])* $kind:ident: $effect:ident, $offsets:expr, $scale:literal;)+) => {
         /// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
@@ -27,17 +27,17 @@ macro_rules! kinds {
         }
 
         impl Kind {
-            /// All.
+            /// All kinds.
             pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
 
-            /// The documented effect.
+            /// Returns the documented effect.
             pub fn effect(self) -> EffectKind {
                 match self {
                     $(Self::$kind => EffectKind::$effect,)+
                 }
             }
 
-            /// Offsets and scale of the tail of its gain in noise alone.
+            /// Returns offsets and scale of the tail of the kind's gain in noise alone.
             pub(super) fn tail(self) -> ([f64; 3], f64) {
                 match self {
                     $(Self::$kind => ($offsets, $scale),)+
@@ -87,13 +87,13 @@ kinds! {
 }
 
 impl Kind {
-    /// Whether the kind determines the distribution of single samples, so that what remains of it is no further
+    /// Returns whether the kind determines the distribution of single samples, so that its remainder is no further
     /// evidence.
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
     }
 
-    /// Whether a series may have several effects of this kind.
+    /// Returns whether a series may have several effects of this kind.
     pub fn repeats(self) -> bool {
         matches!(self, Self::Tone | Self::Resonance)
     }
@@ -104,30 +104,31 @@ impl Kind {
 pub struct Candidate {
     /// Its kind.
     pub kind: Kind,
-    /// Nats more than without it.
+    /// Nats gained over the explanation without it.
     pub gain: f64,
-    /// The explanation with it.
+    /// The explanation with the effect.
     pub explanation: Explanation,
-    /// Which of the model's own effects it changes, by its place in the list, and how; none for an effect that the
-    /// model lacks.
+    /// The model's own effect that this candidate changes, by its place in the list, and how; none for an effect that
+    /// the model lacks.
     pub of_model: Option<(usize, Sense)>,
 }
 
 impl Candidate {
-    /// A candidate of an effect that the model lacks.
+    /// Returns a candidate of an effect that the model lacks.
     pub fn missing(kind: Kind, gain: f64, explanation: Explanation) -> Self {
         Self { kind, gain, explanation, of_model: None }
     }
 }
 
-/// The same, including effects that are searched only beside another one, as if that one had been found.
+/// Returns the candidates of [`all`], and those of effects that are searched only beside another one, as if that one
+/// had been found.
 pub(super) fn all_and_conditional(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = all(series);
     found.extend(level::curve_alone(series));
     found
 }
 
-/// The gain of each effect of the library for a series.
+/// Returns the gain of each effect of the library for a series.
 pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = Vec::new();
     found.extend(level::ramp(series));
@@ -162,7 +163,7 @@ fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate>
     single.chain(loudness::intervals(series))
 }
 
-/// Those that concern the distribution of single samples ([`Kind::is_marginal`]).
+/// Returns the effects that concern the distribution of single samples ([`Kind::is_marginal`]).
 pub fn of_samples(series: &Series<'_>) -> Vec<Candidate> {
     samples_and_stretches(series).filter(|candidate| candidate.kind.is_marginal()).collect()
 }

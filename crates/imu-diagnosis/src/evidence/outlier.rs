@@ -6,30 +6,30 @@ use crate::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 use statrs::function::gamma::ln_gamma;
 
-/// ln of a normal density's ratio to the standard one, at the square of a value.
+/// Returns ln of the ratio of a normal density to the standard one, at the square of a value.
 fn normal(square: f64, variance: f64) -> f64 {
     0.5 * square * (1.0 - 1.0 / variance) - 0.5 * variance.ln()
 }
 
 /// A mixture of two normal distributions about 0.
 struct Mixture {
-    /// Nats more than of one.
+    /// Nats gained over one normal distribution.
     gain: f64,
-    /// Part of the values that are of the wide one.
+    /// Share of values that belong to the wide distribution.
     share: f64,
     wide: f64,
     core: f64,
 }
 
 impl Mixture {
-    /// Of values with these squares, at its likeliest.
+    /// Fits values with these squares by maximum likelihood.
     fn of(squares: &[f64]) -> Self {
         const ROUNDS: usize = 200;
         const LARGEST_SHARE: f64 = 0.12;
         let n = squares.len() as f64;
         let plain = squares.iter().sum::<f64>() / n;
         let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
-        // From the median, so that many outliers do not hide themselves.
+        // The start is the median, so that many outliers do not hide themselves.
         let mut sorted = squares.to_vec();
         let middle = sorted.len() / 2;
         let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
@@ -43,7 +43,7 @@ impl Mixture {
             let (mut total, mut weight, mut of_wide, mut of_core) = (0.0, 0.0, 0.0, 0.0);
             let (ln_share, ln_rest) = (share.ln(), (-share).ln_1p());
             let (half_core, half_wide) = (0.5 * core.ln(), 0.5 * wide.ln());
-            // The others are the core's: their sum is known.
+            // The others belong to the core: their sum is known.
             total += small_count * (ln_rest - half_core) - 0.5 * small_sum / core + 0.5 * small_sum;
             of_core += small_sum;
             for a in &large {
@@ -71,17 +71,17 @@ impl Mixture {
         Self { gain, share, wide, core }
     }
 
-    /// Whether a value with this square is more probably of the wide one.
+    /// Returns whether a value with this square more probably belongs to the wide distribution.
     fn is_wide(&self, square: f64) -> bool {
         let outside = self.share.ln() - 0.5 * self.wide.ln() - 0.5 * square / self.wide;
         outside > (-self.share).ln_1p() - 0.5 * self.core.ln() - 0.5 * square / self.core
     }
 }
 
-/// Squares above this many times the variance of the usual ones may be of spikes.
+/// Squares above this multiple of the usual variance may be spikes.
 const LARGE: f64 = 5.0;
 
-/// Rare values of a larger variance: a mixture of two normal distributions.
+/// Searches for rare values of a larger variance: a mixture of two normal distributions.
 ///
 /// If such values come in groups, a group with one value that stands out is a spike. The other groups are stretches of noise,
 /// which this function ignores.
@@ -101,7 +101,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     if clustered(&flagged, n) {
         let flat;
         (spoilt, flat) = beside_peaks(&flagged, &squares);
-        // Their squares do not count, nor do those of samples near a stretch: its ends are soft.
+        // Squares of these samples do not count, nor those of samples near a stretch, whose ends are soft.
         spoilt.iter().for_each(|place| squares[*place] = f64::NAN);
         for place in flat {
             squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
@@ -129,21 +129,21 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         SpikeLaw { samples, ..spike_law(series, &large, [core, wide], there) }
     });
     explanation.leave_out(spoilt);
-    // Behind a filter each spoils as many samples as it reaches.
+    // Behind a filter, each spike spoils as many samples as the filter reaches.
     explanation.leave_out(flagged.into_iter().flat_map(|at| at..(at + reach.max(1)).min(series.len())));
     Some(Candidate::missing(Kind::Spikes, gain, explanation))
 }
 
-/// Places within so many samples are one group.
+/// Places within this many samples form one group.
 const NEAR: usize = 4;
 /// The longest reach of a spike's effect on its neighbours behind a filter that is not known yet, samples.
 const FAR: usize = 64;
 
-/// Of places in groups: those beside the peak of a group that has one, and those of groups of many that have none.
+/// Returns the places beside the peak of a group that has one, and the places of large groups without a peak.
 fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
-    /// A peak's square over the next largest one's.
+    /// Minimum ratio of a peak's square to the next largest one.
     const HIGHER: f64 = 6.0;
-    /// Two spikes may be side by side by chance.
+    /// Minimum size of a large group: two spikes may be side by side by chance.
     const MANY: usize = 3;
     let (mut beside, mut flat) = (Vec::new(), Vec::new());
     for group in places.chunk_by(|a, b| b - a <= NEAR) {
@@ -158,17 +158,18 @@ fn beside_peaks(places: &[usize], squares: &[f64]) -> (Vec<usize>, Vec<usize>) {
     (beside, flat)
 }
 
-/// Spikes beside those that are known: the largest value of each short group of values that are far out, if all samples about it
-/// are quiet.
+/// Returns spikes beside the known ones: the largest value of each short group of values that are far out, if all
+/// samples about it are quiet.
 ///
 /// Two spikes that are near each other hide each other's effect on their neighbours until one of them is left out.
 pub(crate) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
-    /// Square beyond twice the logarithm of the record's length from which on a value is far out: almost no normal value is.
+    /// A value is far out if its square exceeds twice the logarithm of the record's length by this: almost no normal
+    /// value does.
     const FAR_OUT: f64 = 10.0;
-    /// Values of a group, and its length.
+    /// Maximum number of values in a group, and its maximum length.
     const MOST: usize = 8;
     const LONGEST: usize = 12;
-    /// Samples about it, and their mean square.
+    /// Number of samples about a group, and their maximum mean square.
     const ABOUT: usize = 32;
     const QUIET: f64 = 2.0;
     if series.explanation.spikes.is_none() || series.explanation.tails.is_some() {
@@ -192,14 +193,15 @@ pub(crate) fn further_spikes(series: &Series<'_>) -> Vec<usize> {
     found
 }
 
-/// Rate and size of spikes whose sizes spread evenly over half to one and a half times the typical one, by maximum
-/// likelihood: those that hide in the noise count as well. `large`: squares above 5 times the core's variance, of `n` samples.
+/// Estimates rate and size of spikes whose sizes are spread evenly over half to one and a half times the typical size,
+/// by maximum likelihood. Spikes that hide in the noise count as well. `large` are squares above 5 times the core's
+/// variance among `n` samples.
 fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64) -> SpikeLaw {
     const ROUNDS: usize = 60;
     let spread = core.sqrt();
     let values: Vec<f64> = large.iter().map(|square| square.sqrt() / spread).collect();
     let normal = Normal::standard();
-    // The distribution of a spike's residual, sign dropped: an even spread, blurred by the noise.
+    // The distribution of a spike's residual without its sign: an even spread, blurred by the noise.
     let density = |x: f64, size: f64| 0.5 * (normal.cdf(x - 0.5 * size) - normal.cdf(x - 1.5 * size)) / size;
     let hidden = |size: f64| {
         // The chance that a spike stays below the limit.
@@ -209,7 +211,7 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
         (0..steps).map(|step| normal.cdf(limit - at(step)) - normal.cdf(-limit - at(step))).sum::<f64>()
             / f64::from(steps)
     };
-    // ln of density over noise alone and the rate at its best, for a size.
+    // ln of the density over noise alone, and the best rate, for a size.
     let at = |size: f64| {
         let ratios: Vec<f64> = values.iter().map(|x| density(*x, size) / normal.pdf(*x).max(1e-300)).collect();
         let hidden = hidden(size);
@@ -241,15 +243,15 @@ fn spike_law(series: &Series<'_>, large: &[f64], [core, wide]: [f64; 2], n: f64)
     SpikeLaw { rate, size: size * spread / kernel, variance: wide, relative_error: relative.min(0.5), samples }
 }
 
-/// How large a spike of 1 in the samples is in the residual: the whitening filter's own value; before the filters, the value
-/// follows from the spectrum without them.
+/// Returns the size in the residual of a spike of size 1 in the samples: the whitening filter's own value. Before the
+/// filters, the value follows from the spectrum without them.
 fn kernel(series: &Series<'_>) -> f64 {
     let passed = series.filters();
     let gain = |k: usize| passed.as_ref().map_or(1.0, |gain| gain[k]);
     (1..series.len()).map(|k| (gain(k) / series.spectrum[k]).sqrt()).sum::<f64>() / series.len() as f64
 }
 
-/// Spikes at known places: at places that are left out, each group of them taken for one spike.
+/// Examines spikes at known places that are left out; each group of places counts as one spike.
 pub(crate) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candidate> {
     let mut with = series.clone();
     with.explanation.outliers.retain(|place| places.binary_search(place).is_err());
@@ -262,7 +264,7 @@ pub(crate) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candida
     let typical = peaks.iter().sum::<f64>() / count;
     let (rate, variance) = (count / n, peaks.iter().map(|peak| peak * peak).sum::<f64>() / count);
     let gain = peaks.iter().map(|peak| 0.5 * (peak * peak - variance.ln()) - 0.5 + rate.ln()).sum::<f64>();
-    // Sizes from half to one and a half times the typical one spread by this part of it.
+    // Sizes from half to one and a half times the typical size spread by this part of it.
     let relative_error = (1.0 / 12f64.sqrt() / count.sqrt()).min(0.5);
     let samples = places.len().div_ceil(peaks.len().max(1));
     let law = SpikeLaw { rate, size: typical / kernel(series), variance, relative_error, samples };
@@ -270,7 +272,7 @@ pub(crate) fn spikes_at(series: &Series<'_>, places: &[usize]) -> Option<Candida
     (gain > 0.0).then(|| Candidate::missing(Kind::Spikes, gain, explanation))
 }
 
-/// Whether places have neighbours far more often than independent ones would.
+/// Returns whether places have neighbours far more often than independent ones would.
 fn clustered(places: &[usize], samples: f64) -> bool {
     const FEWEST: usize = 8;
     if places.len() < FEWEST {
@@ -285,7 +287,7 @@ fn clustered(places: &[usize], samples: f64) -> bool {
     share > expected + 0.3 * (1.0 - expected)
 }
 
-/// Student's t.
+/// Searches for Student's t tails.
 pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     const DEGREES: [f64; 12] = [2.2, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 140.0];
     let mut explanation = series.explanation.clone();

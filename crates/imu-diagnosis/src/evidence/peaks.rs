@@ -1,25 +1,26 @@
-//! Peaks: single samples that are so far out that they are seen without a law of the noise, which such samples themselves spoil.
+//! Peaks: single samples so far out that they are visible without a law of the noise, which such samples distort.
 
 use super::leaps::median;
 
-/// Samples on either side whose median a sample is held against.
+/// A sample is compared with the median of this many samples on either side.
 const HALF: usize = 16;
-/// Samples before and behind a group that have to be quiet.
+/// Number of samples before and behind a group that have to be quiet.
 const BESIDE: usize = 12;
 
-/// The samples of short groups that stand far out of quiet ones, and those that a filter may have made of them behind each.
+/// Returns the samples of short groups that are far out among quiet ones, and the samples behind each group that a
+/// filter may have changed.
 pub(crate) fn peaks(values: &[f64]) -> Vec<usize> {
-    /// Robust standard deviations of the distances from local medians.
+    /// Far out: this many robust standard deviations of the distances from local medians.
     const FAR: f64 = 25.0;
     const QUIET: f64 = 2.5;
-    /// Samples between the parts of a group, and its length.
+    /// Maximum number of samples between the parts of a group, and its maximum length.
     const NEAR: usize = 8;
     const LONGEST: usize = 32;
-    /// Samples behind a group that are left out at least.
+    /// Minimum number of samples behind a group that are left out.
     const BEHIND: usize = 4;
-    /// Samples that have the square of a group, as (Σd²)²/Σd⁴: a stretch of noise has more.
+    /// Maximum effective number of samples that hold the square of a group, (Σd²)²/Σd⁴: a stretch of noise has more.
     const FEW: f64 = 5.0;
-    /// Part of the record from which on the samples do not count as single ones.
+    /// If this part of the record is left out, the samples do not count as single ones.
     const MOST: f64 = 0.05;
     let n = values.len();
     if n < 16 * HALF {
@@ -40,7 +41,7 @@ pub(crate) fn peaks(values: &[f64]) -> Vec<usize> {
         let (first, last) = (group[0], group[group.len() - 1]);
         let span = last + 1 - first;
         let (from, to) = (first.saturating_sub(1), (last + 1 + span.max(BEHIND)).min(n));
-        // The median is not about a sample at an end.
+        // At an end of the record, the median is not centred on the sample.
         if from < HALF + BESIDE || to + HALF + BESIDE > n {
             continue;
         }

@@ -4,7 +4,7 @@ use super::{Candidate, Kind};
 use crate::law::{Data, Fitted, Law, Shape, Term};
 use crate::series::Series;
 
-/// The best law with another term, from several starts of its numbers.
+/// Returns the best law with another term, from several starts of its numbers.
 pub(super) fn with_term(
     series: &Series<'_>,
     shape: Shape,
@@ -34,12 +34,12 @@ fn has(series: &Series<'_>, wanted: impl Fn(Shape) -> bool) -> bool {
     series.explanation.law.terms.iter().any(|term| wanted(term.shape))
 }
 
-/// ln of the white part's variance per sample.
+/// Returns ln of the white part's variance per sample.
 fn white(series: &Series<'_>) -> f64 {
     2.0 * series.white().ln()
 }
 
-/// A Gauss–Markov process.
+/// Searches for a Gauss–Markov process.
 pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
     const STARTS: usize = 7;
     if has(series, |shape| shape == Shape::GaussMarkov) {
@@ -49,13 +49,13 @@ pub fn gauss_markov(series: &Series<'_>) -> Option<Candidate> {
     let (least, most) = (4f64, series.len() as f64 / 20.0);
     let starts = (0..STARTS).map(|at| {
         let tau = least * (most / least).powf(at as f64 / (STARTS - 1) as f64);
-        // Its level at low frequencies about the white noise's.
+        // Level at low frequencies relative to the white noise's.
         vec![white(series) + (3.0 / tau).ln() - 1.0, (tau / rate_hz).ln()]
     });
     Some(candidate(series, Kind::GaussMarkov, with_term(series, Shape::GaussMarkov, starts)?))
 }
 
-/// White angle noise.
+/// Searches for white angle noise.
 pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| shape == Shape::QuantizationNoise) {
         return None;
@@ -64,10 +64,10 @@ pub fn quantization_noise(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::QuantizationNoise, with_term(series, Shape::QuantizationNoise, [vec![start]])?))
 }
 
-/// Nats below which a filter of the first order does not count as a filter.
+/// If a filter of the first order gains fewer nats than this, it does not count as a filter.
 pub(super) const HOPELESS: f64 = 3.0;
 
-/// A Butterworth filter of the order that fits best.
+/// Searches for a Butterworth filter of the order that fits best.
 pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::LowPass(_))) {
         return None;
@@ -92,9 +92,9 @@ pub fn low_pass(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::LowPass, best))
 }
 
-/// A boxcar of the window that fits best.
+/// Searches for a boxcar of the window that fits best.
 pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
-    /// Up to this window each is fitted, beyond those with the deepest notches.
+    /// Each window up to this one is fitted; beyond it, those with the deepest notches.
     const EACH: u64 = 20;
     if has(series, |shape| matches!(shape, Shape::MovingAverage(_))) {
         return None;
@@ -104,7 +104,7 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
         law.terms.push(Term { shape: Shape::MovingAverage(window), numbers: vec![-7.0] });
         law
     };
-    // Each to its end: a window's notches do not show before the levels are right.
+    // Each fit runs to its end: a window's notches do not show before the levels are right.
     let fits = (2..=EACH).chain(notched(series)).map(|window| started(window).fit(series.data()));
     let best = fits.reduce(|a, b| if b.log_posterior > a.log_posterior { b } else { a })?;
     let mut without = best.law.clone();
@@ -113,12 +113,12 @@ pub fn moving_average(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate(series, Kind::MovingAverage, (best.log_posterior - without, best)))
 }
 
-/// The long windows at whose notches there is least, against what is half way between them.
+/// Returns the long windows with the least power at their notches relative to that half way between them.
 fn notched(series: &Series<'_>) -> Vec<u64> {
     const WINDOWS: std::ops::RangeInclusive<u64> = 21..=64;
     const MOST: usize = 3;
     let n = series.len();
-    // About each frequency an eighth of the distance of notches, a thousandth of the band at least.
+    // The mean covers an eighth of the distance of notches about each frequency, but at least a thousandth of the band.
     let mean = |cycles: f64, window: u64| {
         let half = (n as f64 * (0.125 / window as f64).max(1e-3)) as usize;
         let at = (2.0 * n as f64 * cycles) as usize;
@@ -140,10 +140,10 @@ fn notched(series: &Series<'_>) -> Vec<u64> {
     all.into_iter().take(MOST).map(|(_, window)| window).collect()
 }
 
-/// A density whose slope differs from those of white noise, flicker and random walk.
+/// Searches for a density whose slope differs from those of white noise, flicker and random walk.
 pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     let mut candidate = slope_believed(series)?;
-    // If B or K is far off, the slope is not another one: the gain counts that is left when both may take any value.
+    // If B or K is far off, the slope does not differ: only the gain with both free counts.
     let free = Data { beliefs: &[None, None, None], ..series.data() };
     let law = &candidate.explanation.law;
     let mut without = law.clone();
@@ -153,7 +153,7 @@ pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     Some(candidate)
 }
 
-/// The same if B and K are known to be about the model's values.
+/// Searches as [`slope`] does if B and K are known to be about the model's values.
 pub(crate) fn slope_believed(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |shape| matches!(shape, Shape::Slope(_))) {
         return None;

@@ -11,7 +11,7 @@ use imu_noise::whittle;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// N in front of a channel's filter, as a part of the plateau, and the filter.
+/// N in front of a channel's filter relative to the plateau, and the filter.
 #[derive(Debug, Clone)]
 pub(super) struct Front {
     /// N over the plateau.
@@ -21,10 +21,11 @@ pub(super) struct Front {
 }
 
 impl Front {
-    /// All of N, and no filter.
+    /// All of N and no filter.
     pub(super) const OPEN: Self = Self { share: 1.0, filter: None };
 
-    /// From a channel's bandwidth and its plateau `n`, U/√Hz, at `rate_hz`. None if no effect has that shape.
+    /// Returns the front of a channel with this bandwidth and plateau `n`, U/√Hz, at `rate_hz`. `None` if no effect has
+    /// that shape.
     pub(super) fn of(bandwidth: &Bandwidth, n: f64, rate_hz: f64) -> Option<Self> {
         let behind = bandwidth.white_behind.unwrap_or(0.0).min(n);
         let front = (n * n - behind * behind).sqrt();
@@ -41,8 +42,8 @@ impl Front {
                 of(front, Arc::new(MovingAverage { window: window as u64, white_behind: behind }))
             }
             (EffectKind::LowPass, cutoff_hz) if bandwidth.exponential => {
-                // y += a (x − y) passes what the bilinear low pass of first order passes with a part T² behind it: T is the
-                // tangent of its half angle, (1 − b)/(1 + b), b = 1 − a.
+                // y += a (x − y) passes the same as the bilinear low pass of first order with a part T² behind it. T is
+                // the tangent of its half angle, (1 − b)/(1 + b), b = 1 − a.
                 let back = 1.0 - whittle::exponential_weight(cutoff_hz / rate_hz);
                 let t = (1.0 - back) / (1.0 + back);
                 let white_behind = (t * front).hypot(behind);
@@ -58,9 +59,9 @@ impl Front {
     }
 }
 
-/// The sampling that all channels of a report share, if all are known to lie behind the same boxcar and it shapes them all. Its
-/// rate is the whole multiple of the report's rate that agrees with the known one within the clocks' difference: a model has no
-/// other.
+/// Returns the sampling that all channels of a report share, if all are known to lie behind the same boxcar and it
+/// shapes them all. The sampling's rate is the whole multiple of the report's rate that agrees with the known one
+/// within the clocks' difference, because a model allows no other.
 pub(super) fn sampling(report: &NoiseReport) -> Option<Sampling> {
     let of = |bandwidth: Option<&Bandwidth>| {
         let bandwidth =
@@ -95,7 +96,7 @@ mod tests {
         }
     }
 
-    /// |H|² of all that a channel of plateau 1 becomes.
+    /// Returns |H|² of all parts of a channel of plateau 1.
     fn gain(front: &Front, frequency_hz: f64, rate_hz: f64) -> f64 {
         let filter = front.filter.as_ref().unwrap();
         front.share.powi(2) * filter.power_gain(frequency_hz, rate_hz) + filter.psd(frequency_hz, rate_hz).unwrap()

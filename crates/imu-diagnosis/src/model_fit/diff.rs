@@ -18,12 +18,12 @@ pub struct Difference {
     /// Second over first, if both are numbers and the first is not 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ratio: Option<f64>,
-    /// Whether the second lies inside the first's 95 % interval, if there is one.
+    /// Whether the second value lies inside the first value's 95 % interval, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub within_ci95: Option<bool>,
 }
 
-/// The differences, in the order of the file. Names, provenance and uncertainties do not count as differences.
+/// Returns the differences, in the order of the file. Names, provenance and uncertainties do not count as differences.
 pub fn differences(first: &SensorModel, second: &SensorModel) -> Vec<Difference> {
     let mut found = Vec::new();
     let mut note = |path: String, one: Value, other: Value, interval: Option<[f64; 2]>| {
@@ -73,8 +73,8 @@ fn of(value: &Value, key: &str) -> Value {
     value.get(key).cloned().unwrap_or_default()
 }
 
-/// Effects of one kind are compared in the order in which they stand, their parameters one by one. `known`: the interval of a
-/// parameter of the first list's effect at a place.
+/// Compares effects of one kind in their order, parameter by parameter. `known` returns the interval of a parameter of
+/// the first list's effect at a place.
 fn effects(
     path: &str,
     one: &Value,

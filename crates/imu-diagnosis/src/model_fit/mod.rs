@@ -1,13 +1,13 @@
 //! Model fit: makes a sensor model from a capture's results. Pure.
 //!
-//! In: a noise report, and the mean of each channel. Out: a model with N, B, K and bias per channel and their uncertainties
-//! ([`model_of`]). A parameter that the data does not support is 0 in the model, and its upper limit stands in `uncertainty`.
-//! Effects, if they are asked for, are those that a diagnosis of the capture against that model finds; N, B and K are then those
-//! fitted beside them ([`with_effects`]).
+//! In: a noise report, the mean of each channel. Out: a model with N, B, K and bias per channel and their uncertainties
+//! ([`model_of`]). A parameter that the data does not support is 0 in the model, with its upper limit in `uncertainty`.
+//! If effects are requested, they are those that a diagnosis of the capture against that model finds; N, B and K are
+//! then fitted beside them ([`with_effects`]).
 //!
-//! Models fitted from a capture describe the noise seen at its rate. A filter that shapes it is in the model: as `sampling` if
-//! all channels are known to lie behind the same boxcar, else as `moving_average` or `low_pass` of the channel. The provenance
-//! names the channels behind filters that no effect describes.
+//! Models fitted from a capture describe the noise at the capture's rate. A filter that shapes the noise is in the
+//! model: as `sampling` if all channels are known to lie behind the same boxcar, else as `moving_average` or `low_pass`
+//! of the channel. The provenance names the channels behind filters that no effect describes.
 
 mod bandwidth;
 mod diff;
@@ -24,7 +24,7 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The effects of a list of names, `all` being all that a capture at rest can show.
+/// Returns the effects of a list of names; `all` stands for all that a capture at rest can show.
 ///
 /// # Errors
 /// The unknown name, and the known names.
@@ -42,8 +42,8 @@ pub fn effects_named(names: &str) -> Result<Vec<EffectKind>, String> {
     names.split(',').map(str::trim).map(named).collect()
 }
 
-/// The model of a capture. `levels`: the channels' means; those of the report without one get no bias. `software` and
-/// `source` go into the provenance.
+/// Returns the model of a capture. `levels` are the channels' means; channels of the report without a level get no
+/// bias. `software` and `source` go into the provenance.
 pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &str, software: &str) -> SensorModel {
     let sampling = bandwidth::sampling(report);
     let mut left_out = Vec::new();
@@ -87,14 +87,14 @@ pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &st
     }
 }
 
-/// Whether a channel's filter has another cutoff in the model than in the report.
+/// Returns whether a channel's filter has another cutoff in the model than in the report.
 fn is_exponential(found: &NoiseParameters) -> bool {
     found.bandwidth.as_ref().is_some_and(|of| of.exponential)
 }
 
-/// The plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`. Channels to which
-/// it added none keep the values of the noise report. `looked_for`: the effects that it looked for. The record began
-/// `from_s` after the capture, lasted `record_s` and had a mean temperature of `temperature_c`.
+/// Returns the plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`.
+/// Channels to which it added none keep the values of the noise report. `looked_for` are the effects that it looked
+/// for. The record began `from_s` after the capture, lasted `record_s` and had a mean temperature of `temperature_c`.
 pub fn with_effects(
     plain: &SensorModel,
     augmented: &SensorModel,
@@ -110,7 +110,7 @@ pub fn with_effects(
         let level = own.bias.map(|level| level - mean_of(&found.effects, record_s, temperature_c));
         let limits = own.uncertainty.take().unwrap_or_default();
         *own = ChannelModel { bias: level, ..found.clone() };
-        // A parameter that was not identified beside the effects is absent; the report's limit holds all the more.
+        // A parameter that was not identified beside the effects is absent; the report's limit still holds.
         for (letter, value) in [("B", &mut own.b), ("K", &mut own.k)] {
             let known = own.uncertainty.as_ref().is_some_and(|of| of.contains_key(letter));
             if !known {
@@ -130,7 +130,7 @@ pub fn with_effects(
     model
 }
 
-/// Mean over a record of the deterministic effects' contribution to the level.
+/// Returns the mean contribution of the deterministic effects to the level over a record.
 fn mean_of(effects: &[Arc<dyn effects::Effect>], record_s: f64, temperature_c: Option<f64>) -> f64 {
     const INSTANTS: u32 = 10_000;
     let temperature_c = temperature_c.unwrap_or(effects::USUAL_TEMPERATURE_C);
@@ -142,7 +142,7 @@ fn mean_of(effects: &[Arc<dyn effects::Effect>], record_s: f64, temperature_c: O
     (0..INSTANTS).map(level).sum::<f64>() / f64::from(INSTANTS)
 }
 
-/// Intervals of identified parameters, limits of the others; those of N times `share`.
+/// Returns intervals of identified parameters and limits of the others; those of N are multiplied by `share`.
 fn uncertainty(found: &NoiseParameters, share: f64) -> Map<String, Value> {
     let of = |estimate: &Estimate, share: f64| match (estimate.ci95, estimate.upper_limit95) {
         (Some(ci95), _) => Some(json!({ "ci95": ci95.map(|end| share * end) })),

@@ -1,9 +1,9 @@
 //! Alignment: the reference at the record's instants.
 //!
-//! A reference that is as long as the record and was made on its clock lies beside it row by row. Any other reference may begin
-//! at any time, before the record or within it, and may run a little faster or slower. Its begin is the lag at which the
-//! differences of both correlate most. The fit itself then finds the offset to a fraction of a sample, and the rate
-//! ([`crate::response::Clock`]). Differences have no bias and little slow noise.
+//! A reference that is as long as the record and was made on its clock lies beside it row by row. Any other reference
+//! may begin at any time, before the record or within it, and may run a little faster or slower. Its start is the lag
+//! at which the differences of both correlate most. The fit then finds the offset to a fraction of a sample, and the
+//! rate ([`crate::response::Clock`]). Differences have no bias and little slow noise.
 
 use super::reference::Reference;
 use crate::error::DiagnosisError;
@@ -13,12 +13,12 @@ use imu_model::simulator::{Motion, SensorModel};
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
-/// Periods of the record by which the length of a reference of the same clock may differ.
+/// Number of the record's periods by which the length of a reference on the same clock may differ.
 const SAME: f64 = 1.5;
-/// How long a reference may be: so many times the record, and an hour. It is searched at the record's rate.
+/// Maximum length of a reference: a multiple of the record's length, and an hour. It is searched at the record's rate.
 const LONGER: f64 = 10.0;
 const LONGER_S: f64 = 3600.0;
-/// Fewest samples that both have in common.
+/// Minimum number of samples that both have in common.
 pub const LEAST: usize = 1000;
 
 /// A reference beside a record.
@@ -28,9 +28,9 @@ pub struct Aligned {
     pub from: usize,
     /// The motion at each sample from there on.
     pub motions: Vec<Motion>,
-    /// Whether it is taken to be on the record's own clock.
+    /// Whether the reference counts as on the record's own clock.
     pub shared: bool,
-    /// How far into the reference the record's first sample is, s.
+    /// The time of the record's first sample in the reference, s.
     pub begins_s: f64,
     /// By how much slower the reference's time passes than the record's, s/s.
     pub gains: f64,
@@ -57,17 +57,17 @@ pub fn align(
     at(real, reference, sim, Lie { begins_s, gains: 0.0, shared })
 }
 
-/// How a reference lies beside a record.
+/// The position of a reference beside a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lie {
-    /// How far into it the record's first sample is, s.
+    /// The time of the record's first sample in the reference, s.
     pub(super) begins_s: f64,
-    /// By how much slower its time passes than the record's, s/s.
+    /// By how much slower the reference's time passes than the record's, s/s.
     pub(super) gains: f64,
     pub(super) shared: bool,
 }
 
-/// The reference at the record's instants, if its position in time is known.
+/// Returns the reference at the record's instants, if its position in time is known.
 pub(super) fn at(
     real: &Recording,
     reference: &Reference,
@@ -76,8 +76,7 @@ pub(super) fn at(
 ) -> Result<Aligned, DiagnosisError> {
     let (rate_hz, n, length_s) = (real.rate_hz, real.len(), reference.length_s());
     let Lie { begins_s, gains, shared } = lie;
-    // The effect of the sensor's boxcar over its own samples on a motion: the mean of the last samples up to the
-    // instant.
+    // The sensor's boxcar over its own samples turns a motion into the mean of the last samples up to the instant.
     let window: Vec<f64> = match sim.sampling {
         Some(sampling) => (0..sampling.filter_window).map(|back| back as f64 / sampling.internal_rate_hz).collect(),
         None => vec![0.0],
@@ -110,7 +109,7 @@ pub(super) fn at(
     Ok(Aligned { from, motions: (from..to).map(&mut at).collect(), shared, begins_s, gains })
 }
 
-/// How far into the reference the record begins, s; below 0 where it begins before.
+/// Returns the time in the reference at which the record begins, s; below 0 if the record begins earlier.
 fn begin_s(real: &Recording, reference: &Reference, triads: &[Triad]) -> f64 {
     let rate_hz = real.rate_hz;
     let rows = (reference.length_s() * rate_hz) as usize + 1;
@@ -123,7 +122,7 @@ fn begin_s(real: &Recording, reference: &Reference, triads: &[Triad]) -> f64 {
         let mut padded = forward.make_input_vec();
         padded[..differences.len()].copy_from_slice(differences);
         let mut spectrum = forward.make_output_vec();
-        // It fails only for buffers of a wrong length, and these are the plan's own.
+        // This fails only for buffers of a wrong length; these are the plan's own.
         let _ = forward.process(&mut padded, &mut spectrum);
         spectrum
     };
@@ -148,14 +147,14 @@ fn begin_s(real: &Recording, reference: &Reference, triads: &[Triad]) -> f64 {
     sum[length / 2].im = 0.0;
     let mut correlation = backward.make_output_vec();
     let _ = backward.process(&mut sum, &mut correlation);
-    // Lag: the record's sample less the reference's row that are the same instant.
+    // Lag: the record's sample index less the reference's row index at the same instant.
     let lags = -(rows as i64 - 1)..real.len() as i64;
     let at = |lag: &i64| correlation[lag.rem_euclid(length as i64) as usize];
     let best = lags.max_by(|one, other| at(one).total_cmp(&at(other))).unwrap_or(0);
     -(best as f64) / rate_hz
 }
 
-/// Differences of neighbours; 0 beside what is no number.
+/// Returns differences of neighbours; 0 beside values that are not numbers.
 fn differences(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let values: Vec<f64> = values.collect();
     let step = |pair: &[f64]| Some(pair[1] - pair[0]).filter(|step| step.is_finite()).unwrap_or(0.0);

@@ -1,8 +1,9 @@
 //! Composition: the effects that the motion drives and the noise become one report and one corrected model.
 //!
-//! The gap that the motion drives is the gain of all chosen effects in the whitened samples, in nats. To measure the part that is
-//! left, the chosen effects' numbers come from seven blocks of time out of eight; the part is what they do not explain of the
-//! eighth. It is added to the gap of the remainder ([`crate::compose`]), which is measured on its own held-out half.
+//! The gap that the motion drives is the gain of all chosen effects in the whitened samples, in nats. To measure the
+//! remaining part, the chosen effects' numbers are fitted to seven blocks of time out of eight; the remaining part is
+//! the part of the eighth that they do not explain. It is added to the gap of the remainder ([`crate::compose`]), which
+//! is measured on its own held-out half.
 
 use super::align::Aligned;
 use super::groups::{Group, Member};
@@ -26,7 +27,7 @@ use std::sync::Arc;
 const RIGHT: [f64; 2] = [0.99, 0.6];
 /// Nats of an exact tie at the sensor's limit, as for records at rest.
 const TIE: f64 = 4.0;
-/// An axis is affected from this part of a cause's nats on.
+/// An axis is affected if it has at least this part of a cause's nats.
 const CONCERNED: f64 = 0.02;
 /// Part of a cause's gain that another effect has to reach to be reported.
 const NEARLY: f64 = 0.3;
@@ -110,7 +111,7 @@ pub(super) fn outcome(
     Outcome { diagnosis, augmented, residuals: residuals.collect() }
 }
 
-/// Effects of the library that were chosen on a triad.
+/// Returns the effects of the library that were chosen on a triad.
 fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
     let weighing = of.weighing();
     let own = &of.choice.groups;
@@ -157,7 +158,7 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
     all
 }
 
-/// Whether a fitted effect is of this candidate.
+/// Returns whether a fitted effect comes from this candidate.
 fn is(candidate: Candidate, fitted: &Fitted) -> bool {
     let own = candidate.make(&[]);
     own.kind() == fitted.effect.kind() && own.parameter("form") == fitted.effect.parameter("form")
@@ -167,7 +168,7 @@ fn called(candidate: Candidate) -> String {
     format!("{}{}", candidate.form(), candidate.kind())
 }
 
-/// "x 2.0e-3 ± 3e-5, 67 standard errors".
+/// Returns a text such as "x 2.0e-3 ± 3e-5, 67 standard errors".
 fn of_estimates(estimates: &[Estimate]) -> Option<String> {
     let told: Vec<String> = estimates
         .iter()
@@ -180,12 +181,12 @@ fn of_estimates(estimates: &[Estimate]) -> Option<String> {
     (!told.is_empty()).then(|| told.join("; "))
 }
 
-/// Student's 97.5 % point over the normal distribution's.
+/// Returns Student's 97.5 % point over the normal distribution's.
 fn student(freedom: f64) -> f64 {
     StudentsT::new(0.0, 1.0, freedom).map_or(1.0, |of| of.inverse_cdf(0.975) / NORMAL_95)
 }
 
-/// 95 % intervals in the form of the parameters.
+/// Returns 95 % intervals in the form of the parameters.
 fn uncertainty(candidate: Candidate, estimates: &[Estimate], wide: f64) -> Value {
     let ends = |one: &Estimate| {
         let half = one.standard_error? * NORMAL_95 * wide;
@@ -205,7 +206,7 @@ fn all_of(triad: Triad) -> Vec<String> {
     triad.channels().iter().map(|channel| channel.name().to_owned()).collect()
 }
 
-/// A latency that was separated from the offset of the reference's clock.
+/// Returns a latency that was separated from the offset of the reference's clock.
 fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
     let known: f64 = of.known.iter().map(|effect| effect.delay_s()).sum();
     let seconds = known + delay.seconds;
@@ -234,7 +235,7 @@ fn latency(of: &Settled, delay: Delay, nats: f64, found: &Found) -> Driven {
     Driven::new(of.triad, effect, Some(nats), all_of(of.triad), confidence, ends, evidence)
 }
 
-/// The sensor's range, if samples stand at it and the model has none.
+/// Returns the sensor's range, if samples are at it and the model has none.
 fn saturation(of: &Settled) -> Option<Driven> {
     let clipping = of.range()?;
     let ties: usize = clipping.ties.iter().sum();
@@ -253,10 +254,10 @@ fn saturation(of: &Settled) -> Option<Driven> {
     Some(one)
 }
 
-/// Adds a triad's gap, block by block; per axis its whole and what is left.
+/// Adds a triad's gap, block by block. Returns the whole and the remaining gap per axis.
 fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
     let weighing = of.weighing();
-    // A delay that is a latency is a cause; one that is a clock's offset is none.
+    // A delay is a cause if it is a latency, but not if it is a clock's offset.
     let delay: Vec<usize> = of.base.iter().copied().take(usize::from(late)).collect();
     let base: Vec<usize> = of.base.iter().copied().filter(|column| !delay.contains(column)).collect();
     let inside: Vec<usize> = of
@@ -270,7 +271,7 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
     let cut_off = of.cut_off.as_ref().map_or([0.0; 3], |axes| axes.each_ref().map(|nats| nats.iter().sum::<f64>()));
     for nats in of.cut_off.iter().flatten() {
         for block in 0..BLOCKS {
-            // With its range a model shows these samples exactly.
+            // A model with this range shows these samples exactly.
             let own: f64 = nats[n * block / BLOCKS..n * (block + 1) / BLOCKS].iter().sum();
             sums.whole[block] += own;
             sums.closed[block] += own;
@@ -309,7 +310,7 @@ fn add(sums: &mut Sums, of: &Settled, late: bool) -> [[f64; 2]; 3] {
     std::array::from_fn(|axis| [total * axes[axis] / all + cut_off[axis], (total - closed) * axes[axis] / all])
 }
 
-/// The effects that explain nearly as much as a cause.
+/// Returns the effects that explain nearly as much as a cause.
 fn weighed(of: &Settled) -> Vec<Alternative> {
     let weighing = of.weighing();
     let own = &of.choice.groups;
@@ -341,7 +342,7 @@ fn weighed(of: &Settled) -> Vec<Alternative> {
     all.into_iter().map(|(_, of)| of).collect()
 }
 
-/// How record and reference lie in time.
+/// Describes the alignment of record and reference in time.
 fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording) -> Vec<String> {
     let mut notes = Vec::new();
     if part.len() < real.len() {
@@ -360,7 +361,7 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
         for of in &found.triads {
             let rate = of.fit.estimates.iter().find(|one| one.parameter == "rate_error");
             let off = rate.and_then(|one| Some((one.value, one.standard_error?)));
-            // The corrections that were made when the reference was laid beside the record, and what is left.
+            // The corrections made during alignment, plus the remaining ones.
             let off = off.map(|(value, error)| (aligned.gains + value, error));
             if let Some((value, error)) = off.filter(|(value, error)| value.abs() > 4.0 * error && value.abs() > 1e-7) {
                 notes.push(format!(
@@ -386,7 +387,7 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
     notes
 }
 
-/// The parameters that the motion leaves open.
+/// Returns the parameters that the motion leaves open.
 fn left_open(found: &Found) -> Vec<String> {
     let of = |settled: &Settled| {
         let all = settled.screen.fit.confounded.iter().filter(|one| one.openness != Openness::Faint);

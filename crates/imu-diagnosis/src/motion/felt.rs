@@ -11,11 +11,12 @@ use imu_model::simulator::response::{STAGES, stage};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Steps of the inversion: effects of a percent are right to 10⁻¹⁴ after them.
+/// Steps of the inversion; they give effects of a percent to 10⁻¹⁴.
 const STEPS: usize = 7;
 
-/// The record with the effects of the model's triads and its biases removed from accelerometer and gyro, sample by sample. A bias
-/// that represents gravity at rest carries no information and stays. Delays, limits and bandwidths are left as they are.
+/// Returns the record with the effects of the model's triads and its biases removed from accelerometer and gyro, sample
+/// by sample. A bias that represents gravity at rest carries no information and stays. Delays, limits and bandwidths
+/// are left as they are.
 pub(super) fn felt<'a>(real: &'a Recording, sim: &SensorModel) -> Cow<'a, Recording> {
     let mut held = sim.clone();
     let at_rest = gravity::take_out(&mut held, STANDARD_GRAVITY_M_S2).is_some();
@@ -58,7 +59,7 @@ struct Chain {
 }
 
 impl Chain {
-    /// The input that it felt. `force` acts on a gyro; an accelerometer's force is its own input.
+    /// Returns the input that the triad felt. `force` acts on a gyro; an accelerometer's force is its own input.
     fn inverse(&self, shown: Axes, force: Option<Axes>) -> Axes {
         let mut input = shown;
         for _ in 0..STEPS {

@@ -2,10 +2,11 @@
 //! library. They also include columns of effects outside the library, so that an outside effect is not taken for one of the
 //! library.
 //!
-//! A price is half of χ²'s quantile for as many degrees of freedom as the group has numbers, at the level over all groups and
-//! triads (Bonferroni). Twice the nats that p numbers gain in noise of a known law are χ² with p degrees of freedom (Wilks 1938,
-//! Ann. Math. Stat. 9). A bias is seen in the record's mean alone, whose variance is not known but fitted. Its distribution is
-//! Fisher's F with the degrees of freedom that the levels' uncertainty leaves.
+//! A price is half of χ²'s quantile for as many degrees of freedom as the group has numbers, at the level over all
+//! groups and triads (Bonferroni). Twice the nats that p numbers gain in noise of a known law are χ² with p degrees of
+//! freedom (Wilks 1938, Ann. Math. Stat. 9). A bias shows in the record's mean alone, whose variance is fitted, not
+//! known. The gain of a bias is therefore distributed as Fisher's F with the degrees of freedom that the levels'
+//! uncertainty leaves.
 
 use crate::response::{Candidate, Extra};
 use imu_core::sample::Triad;
@@ -18,7 +19,7 @@ use std::ops::Range;
 const CLEARLY: f64 = 3.0;
 /// Time constants with which a sensor may creep after its input, s.
 const CREEPS_S: [f64; 4] = [0.5, 2.0, 8.0, 32.0];
-/// Time constants of filters, samples: sums of these follow as any low pass of up to some ten samples does.
+/// Time constants of filters, samples: sums of these describe any low pass of up to some ten samples.
 const FOLLOWS: [f64; 4] = [0.7, 1.8, 4.5, 11.0];
 /// Half widths of a play, in parts of the largest input.
 const PLAYS: [f64; 3] = [0.02, 0.1, 0.3];
@@ -28,26 +29,26 @@ const BENDS: [f64; 2] = [0.03, 0.2];
 /// An effect that is not in the library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Foreign {
-    /// It creeps after its input.
+    /// The output creeps after the input.
     Creep,
-    /// It follows its input with play.
+    /// The output follows the input with play.
     Play,
-    /// Its curve has terms other than a straight line and squares.
+    /// The curve has terms other than a straight line and squares.
     Curve,
-    /// It shows products of its inputs.
+    /// The output has products of the inputs.
     Products,
     /// The sensor is not at the place of the reference.
     LeverArm,
-    /// A gyroscope shows squares and products of the specific force.
+    /// A gyroscope's output has squares and products of the specific force.
     ForceSquared,
-    /// Its scale factor follows the temperature.
+    /// The scale factor follows the temperature.
     WarmScale,
-    /// It follows its input within some samples, but not by a pure delay: a filter.
+    /// The output follows the input within some samples, but not by a pure delay: a filter.
     Bandwidth,
 }
 
 impl Foreign {
-    /// Its meaning, in words that follow "the gyro".
+    /// Returns the meaning, in words that follow "the gyro".
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Creep => "creeps after its input (a memory of seconds)",
@@ -61,54 +62,54 @@ impl Foreign {
         }
     }
 
-    /// The kinds that are searched on a triad.
+    /// Returns the kinds that are searched on a triad.
     pub(super) fn of(triad: Triad) -> Vec<Self> {
         let own = if triad == Triad::Gyro { Self::ForceSquared } else { Self::LeverArm };
         vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale, Self::Bandwidth]
     }
 }
 
-/// One or the other.
+/// An effect of the library or outside it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Member {
     /// An effect of the library.
     Library(Candidate),
-    /// None.
+    /// An effect outside the library.
     Foreign(Foreign),
 }
 
-/// Columns of a screen that stand and fall together.
+/// Columns of a screen that are chosen or left out together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Group {
-    /// What they are.
+    /// The effect of the columns.
     pub member: Member,
-    /// Where they are.
+    /// The range of the columns.
     pub columns: Range<usize>,
     /// Nats that they have to explain.
     pub price: f64,
 }
 
-/// How prices are made.
+/// The parameters of prices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pricing {
     /// The part of clean records in which any group may be named.
     pub level: f64,
-    /// Triads that are looked at.
+    /// The number of examined triads.
     pub triads: usize,
-    /// Degrees of freedom that the variance of the record's mean is known with.
+    /// Degrees of freedom of the variance of the record's mean.
     pub mean_freedom: f64,
 }
 
 impl Pricing {
-    /// The price of `numbers` numbers among `groups` groups per triad.
+    /// Returns the price of `numbers` numbers among `groups` groups per triad.
     pub fn price(&self, numbers: usize, groups: usize) -> f64 {
         let chance = self.level / (groups * self.triads).max(1) as f64;
         ChiSquared::new(numbers.max(1) as f64).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - chance))
     }
 
-    /// The same of a bias.
+    /// Returns the price of a bias.
     pub fn price_of_mean(&self, numbers: usize, groups: usize) -> f64 {
-        /// Degrees of freedom from which on a variance is as good as known.
+        /// A variance with at least this many degrees of freedom counts as known.
         const KNOWN: f64 = 3000.0;
         let price = self.price(numbers, groups);
         let chance = self.level / (groups * self.triads).max(1) as f64;
@@ -116,7 +117,7 @@ impl Pricing {
         if self.mean_freedom >= KNOWN {
             return price;
         }
-        // F's quantile is above χ²'s over the numbers, by bisection.
+        // Bisection finds F's quantile over the numbers, which exceeds χ²'s.
         let (mut low, mut high) = (price, 1e4 * price);
         for _ in 0..60 {
             let middle = 0.5 * (low + high);
@@ -127,13 +128,13 @@ impl Pricing {
     }
 }
 
-/// The effects of the library that are fitted by regression.
+/// Returns the effects of the library that are fitted by regression.
 pub fn candidates(triad: Triad, full_scale: f64) -> Vec<Candidate> {
     let all = Candidate::all(triad, full_scale).into_iter();
     all.filter(|one| !matches!(one, Candidate::Latency | Candidate::Saturation)).collect()
 }
 
-/// The groups of a screen with these candidates and extra columns.
+/// Returns the groups of a screen with these candidates and extra columns.
 pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)], pricing: Pricing) -> Vec<Group> {
     let inside = candidates.len();
     let mut groups = Vec::new();
@@ -156,7 +157,7 @@ pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)]
     groups
 }
 
-/// Columns of effects that are not in the library.
+/// Returns columns of effects that are not in the library.
 pub fn foreign(
     of: Foreign,
     triad: Triad,
@@ -193,7 +194,7 @@ pub fn foreign(
                 }
             }
             Foreign::Bandwidth => {
-                // Without the delay that each is to first order: that is the delay's own column.
+                // Without the delay to which each is equal to first order: the delay has its own column.
                 FOLLOWS.iter().for_each(|samples| {
                     let late = (samples.recip().exp() - 1.0).recip();
                     let slopes = derivative(values, 1).into_iter().map(|slope| late * slope);
@@ -206,7 +207,7 @@ pub fn foreign(
     }
     match of {
         Foreign::LeverArm => columns.extend(lever(motions, rate_hz)),
-        // One axis later than another; the mean of the three is the delay's.
+        // One axis later than another; the mean of the three belongs to the delay.
         Foreign::Bandwidth => columns.extend([[1.0, -1.0, 0.0], [0.5, 0.5, -1.0]].map(|signs| {
             std::array::from_fn(|axis| {
                 let scaled = |value: f64| signs[axis] * value;
@@ -220,7 +221,7 @@ pub fn foreign(
     columns
 }
 
-/// About their means, the largest of all axes 1: a mean is a bias's.
+/// Subtracts the columns' means, which belong to a bias, and scales the largest value of all axes to 1.
 fn centre(column: &mut [Option<Vec<f64>>; 3]) {
     let axes = || column.iter().flatten();
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
@@ -236,7 +237,7 @@ fn centre(column: &mut [Option<Vec<f64>>; 3]) {
     }
 }
 
-/// How far values are ahead of what follows them with a time constant, in samples.
+/// Returns how far values are ahead of a course that follows them with a time constant, in samples.
 fn creep(values: &[f64], samples: f64) -> Vec<f64> {
     let share = 1.0 - (-samples.max(1e-9).recip()).exp();
     let mut follows = values.first().copied().unwrap_or_default();
@@ -249,7 +250,7 @@ fn creep(values: &[f64], samples: f64) -> Vec<f64> {
         .collect()
 }
 
-/// How far values are from what they drag along within a play of that half width.
+/// Returns how far values are from a course that they drag along with a play of that half width.
 fn play(values: &[f64], half: f64) -> Vec<f64> {
     let mut dragged = values.first().copied().unwrap_or_default();
     values
@@ -261,7 +262,7 @@ fn play(values: &[f64], half: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The first, second or third difference about each value, per sample; the ends stay.
+/// Returns the first, second or third difference about each value, per sample; the ends stay.
 fn derivative(values: &[f64], order: usize) -> Vec<f64> {
     let last = values.len().saturating_sub(1);
     (0..values.len())
@@ -280,7 +281,7 @@ fn product(one: &[f64], other: &[f64]) -> Vec<f64> {
     one.iter().zip(other).map(|(one, other)| one * other).collect()
 }
 
-/// The specific force that an arm along x, y or z of length 1 adds: ω × (ω × r) + ω̇ × r.
+/// Returns the specific force that an arm along x, y or z of length 1 adds: ω × (ω × r) + ω̇ × r.
 fn lever(motions: &[Motion], rate_hz: f64) -> [[Option<Vec<f64>>; 3]; 3] {
     let n = motions.len();
     let change = |index: usize| -> Axes {
@@ -325,7 +326,7 @@ mod tests {
     fn an_arm_feels_the_way_inward() {
         let motions = vec![Motion { gyro_rad_s: [0.0, 0.0, 2.0], ..Motion::default() }; 10];
         let [x, _, z] = lever(&motions, 10.0);
-        // Of length 1 along x, turning about z: −ω² along x, and here scaled to 1.
+        // An arm of length 1 along x, turning about z, gives −ω² along x, here scaled to 1.
         assert_eq!(x[0].as_ref().unwrap()[5], -1.0);
         assert!(z.iter().flatten().flatten().all(|value| *value == 0.0));
     }
@@ -333,7 +334,7 @@ mod tests {
     #[test]
     fn prices_are_what_chance_reaches() {
         let pricing = Pricing { level: 0.005, triads: 1, mean_freedom: 1e9 };
-        // χ² of 3 degrees of freedom is above 16.27 with 0.001.
+        // χ² of 3 degrees of freedom is above 16.27 with a chance of 0.001.
         assert!((pricing.price(3, 5) - 8.133).abs() < 0.01);
         assert!((pricing.price_of_mean(3, 5) - 8.133).abs() < 0.02);
         assert!(Pricing { mean_freedom: 8.0, ..pricing }.price_of_mean(3, 5) > 20.0);

@@ -7,7 +7,7 @@
 use crate::response::Estimate;
 use imu_core::sample::Triad;
 
-/// A delay, s, and its standard error.
+/// A delay, s, with its standard error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Delay {
     pub(super) triad: Triad,
@@ -31,7 +31,7 @@ impl Delay {
 /// The conclusions from the delays.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Verdict {
-    /// Latencies, with what they explain, nats.
+    /// Latencies, each with the nats that it explains.
     pub(super) latencies: Vec<(Delay, f64)>,
     /// By how much the reference is early for all triads, s.
     pub(super) offset_s: Option<f64>,
@@ -39,7 +39,7 @@ pub(super) struct Verdict {
     pub(super) open: bool,
 }
 
-/// Separates latencies from the clock's offset. A difference counts from `price` nats on.
+/// Separates latencies from the clock's offset. A difference counts if it gains at least `price` nats.
 pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let (gyro, accel) = match delays {
         [] => return Verdict::default(),
@@ -67,7 +67,7 @@ pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let real = |of: &Delay| of.nats() > price;
     match (real(&early), real(&late)) {
         (false, false) => Verdict::default(),
-        // The reference is late, as far as this one triad can determine it.
+        // The reference is late, as far as one triad can determine this.
         (false, true) if late.seconds < 0.0 => {
             Verdict { offset_s: Some(late.seconds), open: true, ..Verdict::default() }
         }
@@ -101,7 +101,7 @@ mod tests {
     fn on_one_clock_a_delay_is_a_latency_unless_both_have_it() {
         let found = of((0.02, 1e-4), (0.0, 1e-3), true);
         assert_eq!((found.latencies.len(), found.latencies[0].0.triad, found.offset_s), (1, Triad::Gyro, None));
-        // Known too badly to decide, and known well.
+        // One is known too poorly to decide, one is known well.
         assert_eq!(of((0.02, 1e-4), (0.0, 1.0), true).latencies[0].0.triad, Triad::Gyro);
         let both = of((0.02, 1e-4), (0.0201, 1e-3), true);
         assert!(both.latencies.is_empty() && both.open && (both.offset_s.unwrap() - 0.02).abs() < 1e-4);

@@ -1,14 +1,15 @@
 //! Diagnosis with a known motion: which of the effects that a motion drives a simulator lacks, beside those of a record at
 //! rest. Pure.
 //!
-//! In: a [`Recording`], a [`Reference`] (what the sensor went through, by another instrument), a sensor model. Out: the same
-//! report as that of a record at rest ([`super::diagnose`]), and the corrected model.
+//! In: a [`Recording`], a [`Reference`] (the sensor's motion as another instrument measured it), a sensor model. Out:
+//! the same report as that of a record at rest ([`super::diagnose`]), and the corrected model.
 //!
 //! 1. The reference is aligned in time and brought to the record's instants ([`align`]).
-//! 2. Per triad every candidate is fitted at once, by generalised least squares under the model's own noise
-//!    ([`super::response`]), with columns besides that no effect of the library is ([`groups`]).
-//! 3. The subset is chosen that explains most nats less the prices of its effects ([`select`]). A price is the gain that chance
-//!    gives to as many numbers in the part of clean records that may be blamed, with all effects and triads counted.
+//! 2. Per triad, all candidates are fitted at once, by generalised least squares under the model's own noise
+//!    ([`super::response`]), with additional columns for effects outside the library ([`groups`]).
+//! 3. The subset is chosen that explains most nats less the prices of its effects ([`select`]). A price is the gain
+//!    that as many numbers exceed by chance only in the permitted part of clean records, with all effects and triads
+//!    counted.
 //! 4. The samples less the mean response go to the diagnosis of records at rest: N, B, K, lines, drifts, filters. Its findings
 //!    become the noise's law, the drift and the bandwidth of a second round. The rounds continue until no finding changes. Two
 //!    rounds nearly always suffice, because mean and noise are orthogonal to first order: the Fisher information between them is
@@ -50,14 +51,15 @@ use imu_core::units::STANDARD_GRAVITY_M_S2;
 use imu_model::motion::gravity;
 use imu_model::simulator::SensorModel;
 
-/// Samples by which a clock's offset may be off before the reference is aligned again.
+/// If a clock's offset is off by more than this many samples, the reference is aligned again.
 const ALIGNED: f64 = 0.05;
-/// Blocks of time for what is held out, and into how many folds they go in turn.
+/// Number of blocks of time for held-out scores, and number of folds to which they are assigned in turn.
 pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
 
-/// Compares a record with a model. It compares against a reference if there is one, by gravity if the record rests in several
-/// poses or is turned slowly, else as a record at rest. A disturbed magnetic field is reported in addition.
+/// Compares a record with a model. It uses the reference if there is one, gravity if the sensor rests in several poses
+/// or is turned slowly, and otherwise treats the record as one at rest. A disturbed magnetic field is reported in
+/// addition.
 ///
 /// # Errors
 /// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
@@ -92,7 +94,7 @@ pub fn diagnose_moved(
     options: &Options<'_>,
 ) -> Result<Outcome, DiagnosisError> {
     super::prepare::comparable(real, sim)?;
-    // A model of a sensor at rest holds gravity as bias; a reference brings its own.
+    // A model of a sensor at rest has gravity as bias; a reference includes gravity.
     let mut held = sim.clone();
     let taken_out = gravity::take_out(&mut held, STANDARD_GRAVITY_M_S2);
     let given = sim;
@@ -114,8 +116,8 @@ pub fn diagnose_moved(
         part = real.part(aligned.from..aligned.from + aligned.motions.len());
     }
     let mut found = rounds::run(&part, &aligned, sim, &triads, options)?;
-    // The reference is laid beside the triad that determines the time best, which is the late one: a delay that all
-    // share is the clock's. This holds for a small latency too. Laid beside the late triad, the other triad would
+    // The reference was aligned with the triad that determines the time best, which is the late one: a delay that all
+    // triads share belongs to the clock. This holds for a small latency too. In that alignment, the other triad would
     // appear early.
     let latency_s = found.lateness.latencies.iter().map(|(of, _)| of.seconds).fold(f64::INFINITY, f64::min);
     let most_s = (ALIGNED / real.rate_hz).min(0.1 * latency_s);
@@ -131,7 +133,7 @@ pub fn diagnose_moved(
             "the model holds gravity as the accelerometer's bias: {STANDARD_GRAVITY_M_S2} m/s² were taken out of it along its own \
              direction, the motion brings its own"
         ));
-        // The corrected model is one at rest as the given one was, but for what was found.
+        // The corrected model is one at rest, as the given model was, except for the found effects.
         for channel in Triad::Accel.channels() {
             if let (Some(of), Some(own)) = (outcome.augmented.channels.get_mut(&channel), given.channels.get(&channel))
             {

@@ -1,4 +1,4 @@
-//! Noise: the law that weighs a triad's answer, from a model as far as the model is known.
+//! Noise: the law that weighs a triad's response, from a model as far as the model is known.
 
 use crate::response::{Filters, NORMAL_95, NoiseLaw, ResponseError};
 use imu_core::sample::Triad;
@@ -8,14 +8,15 @@ use std::sync::Arc;
 
 /// Prior uncertainty of N, B and K if a model states no interval: standard deviations of ln of their squares.
 const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
-/// Standard error of a cutoff's logarithm where a model states no interval.
+/// Standard error of a cutoff's logarithm if a model states no interval.
 const UNSTATED: f64 = 0.1;
 /// The upper bound of a cutoff that acts at the rate of decimated samples, in parts of that rate.
 const BELOW: f64 = 0.49;
 /// Euler's constant.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
 
-/// The law of a model for records of `samples`. For a channel without white noise, the law assumes `scale`, U per sample.
+/// Returns the law of a model for records of `samples`. For a channel without white noise, the law assumes `scale`, U
+/// per sample.
 pub(super) fn law(
     model: &SensorModel,
     triad: Triad,
@@ -27,8 +28,8 @@ pub(super) fn law(
     let mut plain = model.clone();
     for (axis, channel) in triad.channels().into_iter().enumerate() {
         let Some(of) = plain.channels.get_mut(&channel) else { continue };
-        // Noise that comes and goes is modelled as white noise of its mean square. That is too much in its quiet parts, which
-        // costs power and blames no effect.
+        // Noise that comes and goes is modelled as white noise of its mean square. That is too much in its quiet parts,
+        // which reduces the power of tests but names no effect falsely.
         let record = Record { rate_hz, samples: samples as u64 };
         for effect in of.effects.iter().filter(|effect| !effect.spec().is_lasting()) {
             let factor = effect.white_moments(record).map_or(1.0, |of| of.variance);
@@ -38,7 +39,7 @@ pub(super) fn law(
                 of.n = square.sqrt();
             }
         }
-        // Drifts are taken off before.
+        // Drifts have been subtracted before.
         of.effects.retain(|effect| effect.spec().is_lasting());
         of.uncertainty = None;
         let least = 1e-3 * scale[axis] / rate_hz.sqrt();
@@ -49,10 +50,10 @@ pub(super) fn law(
     NoiseLaw::of_model(&plain, triad, rate_hz, samples)
 }
 
-/// The filters of each axis that a motion passes; of its low passes the cutoff that is known worst is open, as far as
-/// its interval leaves it.
+/// Returns the filters that a motion passes on each axis. Of the low passes, only the cutoff with the largest
+/// uncertainty is free, within its interval.
 pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
-    // Before samples are decimated filters act at another rate: a cutoff in Hz is the same at this one, a window is not.
+    // Before decimation, filters act at another rate: a cutoff in Hz is the same at the output rate, a window is not.
     let decimated = model.sampling.is_some();
     let mut all = Filters::default();
     for (axis, channel) in triad.channels().into_iter().enumerate() {
@@ -76,7 +77,7 @@ pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
     all
 }
 
-/// The course of the level on each axis that a model states beside its motion, U.
+/// Returns the course of the level that a model states besides the motion on each axis, U.
 pub(super) fn courses(
     model: &SensorModel,
     triad: Triad,
@@ -98,8 +99,9 @@ pub(super) fn courses(
     })
 }
 
-/// Degrees of freedom that the variance of a record's mean is known with: of a sum of white noise, flicker and a walk whose
-/// levels are known to some accuracy, each with its share (Satterthwaite 1946, Biometrics Bull. 2). The least of the three axes.
+/// Degrees of freedom of the variance of a record's mean: that of a sum of white noise, flicker and a walk with levels
+/// of limited accuracy, each with its share (Satterthwaite 1946, Biometrics Bull. 2). This is the smallest value of the
+/// three axes.
 pub(super) fn mean_freedom(model: &SensorModel, triad: Triad, rate_hz: f64, samples: usize) -> f64 {
     let n = samples as f64;
     let of = |channel| {

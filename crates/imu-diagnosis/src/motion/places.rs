@@ -1,4 +1,4 @@
-//! Places: at which rate, acceleration or pose a gap lies that a motion drives, and when.
+//! Places: the rate, acceleration or pose at which a gap driven by a motion lies, and its time.
 
 use super::settle::Settled;
 use crate::report::{Driver, Of, Place};
@@ -15,11 +15,11 @@ const HELD: f64 = 0.8;
 const WIDE: f64 = 0.9;
 /// Part of the variance of a gap over time that a driver has to account for.
 const TELLING: f64 = 0.2;
-/// How near to upright a pose is, in parts of gravity.
+/// How near to upright a pose is, as a part of gravity.
 const UPRIGHT: f64 = 0.97;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The places of a triad's gap: one per axis with a material part of it.
+/// Returns the places of a triad's gap: one per axis with a material part of it.
 pub(super) fn places(
     of: &Settled,
     level: Axes,
@@ -48,7 +48,7 @@ pub(super) fn places(
         }
         let values = &course[axis];
         let [from, to] = shortest(values, totals[axis]);
-        // What is cut off is missing.
+        // Samples that are cut off are missing.
         let is_cut = of.cut_off.as_ref().is_some_and(|nats| nats[axis].iter().sum::<f64>() > 0.5 * totals[axis]);
         let rising = if is_cut { -1.0 } else { mean_gap(&of.fit.response[axis], &model[axis], values) };
         places.push(Place {
@@ -72,12 +72,12 @@ pub(super) fn places(
     places
 }
 
-/// Whether the sensor shows more than the model at the place of the gap, weighed by the gap.
+/// Returns whether the sensor shows more than the model at the place of the gap, weighted by the gap.
 fn mean_gap(response: &[f64], model: &[f64], weights: &[f64]) -> f64 {
     response.iter().zip(model).zip(weights).map(|((response, model), weight)| weight * (response - model)).sum()
 }
 
-/// The shortest stretch of time, in blocks of a hundredth, that has most of it.
+/// Returns the shortest stretch of time, in blocks of a hundredth, that has most of the total.
 fn shortest(values: &[f64], total: f64) -> [usize; 2] {
     const PARTS: usize = 100;
     let n = values.len();
@@ -87,7 +87,7 @@ fn shortest(values: &[f64], total: f64) -> [usize; 2] {
     [edge(from), edge(to)]
 }
 
-/// The fewest neighbouring places with a sum of at least so much.
+/// Returns the fewest neighbouring places with a sum of at least `least`.
 fn narrowest(sums: &[f64], least: f64) -> [usize; 2] {
     let (mut best, mut from, mut sum) = ([0, sums.len()], 0, 0.0);
     for (to, value) in sums.iter().enumerate() {
@@ -103,7 +103,8 @@ fn narrowest(sums: &[f64], least: f64) -> [usize; 2] {
     best
 }
 
-/// The rate or acceleration that the gap goes with most: that whose bins account for the largest part of its variance over time.
+/// Returns the rate or acceleration on which the gap depends most: the one whose bins account for the largest part of
+/// its variance over time.
 fn driver(values: &[f64], motions: &[Motion]) -> Option<Driver> {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let whole: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -147,7 +148,7 @@ fn driver(values: &[f64], motions: &[Motion]) -> Option<Driver> {
     best.map(|(_, driver)| driver)
 }
 
-/// The pose of a range of specific force: what holds a sensor up pushes away from the Earth.
+/// Returns the pose of a range of specific force: the support of a sensor pushes it away from the Earth.
 fn pose(axis: &str, [low, high]: [f64; 2]) -> Option<String> {
     let gravity = imu_core::units::STANDARD_GRAVITY_M_S2;
     if high >= UPRIGHT * gravity && low > 0.0 {

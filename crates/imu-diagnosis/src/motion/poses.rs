@@ -1,15 +1,16 @@
-//! Poses: a tumble without a reference. Gravity is the same in every pose. Its magnitude determines the accelerometer's scale
-//! factors, biases and cross-axis sensitivities. A turn by a whole circle between two rests in one pose determines the gyro's
-//! scale factor.
+//! Poses: a tumble without a reference. Gravity is the same in every pose. Its magnitude determines the accelerometer's
+//! scale factors, biases and cross-axis sensitivities. A turn by a full circle between two rests in one pose determines
+//! the gyro's scale factor.
 //!
-//! At rest in pose i the accelerometer's mean is mᵢ = (1 + D + S)·fᵢ + b + noise with |fᵢ| = g. D is diagonal (scale factors), S
-//! is symmetric without a diagonal (cross-axis sensitivity), and b is the bias. With u = m/|m|, to first order |mᵢ| − g = g·Σ
-//! D_k·u_k² + 2g·Σ S_kl·u_k·u_l + Σ b_k·u_k. These are nine numbers, linear, with one equation per pose (Frosio, Pedersini and
-//! Borghese 2009, IEEE Trans. Instrum. Meas. 58; IEEE Std 1293, the multi-position tumble). Gauss–Newton steps add the terms of
-//! second order. A rotation of the whole triad does not change magnitudes and is not seen.
+//! At rest in pose i the accelerometer's mean is mᵢ = (1 + D + S)·fᵢ + b + noise with |fᵢ| = g. D is diagonal (scale
+//! factors), S is symmetric without a diagonal (cross-axis sensitivity), and b is the bias. With u = m/|m|, to first
+//! order |mᵢ| − g = g·Σ D_k·u_k² + 2g·Σ S_kl·u_k·u_l + Σ b_k·u_k. These are nine numbers, linear, with one equation per
+//! pose (Frosio, Pedersini and Borghese 2009, IEEE Trans. Instrum. Meas. 58; IEEE Std 1293, the multi-position tumble).
+//! Gauss–Newton steps add the terms of second order. A rotation of the whole triad does not change magnitudes and does
+//! not show.
 //!
-//! Local gravity is known to 0.13 % (9.780 m/s² at the equator, 9.832 at the poles): it is a tenth number with that belief. Scale
-//! factors that are all off alike are therefore identified only beyond that uncertainty.
+//! Local gravity is known to 0.13 % (9.780 m/s² at the equator, 9.832 at the poles): it is a tenth number with that
+//! prior. A common error of all scale factors is therefore identified only beyond that uncertainty.
 //!
 //! The noise of a mean over T s is N²/T, flicker's about B², and a walk's K²·min(tᵢ, tⱼ), which the poses share.
 
@@ -24,24 +25,26 @@ use imu_model::simulator::SensorModel;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _, Normal};
 
-/// Gravity and the belief in it, m/s².
+/// Gravity and its prior standard deviation, m/s².
 const GRAVITY: f64 = imu_core::units::STANDARD_GRAVITY_M_S2;
 pub(super) const BELIEF: f64 = 0.013;
-/// Fewest poses, apart from one another.
+/// Minimum number of distinct poses.
 pub const POSES_MIN: usize = 6;
-/// Variance of flicker's mean over a rest about the record's, in B²; ln of the record's length over the rest's, and some.
+/// Variance of flicker's mean over a rest about the record's mean, in B²: about ln of the record's length over the
+/// rest's.
 const FLICKER: f64 = 1.0;
-/// The same for the record's mean about 0, which all poses share: flicker down to a thirty-second of the record's own frequency.
+/// Variance of the record's mean about 0, which all poses share, in B²: flicker down to a thirty-second of the record's
+/// own frequency.
 const FLICKER_OF_ALL: f64 = 1.13;
-/// How far an accelerometer is believed to be off at most, as standard deviations: bias in m/s², the others as fractions. Poses
-/// that do not show a number leave it there.
+/// Priors of an accelerometer's errors, as standard deviations: bias in m/s², the others as fractions. A number that
+/// the poses do not show keeps its prior.
 const OFF: [f64; 2] = [1.0, 0.1];
 const STEPS: usize = 8;
-/// How far a turn by hand may end from where it began, rad: half a degree.
+/// How far a turn by hand may end from its start, rad: half a degree.
 const PLACED: f64 = 0.0087;
-/// How near to whole circles a turn is, in parts.
+/// Maximum deviation of a turn from whole circles, as a part.
 const WHOLE: f64 = 0.04;
-/// The largest turn about other axes, or back, in parts of the turn: noise's path and a hand's tremble.
+/// The largest turn about other axes, or back, as a part of the turn: the path of noise and the tremble of a hand.
 const BESIDE: f64 = 0.2;
 
 /// The effects that poses determine.
@@ -50,23 +53,23 @@ pub(super) const PARTS: [Candidate; 3] = [Candidate::Bias, Candidate::ScaleFacto
 /// The result of a tumble for the accelerometer.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tumbled {
-    /// b, D, S in threes and gravity, with their standard errors; 0 for numbers that were not chosen.
+    /// b, D, S (three numbers each) and gravity, with their standard errors; 0 for numbers that were not chosen.
     pub(super) values: [f64; 10],
     pub(super) errors: [f64; 10],
     pub(super) choice: Choice,
     /// Nats of each chosen part given the others, and its price.
     pub(super) gains: [f64; 3],
     pub(super) prices: [f64; 3],
-    /// Nats that the chosen numbers from all other poses explain of each pose.
+    /// Nats that the chosen numbers, fitted to all other poses, explain of each pose.
     pub(super) held_out: f64,
-    /// |m| − g per rest before, m/s², and after; of windows each half with the numbers of the other.
+    /// |m| − g per rest, m/s², before and after; for windows, each half with the numbers of the other half.
     pub(super) before: Vec<f64>,
     pub(super) after: Vec<f64>,
     /// Chance that the remainder is noise.
     pub(super) p_value: f64,
 }
 
-/// A scale factor of the gyro, of turns by whole circles.
+/// A scale factor of the gyro, from turns by whole circles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Turned {
     pub(super) axis: usize,
@@ -80,7 +83,7 @@ fn length(of: Axes) -> f64 {
     of.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
-/// The force that a sensor with these numbers makes a mean of: (1 + D + S)⁻¹(m − b), to second order.
+/// Returns the force that a sensor with these numbers turns into a mean: (1 + D + S)⁻¹(m − b), to second order.
 fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     let less: Axes = std::array::from_fn(|axis| mean[axis] - numbers[axis]);
     let mixed = |of: Axes| -> Axes {
@@ -93,7 +96,7 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
     std::array::from_fn(|axis| less[axis] - once[axis] + twice[axis])
 }
 
-/// Standard deviation of the prior of a number: gravity's last, then of bias and of fractions.
+/// Returns the standard deviation of the prior of a number: gravity is the last; others are biases and fractions.
 pub(super) fn belief(number: usize) -> f64 {
     match number {
         9 => BELIEF,
@@ -102,12 +105,12 @@ pub(super) fn belief(number: usize) -> f64 {
     }
 }
 
-/// Numbers that parts have; gravity is always there.
+/// Returns the numbers of parts; gravity is always included.
 pub(super) fn columns_of(parts: &[usize]) -> Vec<usize> {
     parts.iter().flat_map(|part| 3 * part..3 * part + 3).chain([9]).collect()
 }
 
-/// Nats that as many numbers have to explain, at a level over the three parts.
+/// Returns the nats that this many numbers have to explain, at a level over the three parts.
 pub(super) fn price(numbers: f64, level: f64) -> f64 {
     ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / PARTS.len() as f64))
 }
@@ -153,7 +156,7 @@ pub(super) fn tumbled(
         )
     };
     let everywhere: Vec<usize> = (0..count).collect();
-    // Gauss–Newton over chosen numbers; derivatives by differences.
+    // Gauss–Newton over the chosen numbers, with numeric derivatives.
     let fit = |parts: &[usize], keep: &[f64]| -> Option<(Vec<f64>, DMatrix<f64>, f64)> {
         let own = columns_of(parts);
         let mut numbers = vec![0.0; 10];
@@ -191,7 +194,7 @@ pub(super) fn tumbled(
         Some((numbers, inverse, square))
     };
     let all = vec![1.0; count];
-    // A bias is as sure as flicker's level is known, as against a reference.
+    // The price of a bias depends on how well flicker's level is known, as with a reference.
     let of_mean = Pricing { level, triads: 1, mean_freedom }.price_of_mean(3, PARTS.len());
     let prices = PARTS.map(|part| match part {
         part if !options.wants(part.kind()) => f64::INFINITY,
@@ -202,7 +205,7 @@ pub(super) fn tumbled(
     let mut squares = [0.0; 8];
     for (subset, kept) in squares.iter_mut().enumerate() {
         let parts: Vec<usize> = (0..3).filter(|part| subset >> part & 1 == 1).collect();
-        // As many numbers as poses explain any data; gravity's number has a prior belief in addition.
+        // As many numbers as poses explain any data; gravity's number has a prior in addition.
         if 3 * parts.len() > count {
             *kept = f64::INFINITY;
             continue;
@@ -227,7 +230,7 @@ pub(super) fn tumbled(
     for (place, number) in columns_of(&parts).into_iter().enumerate() {
         errors[number] = inverse[(place, place)].max(0.0).sqrt();
     }
-    // Each pose as predicted from the others.
+    // Each pose is predicted from the others.
     let mut held_out = 0.0;
     let (plain, _, _) = fit(&[], &all)?;
     let before_w = weigh(misfit(&plain, &everywhere))?;
@@ -256,7 +259,8 @@ pub(super) fn tumbled(
     })
 }
 
-/// Scale factors of the gyro from turns by whole circles: between two rests in one pose, about the axis that points up or down.
+/// Returns scale factors of the gyro from turns by whole circles between two rests in one pose, about the axis that
+/// points up or down.
 pub(super) fn turned(rests: &[Rest], gyro: [&[f64]; 3], rate_hz: f64, n: [f64; 3], level: f64) -> Vec<Turned> {
     let price = Normal::standard().inverse_cdf(1.0 - 0.5 * level / 3.0);
     let mut found: Vec<Turned> = Vec::new();
@@ -274,7 +278,8 @@ pub(super) fn turned(rests: &[Rest], gyro: [&[f64]; 3], rate_hz: f64, n: [f64; 3
         let angle: f64 = gyro[axis][from..to].iter().map(|value| (value - bias) / rate_hz).sum();
         let circles = (angle.abs() / std::f64::consts::TAU).round();
         let whole = circles * std::f64::consts::TAU;
-        // About this axis alone and one way: turned here and there, angles of single axes do not add up to circles.
+        // The turn must be about this axis alone and in one direction: otherwise, angles of single axes do not add up
+        // to circles.
         let path = |of: usize| {
             let rested = 0.5 * (before[of] + after[of]);
             gyro[of][from..to].iter().map(|value| (value - rested).abs() / rate_hz).sum::<f64>()
@@ -291,7 +296,7 @@ pub(super) fn turned(rests: &[Rest], gyro: [&[f64]; 3], rate_hz: f64, n: [f64; 3
         let scale = angle.abs() / whole - 1.0;
         let from_s = from as f64 / rate_hz;
         match found.iter_mut().find(|other| other.axis == axis) {
-            // Several turns about an axis: weighed by their errors.
+            // Several turns about an axis are weighted by their errors.
             Some(other) => {
                 let weights = [other.error.powi(-2), error.powi(-2)];
                 other.scale = (weights[0] * other.scale + weights[1] * scale) / (weights[0] + weights[1]);

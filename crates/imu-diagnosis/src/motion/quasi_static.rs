@@ -1,13 +1,14 @@
 //! Quasi-static: gravity's magnitude in a sensor that is turned slowly through many poses without resting in them.
 //!
-//! In a window of T s the gyro shows how the sensor turned. With every sample turned into the window's middle, the mean is
-//! gravity and (v₂ − v₁)/T, the change of the hand's velocity. A hand comes back, so that this term is small, of any direction,
-//! and sometimes large. To first order |f̄| − g = Σ b_k·ū_k + Σ D_k·⟨u_k·m_k⟩ + Σ S_kl·⟨u_k·m_l + u_l·m_k⟩, with u the direction
-//! of f̄ in the sensor's axes at each sample. These are the numbers of [`super::poses`], linear, with one equation per window.
+//! In a window of T s the gyro shows how the sensor turned. With every sample turned into the window's middle, the mean
+//! is gravity plus (v₂ − v₁)/T, the change of the hand's velocity. A hand returns, so that this term is usually small
+//! and sometimes large, in any direction. To first order |f̄| − g = Σ b_k·ū_k + Σ D_k·⟨u_k·m_k⟩ + Σ S_kl·⟨u_k·m_l +
+//! u_l·m_k⟩, with u the direction of f̄ in the sensor's axes at each sample. These are the numbers of [`super::poses`],
+//! linear, with one equation per window.
 //!
-//! The residual is Student's t with three degrees of freedom, with a fitted scale (Lange, Little and Taylor 1989, J. Am. Stat.
-//! Assoc. 84), so that windows with a jerk in them count little. If the scale is above [`STEADY`], no result is reported: a hand
-//! that turns faster has centripetal accelerations that follow the pose as scale factors do.
+//! The residual is Student's t with three degrees of freedom, with a fitted scale (Lange, Little and Taylor 1989, J.
+//! Am. Stat. Assoc. 84), so that windows with a jerk count little. If the scale is above [`STEADY`], no result is
+//! reported: a hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
 use super::poses::{PARTS, Tumbled, belief, columns_of, price};
 use super::rests::{self, Rest};
@@ -21,32 +22,32 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 /// Length of a window, s.
 pub(super) const WINDOW_S: f64 = 2.0;
-/// Fewest windows.
+/// Minimum number of windows.
 const LEAST: usize = 24;
-/// Poses, 8° apart, from which on a record is one of a sensor that is turned.
+/// Minimum number of poses, 8° apart, in a record of a sensor that is turned.
 pub(super) const TURNED: usize = 3;
-/// Part of the record in which it has to be turned.
+/// Minimum part of the record in which the sensor is turned.
 const MATERIAL: f64 = 0.3;
-/// Fewest poses that determine nine numbers.
+/// Minimum number of poses that determine nine numbers.
 const POSES_MIN: usize = 12;
-/// Largest scale of what is left, m/s².
+/// Largest scale of the residual, m/s².
 const STEADY: f64 = 0.04;
 /// Degrees of freedom of Student's t.
 const FREEDOM: f64 = 3.0;
 const STEPS: usize = 100;
-/// Blocks of time that halves are made of in turn.
+/// Number of blocks of time that alternate between the halves.
 const BLOCKS: usize = 8;
 
-/// Windows as rests of a moment: their mean forces, turned to their middles, and the equation of each.
+/// Windows, treated as momentary rests: their mean forces, turned to their middles, and the equation of each.
 #[derive(Debug, Default)]
 pub(super) struct Windows {
     pub(super) stands: Vec<Rest>,
-    /// b, D, S by window; [`super::poses`] has the order.
+    /// b, D, S by window, in the order of [`super::poses`].
     rows: Vec<[f64; 9]>,
 }
 
 impl Windows {
-    /// The windows of a record with gyro and accelerometer; the gyro's bias is that of its rests.
+    /// Returns the windows of a record with gyro and accelerometer; the gyro's bias is that in its rests.
     pub(super) fn of(real: &Recording, accel: [&[f64]; 3], gyro: [&[f64]; 3], bias: Axes) -> Self {
         let size = (WINDOW_S * real.rate_hz) as usize;
         let mut all = Self::default();
@@ -92,8 +93,8 @@ impl Windows {
         all
     }
 
-    /// Whether the sensor was turned through poses, for a good part of the record, and not just picked up once and laid
-    /// down.
+    /// Returns whether the sensor was turned through poses, for a good part of the record, not just picked up once and
+    /// laid down.
     pub(super) fn turn(&self, rests: &[Rest]) -> bool {
         let resting = |stand: &Rest| {
             let [middle, length] = [(stand.within.start + stand.within.end) / 2, stand.within.len()];
@@ -113,7 +114,7 @@ struct Fit {
     left: Vec<f64>,
 }
 
-/// The result of the windows. None if they are too few, too alike or too restless.
+/// Returns the result of the windows. `None` if there are too few, or if they are too similar or too restless.
 pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<Tumbled> {
     let count = windows.rows.len();
     if count < LEAST || rests::poses(&windows.stands) < POSES_MIN {
@@ -134,7 +135,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
         .collect::<Option<_>>()?;
     let priced = |part: Candidate| if options.wants(part.kind()) { price(3.0, options.level) } else { f64::INFINITY };
     let prices = PARTS.map(priced);
-    // Neighbours that are alike count for fewer than they are.
+    // Similar neighbours count for fewer windows.
     let alike = all.last().map_or(0.0, |of| correlation(&of.left)).max(0.0);
     let fewer = (1.0 - alike) / (1.0 + alike);
     let cost = |subset: usize| (0..3).filter(|part| subset >> part & 1 == 1).map(|part| prices[part]).sum::<f64>();
@@ -154,7 +155,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
         values[number] = best.numbers[place];
         errors[number] = (best.inverse[(place, place)].max(0.0) / fewer).sqrt();
     }
-    // Each half as predicted from the other.
+    // Each half is predicted from the other.
     let mut held_out = 0.0;
     let (mut before, mut after) = (vec![0.0; count], vec![0.0; count]);
     let half = |odd: usize| (0..count).filter(|place| place * BLOCKS / count % 2 == odd).collect::<Vec<_>>();
@@ -187,13 +188,12 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
     })
 }
 
-/// ln of Student's density at a deviation in scales, without its constant.
+/// Returns ln of Student's density at a deviation in scales, without its constant.
 fn density(of: f64) -> f64 {
     -0.5 * (FREEDOM + 1.0) * (of * of / FREEDOM).ln_1p()
 }
 
-/// The most likely numbers and scale under Student's t, by expectation and maximisation, with what is believed of
-/// each.
+/// Returns the most likely numbers and scale under Student's t with the numbers' priors, by expectation maximisation.
 fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<Fit> {
     let count = design.nrows();
     let mut numbers = DVector::zeros(own.len());
@@ -222,13 +222,13 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
     let believed: f64 = own.iter().zip(numbers.iter()).map(|(number, value)| (value / belief(*number)).powi(2)).sum();
     let nats =
         left.iter().map(|value| density(value / scale)).sum::<f64>() - count as f64 * scale.ln() - 0.5 * believed;
-    // Student's information about a place is (ν + 1)/(ν + 3) of the weights'.
+    // Student's information about a location is (ν + 1)/(ν + 3) of the weights'.
     inverse *= (FREEDOM + 3.0) / (FREEDOM + 1.0);
     let (numbers, left) = (numbers.iter().copied().collect(), left.iter().copied().collect());
     nats.is_finite().then_some(Fit { numbers, inverse, scale, nats, left })
 }
 
-/// Correlation of neighbours.
+/// Returns the correlation of neighbours.
 fn correlation(of: &[f64]) -> f64 {
     let square: f64 = of.iter().map(|value| value * value).sum();
     let next: f64 = of.windows(2).map(|pair| pair[0] * pair[1]).sum();
@@ -243,7 +243,8 @@ mod tests {
 
     const RATE_HZ: f64 = 100.0;
 
-    /// A sensor that is turned slowly about changing axes, 3 min, and shaken a little; what it shows of the force.
+    /// Returns a record of a sensor that is turned slowly about changing axes for 3 min and shaken a little. `shows`
+    /// maps the force to the sensor's output.
     fn turned(seed: u64, shaken: f64, shows: impl Fn([f64; 3]) -> [f64; 3]) -> Recording {
         let mut draw = Stream::new(seed, StreamId { owner: 0, effect: 0, instance: 0 });
         let n = 18_000;
@@ -258,7 +259,7 @@ mod tests {
         for t in 0..n {
             let s = t as f64 / RATE_HZ;
             let rate = Vector3::new(0.8 * (0.41 * s).sin(), 0.9 * (0.23 * s + 1.0).cos(), 0.7 * (0.31 * s + 2.0).sin());
-            // The earth turns the other way about the sensor; between two samples by the mean rate.
+            // In the sensor's frame, the earth turns the other way; the mean rate applies between two samples.
             down = Rotation3::from_scaled_axis(-rate / RATE_HZ) * down;
             jolt = 0.98 * jolt + shaken * 0.2 * Vector3::new(next(), next(), next());
             let force = -STANDARD_GRAVITY_M_S2 * down + jolt;

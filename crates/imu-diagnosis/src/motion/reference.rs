@@ -1,38 +1,38 @@
-//! Reference: a motion as another instrument recorded it, on a clock that may be the instrument's own.
+//! Reference: a motion recorded by another instrument, possibly on its own clock.
 
 use imu_model::simulator::Motion;
 
 /// Rows of a motion in the order of time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Reference {
-    /// s, from any origin.
+    /// Times, s, from any origin.
     time_s: Vec<f64>,
     motions: Vec<Motion>,
 }
 
-/// Why rows are no reference.
+/// The reasons why rows are not a reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ReferenceError {
     /// Too few rows.
     #[error("the reference has {found} rows; at least {least} are needed")]
     TooShort {
-        /// Those there are.
+        /// The number of rows.
         found: usize,
-        /// Those it takes.
+        /// The minimum number of rows.
         least: usize,
     },
-    /// Times do not rise, or are no numbers.
+    /// Times do not increase, or are not numbers.
     #[error("row {row} of the reference is at {time_s} s; each row has to be later than the one before")]
     Backwards {
-        /// Which, from 1.
+        /// The row, from 1.
         row: usize,
-        /// Its time.
+        /// The row's time, s.
         time_s: f64,
     },
-    /// A value is no finite number.
+    /// A value is not a finite number.
     #[error("row {row} of the reference has a value that is no finite number")]
     NotFinite {
-        /// Which, from 1.
+        /// The row, from 1.
         row: usize,
     },
     /// Rows are missing.
@@ -40,22 +40,22 @@ pub enum ReferenceError {
         "the reference has no row for {gap_s:.3} s before its row {row}; a reference has a row every {period_s:.4} s and no gaps"
     )]
     Gap {
-        /// Which, from 1.
+        /// The row behind the gap, from 1.
         row: usize,
-        /// How long.
+        /// The length of the gap, s.
         gap_s: f64,
-        /// Its period.
+        /// The period of the rows, s.
         period_s: f64,
     },
 }
 
-/// Fewest rows.
+/// Minimum number of rows.
 const LEAST: usize = 64;
-/// A step of so many periods is a gap: a cubic between its ends would be a guess.
+/// A step of this many periods is a gap: a cubic between its ends would be a guess.
 const GAP_PERIODS: f64 = 4.5;
 
 impl Reference {
-    /// From rows: time, s, and what the sensor feels.
+    /// Creates a reference from rows of the time, s, and the sensor's motion.
     ///
     /// # Errors
     /// [`ReferenceError`].
@@ -84,24 +84,24 @@ impl Reference {
         Ok(Self { time_s, motions })
     }
 
-    /// From the first row to the last, s.
+    /// Returns the time from the first row to the last, s.
     pub fn length_s(&self) -> f64 {
         self.time_s.last().zip(self.time_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
-    /// How many rows.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
-    /// Whether there is none.
+    /// Returns whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
 
-    /// The motion `after_s` after the first row. Between rows, it lies on the cubic through the four rows about it (Lagrange);
-    /// beyond the ends, it keeps the value at the end. `near` is the row from which the search starts, and becomes the row
-    /// before.
+    /// Returns the motion `after_s` after the first row. Between rows, it lies on the cubic through the four rows about
+    /// it (Lagrange); beyond the ends, it keeps the value at the end. `near` is the row from which the search starts,
+    /// and becomes the row before.
     pub fn at(&self, after_s: f64, near: &mut usize) -> Motion {
         let count = self.time_s.len();
         let time_s = self.time_s.first().copied().unwrap_or_default() + after_s;

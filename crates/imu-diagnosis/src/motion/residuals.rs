@@ -9,24 +9,24 @@ use imu_model::simulator::{Motion, SensorModel};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// Points of a picture against time, and against what drives.
+/// Number of points in a picture against time, and in one against rate or force.
 const POINTS: [usize; 2] = [120, 40];
-/// Samples that a point has at least: their mean scatters by a third of the noise.
+/// Minimum number of samples per point: their mean scatters by a third of the noise.
 const LEAST: usize = 10;
 
-/// Means of the residuals of one channel over the range of what they are held against.
+/// Means of the residuals of one channel over the range of the quantity that they are drawn against.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Residuals {
     /// The channel.
     pub channel: Cow<'static, str>,
-    /// Its unit.
+    /// The channel's unit.
     pub unit: Cow<'static, str>,
     /// `time`, `rate` or `specific force`.
     pub against: Cow<'static, str>,
-    /// About or along which axis: the one by which the residuals differ most.
+    /// The axis of that quantity: the one by which the residuals differ most.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<Cow<'static, str>>,
-    /// Unit of [`Self::at`]: s after the record's first sample, rad/s, m/s².
+    /// Unit of [`Self::at`]: s after the record's first sample, rad/s or m/s².
     pub at_unit: Cow<'static, str>,
     /// The position of each mean, in order.
     #[serde(deserialize_with = "numbers")]
@@ -39,7 +39,7 @@ pub struct Residuals {
     pub after: Vec<f64>,
 }
 
-/// The residuals of a triad's channels; `from_s` is when the motions begin.
+/// Returns the residuals of a triad's channels; `from_s` is when the motions begin.
 pub(super) fn residuals(
     of: &Settled,
     sim: &SensorModel,
@@ -91,12 +91,12 @@ struct Means {
     at: Vec<f64>,
     before: Vec<f64>,
     after: Vec<f64>,
-    /// Sum of squares that the means of `before` explain of it.
+    /// Sum of squares that the means of `before` explain.
     differ: f64,
 }
 
 impl Means {
-    /// Over `points` parts of one width, without those that have too few samples.
+    /// Divides the range into `points` parts of one width and drops those with too few samples.
     fn of(values: &[f64], before: &[f64], after: &[f64], points: usize) -> Self {
         let (low, high) =
             values.iter().fold((f64::MAX, f64::MIN), |(low, high), value| (low.min(*value), high.max(*value)));
@@ -107,7 +107,7 @@ impl Means {
         for ((value, before), after) in values.iter().zip(before).zip(after) {
             let place = ((value - low) / (high - low) * points as f64) as usize;
             let (count, sum) = &mut sums[place.min(points - 1)];
-            // A sample that is left out has no value after.
+            // A sample that is left out has no value after the correction.
             if before.is_finite() && after.is_finite() {
                 *count += 1;
                 for (sum, value) in sum.iter_mut().zip([value, before, after]) {

@@ -1,4 +1,4 @@
-//! Rests: the stretches of a record in which the sensor lies still, and the poses it lies in.
+//! Rests: the stretches of a record in which the sensor lies still, and the poses in the rests.
 //!
 //! A quarter of a second is quiet if gyro and accelerometer scatter about as little as in the quietest tenth of the record.
 //! Consecutive quiet parts that keep their level are a rest. A sensor that is never still has no rests.
@@ -8,23 +8,24 @@ use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;
 use std::ops::Range;
 
-/// Length of the parts that are looked at, s.
+/// Length of the examined parts, s.
 const PART_S: f64 = 0.25;
 /// Shortest rest, s.
 pub const SHORTEST_S: f64 = 1.5;
-/// Part of the record that is taken to be the quietest.
+/// Part of the record that counts as the quietest.
 const QUIETEST: f64 = 0.1;
-/// Standard deviations of a part over those of the quietest beyond which it is not quiet, and of the mean of a part.
+/// A part is quiet up to this multiple of the standard deviation of the quietest parts, and of the deviation of a
+/// part's mean.
 const QUIET: f64 = 2.5;
-/// How far a level may move in a rest, in m/s² and rad/s: a hand's tremble, and less than any turn.
+/// Maximum movement of a level in a rest, m/s² and rad/s: more than a hand's tremble, less than any turn.
 const MOVED: [f64; 2] = [0.15, 0.03];
-/// Cosine of the angle from which on two poses are two: 8°.
+/// Cosine of 8°, the angle from which on two poses differ.
 const APART: f64 = 0.990_268;
 
 /// A stretch in which the sensor lies still.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rest {
-    /// Its samples.
+    /// The samples of the rest.
     pub within: Range<usize>,
     /// Mean specific force, m/s².
     pub force: Axes,
@@ -32,7 +33,7 @@ pub struct Rest {
     pub rate: Option<Axes>,
 }
 
-/// The rests of a record with an accelerometer, in order.
+/// Returns the rests of a record with an accelerometer, in order.
 pub fn rests(real: &Recording) -> Vec<Rest> {
     let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
         let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| real.values(channel)).collect();
@@ -67,7 +68,7 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
         spreads.get((QUIETEST * spreads.len() as f64) as usize).copied().unwrap_or(0.0)
     };
     let (least_force, least_rate) = (quietest(&forces), rates.as_ref().map_or(0.0, |of| quietest(of)));
-    // The movement of a part that is allowed beyond its noise: scatter of the noise itself and a tremble.
+    // The permitted movement of a part beyond its noise: the scatter of the noise itself and a tremble.
     let quiet = |place: usize| {
         let still = |of: &Option<(Axes, f64)>, least: f64, moved: f64| {
             of.as_ref().is_some_and(|(_, spread)| *spread <= QUIET * least + 0.1 * moved)
@@ -75,7 +76,7 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
         still(&forces[place], least_force, MOVED[0])
             && rates.as_ref().is_none_or(|rates| still(&rates[place], least_rate, MOVED[1]))
     };
-    // A table that turns steadily is quiet too: at rest the rate is the slowest that there is, the gyro's bias.
+    // A table that turns steadily is quiet too. At rest the rate is the slowest one: the gyro's bias.
     let pace = |place: usize| {
         let of = rates.as_ref().and_then(|rates| rates[place].as_ref());
         of.map_or(0.0, |(rate, _)| rate.iter().map(|value| value * value).sum::<f64>().sqrt())
@@ -114,7 +115,7 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
     found
 }
 
-/// How many poses are apart from one another.
+/// Returns the number of distinct poses.
 pub fn poses(rests: &[Rest]) -> usize {
     let mut seen: Vec<Axes> = Vec::new();
     for rest in rests {

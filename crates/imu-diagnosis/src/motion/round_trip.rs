@@ -13,7 +13,7 @@ fn reference(kind: Kind, samples: usize, ahead_s: f64) -> Reference {
     Reference::new((0..samples).map(|i| i as f64 / RATE_HZ).map(|s| (s, course.at((s + ahead_s).max(0.0))))).unwrap()
 }
 
-/// A VN-100 with these effects on triads and channels.
+/// Returns a VN-100 with these effects on triads and channels.
 fn model(triads: Value, channels: Value) -> SensorModel {
     let mut entries = serde_json::Map::new();
     for (triad, n) in [(Triad::Accel, 0.0014), (Triad::Gyro, 6e-5)] {
@@ -94,7 +94,7 @@ fn each_effect_is_named_on_its_triad_with_its_parameters() {
         assert_eq!(found.diagnosis.verdict, Verdict::Effects, "{name}");
         let cause = &found.diagnosis.causes[0];
         for (parameter, ends) in cause.uncertainty.get(triad).and_then(Value::as_object).into_iter().flatten() {
-            // 95 % intervals of up to nine numbers in nine cases: within twice their width all of them are.
+            // 95 % intervals of up to nine numbers in nine cases: all values lie within twice the intervals' width.
             let flat = |value: &Value| -> Vec<f64> {
                 serde_json::to_string(value)
                     .unwrap()
@@ -173,7 +173,7 @@ fn a_clock_of_its_own_is_told_from_a_latency() {
     let truth = model(json!({"gyro": {"effects": [{"effect": "latency", "seconds": 0.05}]}}), json!({}));
     let real = recorded(&truth, Kind::RateTable, SAMPLES, 34);
     let course = Course::new(Kind::RateTable, SAMPLES as f64 / RATE_HZ, Site::default()).unwrap();
-    // It begins 3.21 s into the motion and runs a little fast.
+    // The reference begins 3.21 s into the motion and runs a little fast.
     let rows = (0..38_000).map(|i| f64::from(i) / 100.0).map(|s| (1e5 + s * (1.0 + 2e-5), course.at(3.21 + s)));
     let reference = Reference::new(rows).unwrap();
     let plain = model(json!({}), json!({}));

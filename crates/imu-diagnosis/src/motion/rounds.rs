@@ -1,4 +1,4 @@
-//! Rounds: the answer to the motion and the law of the noise are each found beside the other until neither changes.
+//! Rounds: the response to the motion and the law of the noise are fitted in turn until neither changes.
 
 use super::align::{Aligned, Lie};
 use super::lateness::{self, Delay};
@@ -13,12 +13,12 @@ use imu_model::simulator::SensorModel;
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
-/// Rounds after which the result is kept as it is.
+/// Maximum number of rounds; then the result is kept as it is.
 const ROUNDS: usize = 4;
 /// Part of the prices in the first round, whose noise is only declared.
 const LENIENT: f64 = 0.5;
-/// Part of a channel's samples that may be without a value there. If more samples are at the sensor's limit, the instant is left
-/// out of all channels.
+/// Maximum share of samples without a value on a channel. If more samples are at the sensor's limit, the instant is
+/// left out of all channels.
 const LACKING: f64 = 0.08;
 
 /// The findings in a record of a motion.
@@ -32,7 +32,7 @@ pub(super) struct Found {
     pub(super) price_of_one: f64,
 }
 
-/// Finds both, in turn.
+/// Finds both in turn.
 pub(super) fn run(
     part: &Recording,
     aligned: &Aligned,
@@ -71,8 +71,9 @@ pub(super) fn run(
     }
 }
 
-/// The position of a reference on a separate clock beside a record, to a part of a sample, from the triad that determines it
-/// best. Between samples of the record, a motion's corners are lost; between rows of a faster reference they are not.
+/// Returns the position of a reference on a separate clock beside a record, to a part of a sample, from the triad that
+/// determines it best. Between samples of the record, a motion's corners are lost; between rows of a faster reference
+/// they are kept.
 pub(super) fn refined(
     part: &Recording,
     aligned: &Aligned,
@@ -90,7 +91,7 @@ pub(super) fn refined(
         });
         let Some((error_s, offset_s, gains)) = told else { continue };
         if best.as_ref().is_none_or(|(least_s, _)| error_s < *least_s) {
-            // The offset is that of the middle of the part.
+            // The offset refers to the middle of the part.
             let from_s = aligned.from as f64 / part.rate_hz;
             let begins_s = aligned.begins_s - offset_s + gains * (middle_s + from_s);
             best = Some((error_s, Lie { begins_s, gains, shared: false }));
@@ -99,8 +100,7 @@ pub(super) fn refined(
     Ok(best.map(|(_, lie)| lie))
 }
 
-/// The start of a next round: the effects that were chosen, and the names of those that change the mean or the law's
-/// form.
+/// The start of a next round: the chosen effects, and the names of those that change the mean or the law's form.
 type Signature = (Vec<Vec<usize>>, BTreeSet<(usize, EffectKind)>);
 
 fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
@@ -111,7 +111,7 @@ fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
     (settled.iter().map(|of| of.choice.groups.clone()).collect(), names.flatten().collect())
 }
 
-/// The record with the answers taken off.
+/// Returns the record without the responses to the motion.
 fn remainder(part: &Recording, settled: &[Settled]) -> Recording {
     let mut rest = part.clone();
     let n = part.len();
@@ -125,7 +125,7 @@ fn remainder(part: &Recording, settled: &[Settled]) -> Recording {
             let places: Vec<usize> = (0..n).filter(lacking).collect();
             if places.len() as f64 > LACKING * n as f64 {
                 places.into_iter().for_each(|t| rest.missing[t] = true);
-                // A stamp belongs to every place or to every sample that is there: those of the others do not count.
+                // A stamp belongs to every place or to every present sample; stamps of missing samples do not count.
                 if rest.time_s.len() != n {
                     rest.time_s.clear();
                 }

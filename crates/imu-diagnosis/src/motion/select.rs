@@ -1,26 +1,26 @@
-//! Selection: of all subsets of effects the one that explains most nats less their prices.
+//! Selection: finds the subset of effects that explains most nats less their prices.
 //!
-//! Effects are added, taken back and exchanged one at a time as long as that is better, from none on. If two explain a record
-//! alike, the simpler one stands first in the list, and stays.
+//! Effects are added, taken back and exchanged one at a time as long as that is better, beginning with none. If two
+//! explain a record equally well, the simpler one, which stands first in the list, is kept.
 
 use super::groups::Group;
 use crate::response::Screen;
 
 /// Nats below which two subsets are the same.
 const SAME: f64 = 1e-6;
-/// Changes after which the search is given up.
+/// Maximum number of changes in a search.
 const MOST: usize = 60;
 
 /// A chosen subset.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Choice {
-    /// Places of its groups, in order.
+    /// Places of the chosen groups, in order.
     pub groups: Vec<usize>,
-    /// Nats that they explain together beyond what is always there.
+    /// Nats that the groups explain together beyond the base columns.
     pub gain: f64,
 }
 
-/// How subsets are weighed.
+/// The data by which subsets are weighed.
 #[derive(Debug, Clone, Copy)]
 pub struct Weighing<'a> {
     screen: &'a Screen,
@@ -31,27 +31,27 @@ pub struct Weighing<'a> {
 }
 
 impl<'a> Weighing<'a> {
-    /// Of these groups.
+    /// Weighs subsets of these groups.
     pub fn new(screen: &'a Screen, base: &'a [usize], groups: &'a [Group]) -> Self {
         Self { screen, base, groups, without: screen.gain(base).0 }
     }
 
-    /// The columns of a subset, those that are always there first.
+    /// Returns the columns of a subset, the base columns first.
     pub fn columns(&self, subset: &[usize]) -> Vec<usize> {
         self.base.iter().copied().chain(subset.iter().flat_map(|place| self.groups[*place].columns.clone())).collect()
     }
 
-    /// Nats that a subset explains.
+    /// Returns the nats that a subset explains.
     pub fn gain(&self, subset: &[usize]) -> f64 {
         self.screen.gain(&self.columns(subset)).0 - self.without
     }
 
-    /// The same less the prices.
+    /// Returns the nats that a subset explains, less the prices.
     pub fn score(&self, subset: &[usize]) -> f64 {
         self.gain(subset) - subset.iter().map(|place| self.groups[*place].price).sum::<f64>()
     }
 
-    /// The best subset.
+    /// Returns the best subset.
     pub fn choose(&self) -> Choice {
         let mut own: Vec<usize> = Vec::new();
         let mut score = 0.0;
@@ -69,7 +69,7 @@ impl<'a> Weighing<'a> {
         Choice { gain: self.gain(&own), groups: own }
     }
 
-    /// Subsets that differ by one group, or by one for another.
+    /// Returns subsets that differ by one group, or by one group for another.
     fn neighbours(&self, own: &[usize]) -> Vec<Vec<usize>> {
         let absent: Vec<usize> = (0..self.groups.len()).filter(|place| !own.contains(place)).collect();
         let without = |place: usize| own.iter().copied().filter(move |of| *of != place);
@@ -85,8 +85,8 @@ impl<'a> Weighing<'a> {
         all
     }
 
-    /// By how much a subset is better than the best subset without one of its groups, nats less prices; and which group would
-    /// replace it, if any would.
+    /// Returns by how much a subset is better than the best subset without one of its groups, nats less prices; and
+    /// which group would replace it, if any would.
     pub fn margin(&self, own: &[usize], place: usize) -> (f64, Option<usize>) {
         let rest: Vec<usize> = own.iter().copied().filter(|of| *of != place).collect();
         let whole = self.score(own);

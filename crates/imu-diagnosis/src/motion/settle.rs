@@ -1,4 +1,4 @@
-//! Settling: one triad's answer to a motion, chosen and fitted under the known law of its noise.
+//! Settling: chooses and fits one triad's response to a motion under the known law of its noise.
 
 use super::align::Aligned;
 use super::groups::{self, Foreign, Group, Member, Pricing};
@@ -17,34 +17,35 @@ use std::sync::Arc;
 
 /// The range of a VN-100: ±2000 °/s and ±16 g. Fractions of full scale refer to it.
 const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
-/// Nats from which on samples that repeat are sent again.
+/// If repeats explain at least this many nats, samples are sent again.
 const REPEATED: f64 = 14.0;
-/// The most of a record that is left out at its begin behind a slow filter.
+/// Maximum part of a record that is left out at its start behind a slow filter.
 const FORGOTTEN_MOST: f64 = 1.0 / 32.0;
 const BANDWIDTH: Member = Member::Foreign(Foreign::Bandwidth);
-/// Orders of a filter that a motion's rounded corners are tried with.
+/// Orders of a filter that are tried on a motion's rounded corners.
 const ORDERS: [u64; 3] = [1, 2, 4];
 
-/// A triad whose answer is understood as far as it can be.
+/// A triad whose response is explained as far as possible.
 #[derive(Debug)]
 pub(super) struct Settled {
     pub(super) triad: Triad,
     pub(super) screen: Screen,
     pub(super) groups: Vec<Group>,
-    /// Columns that are always there: delay, clock, temperature, open cutoffs.
+    /// Columns that are always present: delay, clock, temperature, free cutoffs.
     pub(super) base: Vec<usize>,
     pub(super) choice: Choice,
-    /// The fit of what was chosen.
+    /// The fit of the chosen effects.
     pub(super) fit: Fit,
-    /// How late it is.
+    /// The delay of the triad.
     pub(super) delay: Option<Delay>,
     /// Degrees of freedom of the mean's variance.
     pub(super) mean_freedom: f64,
     /// The effects that the model has already.
     pub(super) known: Vec<Arc<dyn TriadEffect>>,
-    /// The values that the sensor cut off beyond its range, per axis and sample, nats, if the model has no such range.
+    /// Nats of the values that the sensor cut off beyond its range, per axis and sample, if the model has no such
+    /// range.
     pub(super) cut_off: Option<[Vec<f64>; 3]>,
-    /// Samples less all effects that answer the motion, U; NaN for a sample that is left out.
+    /// Samples less all effects that respond to the motion, U; NaN for a sample that is left out.
     pub(super) rest: [Vec<f64>; 3],
 }
 
@@ -53,7 +54,7 @@ impl Settled {
         Weighing::new(&self.screen, &self.base, &self.groups)
     }
 
-    /// The sensor's range, if samples show one that the model lacks.
+    /// Returns the sensor's range, if samples show one that the model lacks.
     pub(super) fn range(&self) -> Option<Clipping> {
         let clipping = self.fit.clipping?;
         let told = self.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
@@ -61,7 +62,7 @@ impl Settled {
         (!is_told).then_some(clipping)
     }
 
-    /// The groups that were chosen.
+    /// Returns the chosen groups.
     pub(super) fn chosen(&self) -> impl Iterator<Item = (usize, &Group)> {
         self.choice.groups.iter().map(|place| (*place, &self.groups[*place]))
     }
@@ -80,12 +81,12 @@ pub(super) struct About<'a> {
     pub(super) part: &'a Recording,
     pub(super) aligned: &'a Aligned,
     pub(super) sim: &'a SensorModel,
-    /// The noise as far as it is known.
+    /// The known noise.
     pub(super) told: &'a SensorModel,
     pub(super) temperature_c: Option<&'a [f64]>,
 }
 
-/// A fit with what was taken off before it.
+/// A fit, and the parts that were subtracted before it.
 struct Ended {
     fit: Fit,
     outside: [Vec<f64>; 3],
@@ -150,7 +151,7 @@ impl About<'_> {
             response::screen(&self.record(triad, &samples, sent, &left_out), &law, &request, extras, BLOCKS)?;
         let mean_freedom = noise::mean_freedom(self.told, triad, rate_hz, n);
         let mut groups = groups::groups(&candidates, screen.own, &counts, pricing(options, triads, mean_freedom));
-        // Many numbers of noise alone reach half of a price.
+        // Many numbers reach half of a price in noise alone.
         let inside_library = groups.iter_mut().filter(|group| matches!(group.member, Member::Library(_)));
         inside_library.for_each(|group| group.price *= lenient);
         let inside: usize = candidates.iter().map(|one| one.parameters().len()).sum();
@@ -187,8 +188,8 @@ impl About<'_> {
         let outside = |own: &[(usize, f64)]| self.outside(triad, own, &screen, &counts, &filters);
         let mut ended = fitted(outside(&own), &filters)?;
         if let Some(place) = choice.groups.iter().find(|place| groups[**place].member == BANDWIDTH) {
-            // Its columns are a filter's to some hundredths; what they leave would hide the filter from the noise's
-            // diagnosis. What else is outside may be what they leave.
+            // Its columns equal a filter's to within some hundredths; the rest would hide the filter from the noise's
+            // diagnosis. Other outside effects may be part of that rest.
             let others: Vec<(usize, f64)> =
                 own.iter().copied().filter(|(column, _)| !groups[*place].columns.contains(column)).collect();
             let delay_s = self.aligned.shared.then_some(numbers[0]);
@@ -211,7 +212,7 @@ impl About<'_> {
         let mut settled =
             Settled { triad, screen, groups, base, choice, fit, delay, mean_freedom, known, cut_off: None, rest };
         settled.cut_off = settled.range().filter(|_| options.wants(EffectKind::Saturation)).map(|clipping| {
-            // A model without the range expects the response; what was sent is the range exactly.
+            // A model without the range expects the response; the sent value is the range exactly.
             let deviations = law.sample_deviations();
             std::array::from_fn(|axis| {
                 let beyond = sent[axis].iter().zip(&settled.fit.response[axis]).map(|(sent, response)| {
@@ -224,7 +225,7 @@ impl About<'_> {
         Ok(settled)
     }
 
-    /// The sum of a screen's columns that are not in the library, with their numbers.
+    /// Returns the sum of a screen's columns that are not in the library, multiplied by their numbers.
     fn outside(
         &self,
         triad: Triad,
@@ -240,14 +241,14 @@ impl About<'_> {
         let mut first = screen.own;
         for (of, count) in counts {
             let own: Vec<_> = columns.iter().filter(|(column, _)| (first..first + count).contains(column)).collect();
-            // Rarely one is chosen: it is made again sooner than kept.
+            // Such columns are rarely chosen: they are computed again instead of kept.
             let made = match own.is_empty() {
                 true => Vec::new(),
                 false => groups::foreign(*of, triad, motions, self.part.rate_hz, self.temperature_c),
             };
             for (column, number) in own {
                 for (axis, sum) in outside.iter_mut().enumerate() {
-                    // The screen had it behind the filters.
+                    // In the screen, the column was behind the filters.
                     let Some(mut values) = made[column - first][axis].clone() else { continue };
                     filters.pass(axis, moved[axis], self.part.rate_hz, &mut values);
                     sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += number * value);
@@ -258,7 +259,8 @@ impl About<'_> {
         outside
     }
 
-    /// Samples less all effects that answer the motion. The effect of the temperature is left to the diagnosis of the remainder.
+    /// Returns samples less all effects that respond to the motion. The effect of the temperature is left to the
+    /// diagnosis of the remainder.
     fn rest(&self, sent: [&[f64]; 3], ended: &Ended) -> [Vec<f64>; 3] {
         let fit = &ended.fit;
         let n = self.aligned.motions.len();
@@ -279,7 +281,7 @@ impl About<'_> {
         })
     }
 
-    /// The fit of all effects with a delay, under the model's noise.
+    /// Returns the fit of all effects with a delay, under the model's noise.
     pub(super) fn delayed(&self, triad: Triad) -> Result<Fit, DiagnosisError> {
         let n = self.aligned.motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
@@ -316,8 +318,8 @@ impl About<'_> {
         }
     }
 
-    /// Samples that are missing, not numbers, or sent again, and the first samples behind a filter, because the earlier input of
-    /// the filter is not known.
+    /// Returns the samples that are missing, not numbers or sent again, and the first samples behind a filter, because
+    /// the filter's earlier input is not known.
     fn left_out(&self, sent: [&[f64]; 3], filters: &Filters) -> Vec<bool> {
         let mut out: Vec<bool> = (0..self.part.len())
             .map(|t| self.part.is_missing(t) || sent.iter().any(|values| !values[t].is_finite()))
@@ -333,12 +335,12 @@ impl About<'_> {
     }
 }
 
-/// The prices of groups for this number of triads.
+/// Returns the prices of groups for this number of triads.
 pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -> Pricing {
     Pricing { level: options.level, triads, mean_freedom }
 }
 
-/// The full scale to which a nonlinearity refers: the model's own, or the sensor's range.
+/// Returns the full scale to which a nonlinearity refers: the model's own, or the sensor's range.
 fn full_scale(triad: Triad, known: &[Arc<dyn TriadEffect>]) -> f64 {
     let told = known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity).find_map(|effect| {
         effect.parameters().into_iter().find(|(name, _)| *name == "full_scale").and_then(|(_, value)| value.as_f64())

@@ -1,7 +1,7 @@
-//! Together: the effects that a motion drives and the remainder without them form one gap, with one ranking of causes.
+//! Together: the effects that a motion drives and the remainder without them form one gap with one ranking of causes.
 //!
-//! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. What was
-//! compared at one rest alone is taken to be as large a sample throughout.
+//! Both gaps are in nats of the whole record, so they add, and a cause of either closes its part of their sum. Values
+//! that were compared in one rest alone count as constant per sample throughout.
 
 use crate::report::{Cause, Diagnosis, Of, Place, Sense, Verdict};
 use crate::response::NORMAL_95;
@@ -12,14 +12,15 @@ use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Draws of blocks for an interval of what is closed.
+/// Draws of blocks for an interval of the closed part.
 const DRAWS: usize = 1000;
 
 /// A cause on a triad before it is reported.
 pub(super) struct Driven {
     pub(super) triad: Triad,
     pub(super) effect: Arc<dyn TriadEffect>,
-    /// Nats, with all others fitted again. None for a cause that is read off exactly and that no held-out data measure.
+    /// Nats gained, with all other effects fitted again. `None` for a cause that is read off exactly and that no
+    /// held-out data measure.
     pub(super) gain: Option<f64>,
     pub(super) rank: f64,
     pub(super) cause: Cause,
@@ -60,22 +61,22 @@ impl Driven {
 /// The gap that a motion drives, nats.
 #[derive(Default)]
 pub(super) struct Sums {
-    /// In blocks of time; one where there are none.
+    /// By block of time; one entry if there are no blocks.
     pub(super) whole: Vec<f64>,
     pub(super) closed: Vec<f64>,
-    /// Numbers that were fitted.
+    /// The number of fitted numbers.
     pub(super) numbers: usize,
 }
 
 impl Sums {
-    /// The gain of the numbers in noise alone.
+    /// Returns the gain of the numbers in noise alone.
     pub(super) fn floor(&self) -> f64 {
         0.5 * self.numbers as f64
     }
 }
 
-/// Adds a motion's gap, its causes and its places to the findings in the remainder. `all`: samples of all channels; `measured`:
-/// the samples on which the motion's gap was measured.
+/// Adds a motion's gap, its causes and its places to the findings in the remainder. `all` is the number of samples of
+/// all channels; `measured` is the number of samples on which the motion's gap was measured.
 pub(super) fn join(
     diagnosis: &mut Diagnosis,
     sums: &Sums,
@@ -105,7 +106,7 @@ pub(super) fn join(
     }
     diagnosis.r#where.extend(located.into_iter().map(|mut place| {
         place.share = (place.nats / total).min(1.0);
-        // The strongest of the triad's causes is what a place of the motion is of.
+        // A place of the motion belongs to the strongest of the triad's causes.
         let acts = |cause: &Cause| cause.triad.is_some() && cause.channels.contains(&place.channel);
         place.of = causes.iter().position(acts).map_or(Of::Remainder, Of::Cause);
         place
@@ -113,7 +114,7 @@ pub(super) fn join(
     diagnosis.r#where.sort_by(|one, other| other.share.total_cmp(&one.share));
 }
 
-/// Nats of the gap that remains without the motion's, if that gap counts.
+/// Returns the nats of the gap that remain without the motion's gap, if that gap counts.
 fn rest_nats(of: &Diagnosis, all: f64) -> f64 {
     match of.verdict {
         Verdict::Effects | Verdict::UnknownEffect => {
@@ -123,7 +124,7 @@ fn rest_nats(of: &Diagnosis, all: f64) -> f64 {
     }
 }
 
-/// Adds the motion's gap to that of what remains.
+/// Adds the motion's gap to that of the remainder.
 fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, rest: f64, driven: &[Driven]) {
     let gap = &mut diagnosis.discrepancy;
     let (whole, closed): (f64, f64) = (sums.whole.iter().sum(), sums.closed.iter().sum());
@@ -158,7 +159,7 @@ fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, rest: f64, driven: &
     gap.floor += floor / all;
 }
 
-/// Causes of both kinds, the strongest first, each with what it closes.
+/// Ranks causes of both kinds, the strongest first, each with the part that it closes.
 fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: &Sums) {
     let motion: f64 = driven.iter().filter_map(|one| one.gain).sum();
     let closed: f64 = sums.closed.iter().sum();
@@ -183,7 +184,7 @@ fn rank(diagnosis: &mut Diagnosis, driven: &mut [Driven], rest_nats: f64, sums: 
     diagnosis.causes = ranked.into_iter().map(|(_, cause)| cause).collect();
 }
 
-/// The model's effects on triads with those that were found in place of their like.
+/// Returns the model's effects on triads with found effects in place of those of the same kind.
 pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad, TriadModel> {
     let mut triads = sim.triads.clone();
     for one in driven {
@@ -206,7 +207,7 @@ mod tests {
     use imu_model::effects::triad::ScaleFactor;
     use serde_json::json;
 
-    /// A record at rest whose values are rounded, and what it has besides a tone.
+    /// Returns the diagnosis of a record at rest with rounded values and a tone.
     fn at_rest() -> Diagnosis {
         let channel = json!({"N": 1e-4, "effects": [{"effect": "resolution", "step": 1e-3},
             {"effect": "tone", "frequency_hz": 7.3, "amplitude": 2e-3}]});
@@ -239,7 +240,7 @@ mod tests {
         let rest = at_rest();
         let names = |of: &Diagnosis| of.causes.iter().map(|cause| cause.effect.name()).collect::<Vec<_>>();
         assert!(names(&rest).contains(&"resolution") && names(&rest).contains(&"tone"), "{:?}", names(&rest));
-        // Far larger than the rest, with almost nothing beside it.
+        // The motion's gap is far larger than the rest, with almost nothing beside it.
         let more = joined(1e6, &[6e5, 4e5], &[6e5, 4e5]);
         assert_eq!(names(&more)[0], "scale_factor");
         let less = joined(5.0, &[3.0, 3.0], &[2.0, 2.0]);

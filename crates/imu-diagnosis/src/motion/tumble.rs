@@ -1,5 +1,5 @@
-//! Tumble: a record without a reference in which the sensor lay still in six poses or more, was turned by whole circles, or was
-//! turned slowly through many poses.
+//! Tumble: a record without a reference, in which the sensor lay still in six poses or more, was turned by whole
+//! circles, or was turned slowly through many poses.
 //!
 //! The rests are found without a reference ([`super::rests`]). [`super::poses`] evaluates their means, and
 //! [`super::quasi_static`] a slow turn. The noise is found in the longest rest, as in any record at rest.
@@ -24,14 +24,14 @@ use imu_model::simulator::SensorModel;
 use serde_json::{Map, Value, json};
 use std::sync::Arc;
 
-/// Confidence in what the poses name.
+/// Confidence in causes that the poses name.
 const RIGHT: f64 = 0.95;
 /// A rest that is this unlikely under the noise shows an unknown effect.
 const REMAINS: f64 = 0.005;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// Compares a record that rests in several poses with a model. None if it does not rest in several poses, or if it is at rest
-/// throughout.
+/// Compares a record that rests in several poses with a model. `None` if it does not rest in several poses, or is at
+/// rest throughout.
 ///
 /// # Errors
 /// [`DiagnosisError`] if the inputs cannot be compared.
@@ -77,7 +77,7 @@ pub fn diagnose_tumble(
         Err(error) => return Some(Err(error)),
     };
     outcome.diagnosis.begins_at(longest.within.start as f64 / real.rate_hz);
-    // N is that of the record; B and K show in no rest alone.
+    // N is that of the record; B and K do not show in one rest alone.
     let mut noise = sim.clone();
     for (channel, of) in &mut noise.channels {
         of.n = outcome.augmented.channels.get(channel).map_or(of.n, |found| found.n);
@@ -92,7 +92,7 @@ pub fn diagnose_tumble(
     Some(Ok(outcome))
 }
 
-/// The place at which gravity was examined.
+/// How gravity was examined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum How {
     /// In rests.
@@ -101,7 +101,7 @@ enum How {
     Windows,
 }
 
-/// The result of gravity's magnitude for the accelerometer, and its place.
+/// The accelerometer's result from gravity's magnitude, and its origin.
 struct Poses<'a> {
     of: Tumbled,
     stands: &'a [Rest],
@@ -109,7 +109,7 @@ struct Poses<'a> {
 }
 
 impl Poses<'_> {
-    /// "7 rests (6 poses)".
+    /// Returns a text such as "7 rests (6 poses)".
     fn told(&self) -> String {
         let (count, poses) = (self.stands.len(), count_poses(self.stands));
         match self.how {
@@ -150,7 +150,7 @@ fn tell(
             How::Rests => |values: &[f64]| {
                 (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
             },
-            // A jerk in a window is none of the sensor's.
+            // A jerk in a window is not caused by the sensor.
             How::Windows => |values: &[f64]| {
                 let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
                 sizes.sort_unstable_by(f64::total_cmp);
@@ -172,7 +172,7 @@ fn tell(
                 .to_owned(),
         );
         let sums = Sums { whole: vec![of.choice.gain], closed: vec![of.held_out], numbers: 3 * of.choice.groups.len() };
-        // A magnitude is of no axis.
+        // A magnitude belongs to no single axis.
         let each = |nats: f64| nats / (3.0 * real.len() as f64);
         for channel in Triad::Accel.channels() {
             if let Some(gap) = diagnosis.per_channel.get_mut(channel.name()) {
@@ -210,7 +210,7 @@ fn tell(
     outcome.augmented.triads = together::corrected(sim, &named);
 }
 
-/// The causes that the magnitudes determine.
+/// Returns the causes that the magnitudes determine.
 fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
     let of = &poses.of;
     let channels = Triad::Accel.channels().map(|channel| channel.name().to_owned());
@@ -221,7 +221,7 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
             let part = PARTS[*group];
             let names = if part == Candidate::CrossAxisSensitivity { ["xy", "xz", "yz"] } else { AXES };
             let found: Axes = std::array::from_fn(|axis| of.values[3 * group + axis]);
-            // To first order what is found beside what is known adds to it.
+            // To first order, the found deviation adds to the known one.
             let known = known(sim, Triad::Accel, part.kind(), names);
             let axes: Axes = std::array::from_fn(|axis| known[axis] + found[axis]);
             let effect = part.make(&axes);
@@ -241,7 +241,7 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
                     evidence.push(format!("{name} {:.3e} ± {error:.1e}", axes[axis]));
                 }
             }
-            // Of a pair both axes are concerned.
+            // Both axes of a pair are affected.
             let concerned = |axis: &usize| {
                 let at: &[usize] = match (part, axis) {
                     (Candidate::CrossAxisSensitivity, 0) => &[0, 1],
@@ -259,13 +259,13 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
         .collect()
 }
 
-/// The coefficients of an effect that a model's triad has already.
+/// Returns the coefficients of an effect that a model's triad has already.
 fn known(sim: &SensorModel, triad: Triad, effect: EffectKind, names: [&str; 3]) -> Axes {
     let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.kind() == effect));
     names.map(|name| own.and_then(|own| own.number(name)).unwrap_or(0.0))
 }
 
-/// The causes that the circles determine.
+/// Returns the causes that the circles determine.
 fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Driven> {
     let channels = Triad::Gyro.channels();
     let mut axes = known(sim, Triad::Gyro, EffectKind::ScaleFactor, AXES);
@@ -286,13 +286,13 @@ fn of_turns(turns: &[Turned], sim: &SensorModel) -> Option<Driven> {
     }
     let effect = Arc::new(ScaleFactor { axes });
     let channels = turns.iter().map(|one| channels[one.axis].name().to_owned()).collect();
-    // What it closes was not measured on another turn.
+    // The part that it closes was not measured on another turn.
     let mut one = Driven::new(Triad::Gyro, effect, None, channels, RIGHT, Value::Object(ends), evidence);
     one.rank = gain;
     (!turns.is_empty()).then_some(one)
 }
 
-/// The rest in which gravity is off most.
+/// Returns the rest in which gravity deviates most.
 fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
     let worst = (0..rests.len()).max_by(|one, other| of.before[*one].abs().total_cmp(&of.before[*other].abs()))?;
     let force = rests[worst].force;
@@ -365,7 +365,7 @@ mod tests {
         let truth = model(json!({"accel": {"effects": [
             {"effect": "bias", "x": 0.05, "y": -0.03, "z": 0.02},
             {"effect": "scale_factor", "x": 0.006, "y": -0.005, "z": 0.002}]}}));
-        // Twice, so that each pose is predicted by another like it.
+        // Twice, so that each pose is predicted by another one like it.
         let real = recorded(&truth, [tumble(300), tumble(300)].concat(), 3);
         let found = diagnose_tumble(&real, &model(json!({})), &Options::default()).unwrap().unwrap();
         println!("{}", serde_json::to_string_pretty(&found.diagnosis).unwrap());

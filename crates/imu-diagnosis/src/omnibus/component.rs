@@ -1,22 +1,22 @@
 //! Component: the most probable course of a spectral term in a record, and whether that course looks normal.
 //!
-//! A telegraph signal has a Gauss–Markov process's spectrum, a swept line a resonance's; given the record, a term's most
-//! probable course shows two levels, or one amplitude, where a normal process shows neither.
+//! A telegraph signal has the spectrum of a Gauss–Markov process, and a swept line that of a resonance. Given the
+//! record, a term's most probable course then shows two levels or one amplitude; a normal process shows neither.
 
 use super::half_square;
 use crate::law::{Shape, Term};
 use crate::plans;
 use crate::series::Series;
 
-/// Fewest independent values of which moments carry information.
+/// Minimum number of independent values; the moments of fewer carry little information.
 const FEWEST: f64 = 24.0;
 
-/// The most probable course of each term that adds noise in a record, and its power in each coefficient.
+/// Returns the most probable course in a record of each term that adds noise, and its power in each coefficient.
 pub(crate) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)> {
     let terms = series.explanation.law.terms.clone();
     let rate_hz = series.setting().rate_hz;
     let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
-    // Filters act behind it.
+    // Filters act behind the term.
     let mut gain = series.data().base.gain.clone();
     for filter in terms.iter().filter(|term| term.is_filter()) {
         gain.iter_mut().zip(filter.gains(&hz, rate_hz)).for_each(|(all, one)| *all *= one);
@@ -38,7 +38,7 @@ pub(crate) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)
     found
 }
 
-/// Half the square of the most conspicuous moment's deviation, over its standard deviation, of all terms.
+/// Returns half the square of the largest deviation of a moment of any term, in standard deviations.
 pub(super) fn worst(series: &mut Series<'_>) -> f64 {
     let n = series.len();
     let mut found = 0.0f64;
@@ -59,8 +59,8 @@ pub(super) fn worst(series: &mut Series<'_>) -> f64 {
     found
 }
 
-/// The kurtosis of `n` independent normal values as a standard normal value (Anscombe and Glynn 1983, Biometrika 70). The plain
-/// standard error overstates the probability of the kurtosis that two levels have.
+/// Returns the kurtosis of `n` independent normal values as a standard normal value (Anscombe and Glynn 1983,
+/// Biometrika 70). The plain standard error overstates the probability of the kurtosis of two levels.
 fn kurtosis_score(kurtosis: f64, n: f64) -> f64 {
     let mean = 3.0 * (n - 1.0) / (n + 1.0);
     let variance = 24.0 * n * (n - 2.0) * (n - 3.0) / ((n + 1.0).powi(2) * (n + 3.0) * (n + 5.0));
@@ -72,7 +72,7 @@ fn kurtosis_score(kurtosis: f64, n: f64) -> f64 {
     (1.0 - 2.0 / (9.0 * a) - ((1.0 - 2.0 / a) / below).cbrt()) / (2.0 / (9.0 * a)).sqrt()
 }
 
-/// Sums of the third and fourth powers of the autocorrelation that a power spectrum gives, over all lags.
+/// Returns sums over all lags of the third and fourth powers of the autocorrelation that a power spectrum gives.
 fn correlations(power: &[f64], samples: usize) -> Option<(f64, f64)> {
     let backward = plans::backward(2 * samples);
     let (mut input, mut output) = (backward.make_input_vec(), backward.make_output_vec());
@@ -107,7 +107,7 @@ mod tests {
         let spread = (scores.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 2000.0).sqrt();
         let below = scores.iter().filter(|score| **score < -2.326).count();
         assert!(mean.abs() < 0.1 && (spread - 1.0).abs() < 0.1, "{mean} {spread}");
-        // 1 % of 2000.
+        // About 1 % of 2000.
         assert!((8..40).contains(&below), "{below}");
         assert!(kurtosis_score(1.0, 1e4) < -30.0 && kurtosis_score(6.0, 1e4) > 15.0);
     }

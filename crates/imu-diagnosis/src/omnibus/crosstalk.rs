@@ -5,12 +5,12 @@ use realfft::num_complex::Complex;
 
 /// Longest lag, samples.
 const LONGEST: usize = 20_000;
-/// Shorter lags are separated from noise that channels share at once by [`super::super::shared`].
+/// Shortest lag; [`super::super::shared`] separates shorter ones from noise that channels share.
 const SHORTEST: usize = 3;
 
-/// For each channel half the greatest squared correlation with any other at a lag times the samples: about −ln of its chance,
-/// how many lags there are not counted. The residuals are white. Pairs that are `linked` share noise at once, which two
-/// whitening filters spread over lags: they are left out.
+/// Returns, for each channel, half the greatest squared correlation with any other at a lag, times the number of
+/// samples: about −ln of its chance, without the number of lags. The residuals are white. Pairs that are `linked` share
+/// noise without a lag, which two whitening filters spread over lags; they are left out.
 pub fn greatest(residuals: Vec<Vec<f64>>, linked: &dyn Fn(usize, usize) -> bool) -> Vec<f64> {
     let mut found = vec![0.0; residuals.len()];
     let n = residuals.first().map_or(0, Vec::len);
@@ -21,7 +21,7 @@ pub fn greatest(residuals: Vec<Vec<f64>>, linked: &dyn Fn(usize, usize) -> bool)
     let mut sums = forward.make_input_vec();
     let power: Vec<f64> = residuals.iter().map(|of| of.iter().map(|e| e * e).sum()).collect();
     let mut spectra: Vec<Vec<Complex<f64>>> = Vec::with_capacity(residuals.len());
-    // A residual goes as its transform comes: of many long channels both would take much room.
+    // Each residual is freed once it is transformed: both together would need much memory for many long channels.
     for mut of in residuals {
         let mut spectrum = forward.make_output_vec();
         if forward.process(&mut of, &mut spectrum).is_err() {
@@ -34,7 +34,7 @@ pub fn greatest(residuals: Vec<Vec<f64>>, linked: &dyn Fn(usize, usize) -> bool)
         for j in (0..i).filter(|j| !linked(i, *j)) {
             let mut product: Vec<Complex<f64>> =
                 spectra[i].iter().zip(&spectra[j]).map(|(a, b)| a * b.conj()).collect();
-            // The first and, of an even number, the last are real.
+            // The first value and, for an even number, the last one are real.
             product[0].im = 0.0;
             if n.is_multiple_of(2)
                 && let Some(last) = product.last_mut()

@@ -5,11 +5,11 @@ use crate::transform::Cosines;
 
 /// Lengths of the stretches, samples.
 const LENGTHS: [usize; 4] = [64, 192, 512, 2048];
-/// Most flashes that are summed.
+/// Maximum number of summed flashes.
 const MOST: usize = 64;
 
-/// How surprising the number of pairs of coefficients above the most conspicuous of their values is, nats (Berk and Jones 1979,
-/// Z. Wahrsch. verw. Gebiete 47, of the tail alone).
+/// Returns how surprising the number of pairs of coefficients above the most conspicuous threshold is, nats (Berk and
+/// Jones 1979, Z. Wahrsch. verw. Gebiete 47, for the tail alone).
 pub(super) fn brightest(series: &Series<'_>) -> f64 {
     LENGTHS.into_iter().map(|length| of(&series.residual, length)).fold(0.0, f64::max)
 }
@@ -19,7 +19,7 @@ fn of(residual: &[f64], length: usize) -> f64 {
         return 0.0;
     }
     let mut transform = Cosines::new(length);
-    // Only what would be met once in a hundred of all is worth its place in a list.
+    // Chance exceeds this value in about a hundred places; smaller values are not worth a place in the list.
     let tiles = residual.len() as f64;
     let least = (0.01 * tiles).ln().max(2.0);
     let mut nats: Vec<f64> = Vec::new();

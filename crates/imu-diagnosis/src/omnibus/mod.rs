@@ -12,29 +12,30 @@ use super::tiles::Tiles;
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::{digamma, gamma_ur};
 
-/// A statistic of a residual, about −ln of the chance of as much, up to an offset that the record's length gives.
+/// A statistic of a residual: about −ln of the chance of a larger value, up to an offset that depends on the record's
+/// length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Statistic {
     /// Fourth moment of single samples.
     Kurtosis,
-    /// Third moment.
+    /// Third moment of single samples.
     Skewness,
-    /// Variance in tiles of time and octave, in all.
+    /// Variance in tiles of time and octave, in total.
     Tiles,
-    /// In the most conspicuous tile.
+    /// Variance in the most conspicuous tile.
     Tile,
-    /// In the most conspicuous octave.
+    /// Variance in the most conspicuous octave.
     Octave,
-    /// In the most conspicuous stretch.
+    /// Variance in the most conspicuous stretch.
     Stretch,
     /// Fourth moment within octaves.
     OctaveKurtosis,
     /// Clustering of the power within octaves.
     Clusters,
-    /// Power in the finest bands, the most conspicuous.
+    /// Power in the most conspicuous of the finest bands.
     FineBand,
-    /// Power in the finest bands, in all.
+    /// Power in the finest bands, in total.
     FineBands,
     /// A period in the squares.
     Modulation,
@@ -44,7 +45,7 @@ pub enum Statistic {
     Rectangle,
     /// Third and fourth moments of the most probable course of a spectral term of the law.
     Component,
-    /// A value that is met far more often than its neighbours.
+    /// A value that is far more frequent than its neighbours.
     Atom,
     /// Power along the most conspicuous straight line of a spectrogram.
     Sweep,
@@ -55,7 +56,7 @@ pub enum Statistic {
 }
 
 impl Statistic {
-    /// All.
+    /// All statistics.
     pub const ALL: [Self; 18] = [
         Self::Kurtosis,
         Self::Skewness,
@@ -77,7 +78,7 @@ impl Statistic {
         Self::Crosstalk,
     ];
 
-    /// The property that it tests, for people.
+    /// Returns the property that the statistic tests, for people.
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Kurtosis => "tails of single samples",
@@ -103,18 +104,18 @@ impl Statistic {
         }
     }
 
-    /// Whether noise that is stationary except for parts that come, go or wander may show it.
+    /// Returns whether stationary noise with parts that come, go or wander may show the statistic.
     pub fn is_of_changes(self) -> bool {
         !matches!(self, Self::Skewness | Self::Atom | Self::Crosstalk | Self::Echo)
     }
 
-    /// Whether it looks at single samples' distribution, which rounding, limits and tails change.
+    /// Returns whether the statistic tests the distribution of single samples, which rounding, limits and tails change.
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Kurtosis | Self::OctaveKurtosis)
     }
 }
 
-/// All statistics of a series' residual; `atom` is that of its values as they were sent.
+/// Returns all statistics of a series' residual; `atom` is that of its values as they were sent.
 pub fn statistics(series: &mut Series<'_>, atom: f64) -> Vec<(Statistic, f64)> {
     let mut found = Vec::with_capacity(Statistic::ALL.len());
     found.push((Statistic::Atom, atom));
@@ -135,7 +136,7 @@ pub fn statistics(series: &mut Series<'_>, atom: f64) -> Vec<(Statistic, f64)> {
     found
 }
 
-/// A gain of n coefficients' own variance, less what chance gives on average.
+/// Returns the gain of n coefficients' own variance, less the average gain by chance.
 pub(super) fn excess(ratio: f64, count: f64) -> f64 {
     let half = 0.5 * count;
     half * (ratio - 1.0 - ratio.max(1e-9).ln()) - half * (half.ln() - digamma(half))
@@ -145,13 +146,13 @@ fn half_square(z: f64) -> f64 {
     0.5 * z * z
 }
 
-/// −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
+/// Returns −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
 pub(super) fn surprise(square: f64, count: f64) -> f64 {
     if square > 0.0 && square.is_finite() { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() } else { 0.0 }
 }
 
-/// Whether values on one side of 0 are larger than on the other, at any symmetric distribution: the sum of a cubic that is
-/// orthogonal to the values themselves, over its own root of squares.
+/// Returns whether values on one side of 0 are larger than on the other, for any symmetric distribution: the sum of a
+/// cubic that is orthogonal to the values, over the root of its sum of squares.
 fn skewness(residual: &[f64]) -> f64 {
     const LARGEST: f64 = 5.0;
     let limited = || residual.iter().map(|e| e.clamp(-LARGEST, LARGEST));
@@ -169,7 +170,7 @@ fn tiles(tiles: &Tiles, found: &mut Vec<(Statistic, f64)>) {
         return;
     }
     let table = &tiles.excess;
-    // An excess is half of a square less its mean.
+    // An excess is half of a square, less its mean.
     let sum = |of: &mut dyn Iterator<Item = usize>| {
         let (square, count) = of.fold((0.0, 0.0), |(s, c), at| (s + 2.0 * table[at] + 1.0, c + 1.0));
         surprise(square, count)
@@ -182,7 +183,7 @@ fn tiles(tiles: &Tiles, found: &mut Vec<(Statistic, f64)>) {
     found.push((Statistic::Stretch, (0..stretches).map(stretch).fold(0.0, f64::max)));
 }
 
-/// Octaves of the whitened coefficients: moments and clustering of what each makes in time.
+/// Examines octaves of the whitened coefficients: the moments and the clustering of each one's course in time.
 fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     const LAGS: [usize; 3] = [4, 16, 64];
     let n = series.len();
@@ -193,7 +194,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     let mut to = n;
     while to > 512 {
         let from = to / 2;
-        // Half the band at its own rate: a transform of a shorter length brings it to the base band.
+        // Half the band at its own rate: a transform of shorter length brings the octave to the base band.
         let mut values = whitened[from..to].to_vec();
         let mut own = super::transform::Cosines::new(values.len());
         own.backward(&mut values);
@@ -224,7 +225,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     found.push((Statistic::Clusters, clusters));
 }
 
-/// The finest bands of the whole record.
+/// Examines the finest bands of the whole record.
 fn bands(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     const WIDTH: usize = 64;
     // A louder part would otherwise count for more.
@@ -250,7 +251,7 @@ fn bands(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     found.push((Statistic::FineBands, if z > 0.0 { 0.5 * z * z } else { 0.0 }));
 }
 
-/// A period of the squares, and the autocorrelation.
+/// Examines periods of the squares, and the autocorrelation.
 fn periodic(residual: &[f64], found: &mut Vec<(Statistic, f64)>) {
     const LAGS: usize = 20_000;
     let n = residual.len();

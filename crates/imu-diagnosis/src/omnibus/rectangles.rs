@@ -1,5 +1,5 @@
 //! Rectangles: runs of stretches and bands, whose sides are powers of 2, in which a residual is louder or quieter than
-//! it should be.
+//! expected.
 
 use super::{excess, surprise};
 use crate::series::Series;
@@ -8,13 +8,13 @@ use statrs::function::gamma::digamma;
 
 /// Coefficients in a tile.
 const WIDE: usize = 16;
-/// How many stretches a record is cut into.
+/// Numbers of stretches into which a record is cut.
 const STRETCHES: [usize; 2] = [32, 256];
 /// Widest rectangle, bands.
 const BANDS: usize = 256;
 
-/// −ln of the chance of the most conspicuous rectangle, how many there are not counted: all whose sides are powers of 2 times
-/// a tile's.
+/// Returns −ln of the chance of the most conspicuous rectangle, without the number of rectangles: all whose sides are
+/// powers of 2 times a tile's.
 pub(super) fn heaviest(series: &Series<'_>) -> f64 {
     STRETCHES.into_iter().map(|stretches| of(series, stretches)).fold(0.0, f64::max)
 }
@@ -26,7 +26,7 @@ fn of(series: &Series<'_>, stretches: usize) -> f64 {
         return 0.0;
     }
     let edges: Vec<usize> = (0..=bands).map(|band| (band * WIDE).max(1)).collect();
-    // Twice the nats of a tile are about a square of a standard normal value, at this factor (Bartlett's).
+    // Twice the nats of a tile are about a square of a standard normal value, with this factor (Bartlett).
     let half = 0.5 * WIDE as f64;
     let mean = half * (half.ln() - digamma(half));
     let mut squares: Vec<f64> = Vec::with_capacity(stretches * bands);

@@ -1,4 +1,4 @@
-//! Sweep: power along straight lines of a spectrogram, as a line has whose frequency moves.
+//! Sweep: power along straight lines of a spectrogram, as from a line of moving frequency.
 
 use super::surprise;
 use crate::series::Series;
@@ -6,10 +6,10 @@ use crate::tiles;
 
 /// Stretches of the spectrogram, a power of 2.
 const STRETCHES: usize = 256;
-/// How often neighbouring frequencies are put together, so that steeper lines are seen.
+/// How often neighbouring frequencies are pooled, so that steeper lines show.
 const POOLINGS: usize = 5;
 
-/// −ln of the chance of the most conspicuous line, how many there are not counted.
+/// Returns −ln of the chance of the most conspicuous line, without the number of lines.
 pub(super) fn steepest(series: &Series<'_>) -> f64 {
     let size = series.len() / STRETCHES;
     if size < 64 {
@@ -37,8 +37,8 @@ pub(super) fn steepest(series: &Series<'_>) -> f64 {
     worst
 }
 
-/// The greatest sum along a line that rises by 0 to one band less than the picture has rows: a discrete Radon transform by halves
-/// (Brady 1998, SIAM J. Comput. 27). Points beyond the picture add 0.
+/// Returns the greatest sum along a line that rises by 0 to one band less than the picture has rows: a discrete Radon
+/// transform by halves (Brady 1998, SIAM J. Comput. 27). Points beyond the picture add 0.
 fn greatest(picture: &[f64], bands: usize) -> f64 {
     let rows = picture.len() / bands;
     // Sums of strips of `high` rows: for each strip and rise the bands one after the other.
@@ -70,7 +70,7 @@ mod tests {
         let (rows, bands) = (16, 40);
         for rise in [0usize, 1, 7, 15] {
             let mut picture = vec![0.0; rows * bands];
-            // The lines of the transform: each half rises by half.
+            // Draws the lines of the transform: each half rises by half.
             fn draw(picture: &mut [f64], bands: usize, row: usize, high: usize, band: usize, rise: usize) {
                 if high == 1 {
                     picture[row * bands + band] = 1.0;

@@ -15,7 +15,7 @@ fn slices(samples: &[Vec<f64>; 3]) -> [&[f64]; 3] {
     samples.each_ref().map(Vec::as_slice)
 }
 
-/// All values that the fit returns are numbers.
+/// Asserts that all values that the fit returns are numbers.
 fn assert_finite(found: &Fit) {
     let numbers = found.estimates.iter().flat_map(|one| {
         let errors = one.standard_error.into_iter().chain(one.ci95.into_iter().flatten());
@@ -57,7 +57,7 @@ fn the_response_is_the_simulators_without_noise() {
             left_out: &[],
             sent: None,
         };
-        // Once with all effects known and kept, once with all as candidates at their known values.
+        // Once with all effects known and kept, then with all as candidates at their known values.
         for candidates in [&[][..], &candidates] {
             let known =
                 Request { known: &effects, level: [0.01; 3], candidates, clock: Clock::SHARED, filters: &NO_FILTERS };
@@ -156,7 +156,7 @@ fn a_still_record_tells_no_scale_factor_from_a_bias() {
     said(Openness::Unseen, "scale_factor (x, y): there is never a specific force along x or y");
     said(Openness::Unseen, "latency seconds: nothing changes by which a delay would show");
     assert!(found.estimates.iter().all(|one| one.standard_error.is_none()));
-    // What they make together is known: the response is at the record's level.
+    // Their joint effect is known: the response is at the record's level.
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     assert!(found.residual.iter().all(|axis| mean(axis).abs() < 5e-3));
     assert_finite(&found);
@@ -216,7 +216,7 @@ fn nothing_depends_on_the_size_of_the_unit() {
     }
 }
 
-/// The rate table on a sensor's clock, and with a reference whose clock is ahead and fast.
+/// Returns the rate table on a sensor's clock, and a reference whose clock is ahead and fast.
 fn on_two_clocks(offset_s: f64, rate_error: f64) -> (Vec<Motion>, Vec<Motion>) {
     let samples = 2187;
     let length_s = samples as f64 / RATE_HZ;
@@ -375,7 +375,7 @@ fn a_sensor_with_a_boxcar_has_a_law_too() {
     model.sampling = Some(imu_model::simulator::Sampling { internal_rate_hz: 80.0, filter_window: 4 });
     let reference = rate_table();
     let law = NoiseLaw::of_model(&model, Triad::Gyro, RATE_HZ, reference.len()).unwrap();
-    // Still, so that the motion need not pass the boxcar.
+    // The sensor is still, so that the motion need not pass the boxcar.
     let still = vec![Motion::default(); 4 * reference.len()];
     let samples = simulated(&model, Triad::Gyro, &still, RATE_HZ, 3);
     let reference = vec![Motion::default(); samples[0].len()];

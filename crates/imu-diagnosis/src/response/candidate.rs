@@ -21,7 +21,7 @@ pub enum Candidate {
     ScaleFactor,
     /// [`ScaleFactorNonlinearity`].
     ScaleFactorNonlinearity {
-        /// F, U; the fitted fractions are of it.
+        /// F, U; the fitted fractions refer to it.
         full_scale: f64,
         /// ω·|ω| instead of ω².
         signed: bool,
@@ -30,7 +30,7 @@ pub enum Candidate {
     Misalignment,
     /// [`CrossAxisSensitivity`].
     CrossAxisSensitivity,
-    /// [`GSensitivity`], of a gyroscope.
+    /// [`GSensitivity`] of a gyroscope.
     GSensitivity,
     /// [`Latency`].
     Latency,
@@ -39,7 +39,7 @@ pub enum Candidate {
 }
 
 impl Candidate {
-    /// All that make sense on `triad`, nonlinearity in both forms with this full scale (U).
+    /// Returns all candidates that make sense on `triad`, nonlinearity in both forms with this full scale (U).
     pub fn all(triad: Triad, full_scale: f64) -> Vec<Self> {
         let all = [
             Self::Bias,
@@ -55,12 +55,12 @@ impl Candidate {
         all.into_iter().filter(|candidate| candidate.make(&[]).triads().contains(&triad)).collect()
     }
 
-    /// The effect.
+    /// Returns the kind of the effect.
     pub fn kind(self) -> EffectKind {
         self.make(&[]).kind()
     }
 
-    /// The suffix that distinguishes it from others of its name, with a space.
+    /// Returns the suffix that distinguishes the candidate from others of its name, with a space.
     pub(crate) fn form(self) -> &'static str {
         match self {
             Self::ScaleFactorNonlinearity { signed: true, .. } => "signed ",
@@ -69,8 +69,8 @@ impl Candidate {
         }
     }
 
-    /// The effect with these coefficients, in the order of [`TriadEffect::coefficients`]; what is missing is 0. A latency is
-    /// never below 0. A saturation's one coefficient is its range.
+    /// Returns the effect with these coefficients, in the order of [`TriadEffect::coefficients`]; missing ones are 0. A
+    /// latency is never below 0. A saturation's one coefficient is its range.
     pub fn make(self, coefficients: &[f64]) -> Arc<dyn TriadEffect> {
         let at = |place: usize| coefficients.get(place).copied().unwrap_or(0.0);
         let axes: Axes = std::array::from_fn(at);
@@ -91,7 +91,7 @@ impl Candidate {
         }
     }
 
-    /// The names of its coefficients: `x`, `xy`, `m[0][2]`, `seconds`.
+    /// Returns the names of the coefficients: `x`, `xy`, `m[0][2]`, `seconds`.
     pub fn parameters(self) -> Vec<String> {
         match self {
             Self::GSensitivity => (0..9).map(|place| format!("m[{}][{}]", place / 3, place % 3)).collect(),
@@ -103,19 +103,19 @@ impl Candidate {
         }
     }
 
-    /// Whether the effect may stand on `triad` with its fixed parameters.
+    /// Checks whether the effect may stand on `triad` with its fixed parameters.
     pub(super) fn check(self, triad: Triad) -> Result<(), Refusal> {
         // A range of 0 is not a saturation; any other range describes the same triad.
         let start = if self == Self::Saturation { vec![1.0] } else { Vec::new() };
         self.make(&start).check(triad)
     }
 
-    /// Whether it is one that a regression fits: the response without memory is linear in its coefficients.
+    /// Returns whether a regression fits the candidate: the response without memory is linear in its coefficients.
     pub(super) fn is_linear(self) -> bool {
         !matches!(self, Self::Latency | Self::Saturation)
     }
 
-    /// The coefficients that a known effect gives this candidate; `None` if it is another effect.
+    /// Returns the coefficients that a known effect gives this candidate; `None` if it is another effect.
     pub(super) fn coefficients_of(self, known: &dyn TriadEffect) -> Option<Vec<f64>> {
         if known.kind() != self.kind() || known.parameter("form") != self.make(&[]).parameter("form") {
             return None;
@@ -129,14 +129,14 @@ impl Candidate {
         Some(coefficients)
     }
 
-    /// The standard error from which on a record carries no information about one of its coefficients.
+    /// Returns the standard error from which on a record carries no information about one of the coefficients.
     pub(super) fn unseen(self) -> f64 {
         match self {
             Self::ScaleFactor
             | Self::ScaleFactorNonlinearity { .. }
             | Self::Misalignment
             | Self::CrossAxisSensitivity => UNSEEN_FRACTION,
-            // In the triad's own units there is no size beyond which they make no sense.
+            // In the triad's own units, no size is too large to make sense.
             Self::Bias | Self::GSensitivity => f64::INFINITY,
             Self::Latency | Self::Saturation => Latency::SECONDS_MAX,
         }

@@ -1,8 +1,8 @@
 //! Clipping: samples at the sensor's range are found before any regression and left out of it without bias.
 //!
-//! A clipped sample is an exact tie at the largest magnitude shown. Leaving out just the ties would bias the rest: close to the
-//! limit, the samples whose noise points away from it would remain. The fit therefore leaves out every sample whose *response*
-//! comes within five standard deviations of the limit, whatever its value.
+//! A clipped sample is an exact tie at the largest magnitude shown. Leaving out just the ties would bias the rest:
+//! close to the limit, only samples whose noise points away from it would remain. The fit therefore leaves out every
+//! sample whose *response* comes within five standard deviations of the limit, whatever its value.
 //!
 //! The samples that are left out are bridged: a straight line joins the means of the samples on both sides. The same linear rule
 //! acts on samples and on design columns alike, so that the fit stays unbiased. Its effect on the noise's covariance is carried
@@ -13,20 +13,20 @@ use imu_model::effects::triad::Axes;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Ties at the limit below which they may be chance.
+/// Minimum number of ties at the limit; fewer may be chance.
 const LEAST_TIES: usize = 3;
-/// Largest magnitudes looked at to see whether values repeat anyway, because they are rounded.
+/// Number of largest magnitudes that are examined for repeats due to rounding.
 const TOP_VALUES: usize = 200;
-/// Share of repeated values among them from which on the record counts as rounded.
+/// Minimum share of repeated values among them for a record that counts as rounded.
 const ROUNDED_SHARE: f64 = 0.05;
-/// The same where values are rounded, and how many times the ties of any value just below they have to be.
+/// Minimum number of ties for rounded values, and minimum ratio to the ties of any value just below the limit.
 const LEAST_ROUNDED_TIES: usize = 20;
 const TIES_OVER_OTHERS: usize = 3;
-/// How many values just below.
+/// Number of values just below the limit.
 const VALUES_BELOW: usize = 10;
-/// Over how many rounding steps the reference has to run while the samples stay at the limit.
+/// Minimum number of rounding steps over which the reference runs while the samples stay at the limit.
 const STEPS_RUN: f64 = 3.0;
-/// Standard deviations of single samples to the limit that a response keeps.
+/// Distance that a response keeps from the limit, in standard deviations of single samples.
 const MARGIN_DEVIATIONS: f64 = 5.0;
 /// Samples averaged on either side of a bridge: enough to calm white noise, and short against most motions.
 const PIER: usize = 16;
@@ -36,13 +36,13 @@ const PIER: usize = 16;
 pub struct Clipping {
     /// The largest magnitude shown, U; exact.
     pub limit: f64,
-    /// Samples at it, per axis.
+    /// Samples at the limit, per axis.
     pub ties: [usize; 3],
 }
 
 impl Clipping {
-    /// The limit that these samples show. `input` is the reference of the same triad: where values are rounded, they repeat at
-    /// their largest even without a limit, and only a reference that runs on while they stay shows one.
+    /// Returns the limit that these samples show. `input` is the reference of the same triad. Rounded values repeat at
+    /// their largest even without a limit; only a reference that runs on while they stay shows a limit.
     pub(super) fn find(samples: [&[f64]; 3], input: &[Axes]) -> Option<Self> {
         let magnitudes = samples.iter().flat_map(|axis| axis.iter().map(|value| value.abs()));
         let limit = magnitudes.fold(0.0, f64::max);
@@ -75,7 +75,7 @@ impl Clipping {
         clipped.then_some(Self { limit, ties })
     }
 
-    /// The limit that these samples show, or one that is known and reached.
+    /// Returns the limit that these samples show, or a known one that they reach.
     pub(super) fn find_or_known(samples: [&[f64]; 3], input: &[Axes], known: &[Arc<dyn TriadEffect>]) -> Option<Self> {
         Self::find(samples, input).or_else(|| {
             let limit = known.iter().filter_map(|effect| effect.range()).reduce(f64::min)?;
@@ -85,19 +85,19 @@ impl Clipping {
     }
 }
 
-/// Whether a sample is clipped or its response so close to the limit that its noise might be.
+/// Returns whether a sample is clipped or its response is so close to the limit that its noise might be.
 pub(super) fn is_near(limit: f64, shown: f64, response: Option<f64>, deviation: f64) -> bool {
     shown.abs() >= limit || response.is_some_and(|of| of.abs() > limit - MARGIN_DEVIATIONS * deviation)
 }
 
-/// How values are rounded.
+/// The rounding of values.
 struct Rounded {
     step: f64,
     /// How often the most frequent of the values just below the limit occurs.
     most_below: usize,
 }
 
-/// How values are rounded, from those below the limit; `None` if they hardly repeat.
+/// Returns the rounding of the values below the limit; `None` if they hardly repeat.
 fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<Rounded> {
     let mut below: Vec<f64> =
         samples.iter().flat_map(|axis| axis.iter().map(|value| value.abs()).filter(|value| *value < limit)).collect();
@@ -124,7 +124,7 @@ fn rounding(samples: [&[f64]; 3], limit: f64) -> Option<Rounded> {
     Some(Rounded { step, most_below })
 }
 
-/// A stretch that is left out, with what it is bridged from.
+/// A stretch that is left out, with the samples from which it is bridged.
 #[derive(Debug, Clone)]
 struct Bridge {
     out: Range<usize>,
@@ -139,7 +139,7 @@ pub(super) struct Bridges {
 }
 
 impl Bridges {
-    /// From whether each sample is left out.
+    /// Creates bridges from an iterator over whether each sample is left out.
     pub(super) fn new(out: impl Iterator<Item = bool>) -> Self {
         let mut runs: Vec<Range<usize>> = Vec::new();
         let mut length = 0;
@@ -164,12 +164,12 @@ impl Bridges {
         Self { bridges: runs.iter().enumerate().map(bridge).collect() }
     }
 
-    /// How many samples are left out.
+    /// Returns the number of samples that are left out.
     pub(super) fn count(&self) -> usize {
         self.bridges.iter().map(|bridge| bridge.out.len()).sum()
     }
 
-    /// The stretches, in order.
+    /// Returns the stretches, in order.
     pub(super) fn stretches(&self) -> Vec<Range<usize>> {
         self.bridges.iter().map(|bridge| bridge.out.clone()).collect()
     }
@@ -178,7 +178,7 @@ impl Bridges {
         self.bridges.is_empty()
     }
 
-    /// Puts the bridges into a column.
+    /// Fills the bridges in a column.
     pub(super) fn fill(&self, values: &mut [f64]) {
         for bridge in &self.bridges {
             let mean = |of: &Range<usize>| values[of.clone()].iter().sum::<f64>() / of.len().max(1) as f64;
@@ -190,7 +190,7 @@ impl Bridges {
         }
     }
 
-    /// The transpose of [`Bridges::fill`].
+    /// Applies the transpose of [`Bridges::fill`].
     pub(super) fn fill_transposed(&self, values: &mut [f64]) {
         for bridge in &self.bridges {
             let (mut before, mut after) = (0.0, 0.0);
@@ -209,7 +209,7 @@ impl Bridges {
 }
 
 impl Bridge {
-    /// Weights of the means before and after at a place on the bridge.
+    /// Returns the weights of the means before and after at a place on the bridge.
     fn shares(&self, index: usize) -> (f64, f64) {
         let centre = |of: &Range<usize>| 0.5 * (of.start + of.end - 1) as f64;
         match (self.before.is_empty(), self.after.is_empty()) {
@@ -270,7 +270,7 @@ mod tests {
         assert!(found.ties[0] > 20 && found.ties[1] == 0);
         let free: Vec<f64> = (0..400).map(|index| course(index) + noise(index)).collect();
         assert_eq!(Clipping::find([&free, &quiet, &quiet], &input), None);
-        // At rest, rounded to a tenth, most samples are at one value.
+        // At rest and rounded to a tenth, most samples have one value.
         let rest = vec![[9.8, 0.0, 0.0]; 400];
         let rounded: Vec<f64> = (0..400).map(|index| ((9.76 + 0.1 * noise(index)) * 10.0).round() / 10.0).collect();
         assert_eq!(Clipping::find([&rounded, &quiet, &quiet], &rest), None);

@@ -1,8 +1,9 @@
-//! Time: the reference as the triad feels it, later by a latency, a clock's offset and a clock's rate.
+//! Time: the reference as the triad feels it, delayed by a latency, a clock's offset and a clock's rate.
 //!
-//! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that clock: both
-//! make the triad late. Two triads can, as far as they differ ([`Lateness::of`]): their common delay is called the clock's
-//! offset, and the excess of one is its latency. If both are late by the same latency, the record does not show it.
+//! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that
+//! clock: both make the triad late. Two triads can, if their delays differ ([`Lateness::of`]): their common delay
+//! counts as the clock's offset, and the excess of one as its latency. If both are late by the same latency, the record
+//! does not show it.
 
 use super::{Confounding, Estimate, NORMAL_95, Openness};
 use imu_core::sample::Triad;
@@ -10,13 +11,13 @@ use imu_model::effects::triad::{Axes, DelayLine};
 use imu_model::simulator::Motion;
 use realfft::RealFftPlanner;
 
-/// How the reference's clock is related to the sensor's.
+/// The relation of the reference's clock to the sensor's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Clock {
-    /// Whether it may be off by a constant, up to a quarter of the record. In that case, no latency of this triad can
-    /// be determined.
+    /// Whether the clock may be off by a constant, up to a quarter of the record. In that case, no latency of this
+    /// triad can be determined.
     pub offset_unknown: bool,
-    /// Whether it may run faster or slower.
+    /// Whether the clock may run faster or slower.
     pub rate_unknown: bool,
 }
 
@@ -32,19 +33,19 @@ impl Clock {
 pub struct Lateness {
     /// By how much the reference is early for both, s: the smaller of the two delays.
     pub offset_s: f64,
-    /// Its standard error, s.
+    /// The standard error of the offset, s.
     pub offset_error_s: f64,
-    /// The triad that is later than the other beyond chance (95 %), with its excess and that one's standard error, s: its
-    /// latency, if the other has none.
+    /// The triad that is later than the other beyond chance (95 %), with its excess and the standard error of that, s:
+    /// its latency, if the other has none.
     pub latency: Option<(Triad, f64, f64)>,
 }
 
 impl Lateness {
-    /// From the delays of two triads, each fitted with [`Clock::SEPARATE`]; their noises are independent of one another. If they
-    /// agree, the offset is their weighted mean. `None` if a delay was not found.
+    /// Combines the delays of two triads, each fitted with [`Clock::SEPARATE`]; their noises are independent. If the
+    /// delays agree, the offset is their weighted mean. `None` if a delay was not found.
     ///
-    /// The two rates of the clock are one as well; a difference beyond their errors is a sign that the reference is not that
-    /// of both.
+    /// The two rates of the clock agree as well; a difference beyond their errors is a sign that the triads do not
+    /// share the reference.
     pub fn of(first: (Triad, &Estimate), second: (Triad, &Estimate)) -> Option<Self> {
         let (first_error, second_error) = (first.1.standard_error?, second.1.standard_error?);
         let difference = first.1.value - second.1.value;
@@ -67,7 +68,7 @@ impl Lateness {
     }
 }
 
-/// The quantities that one triad cannot determine about a separate clock.
+/// Returns the quantities that one triad cannot determine about a separate clock.
 pub(super) fn latency_or_offset(place: usize) -> Confounding {
     Confounding {
         openness: Openness::Confounded,
@@ -79,8 +80,9 @@ pub(super) fn latency_or_offset(place: usize) -> Confounding {
     }
 }
 
-/// The motion as it was `delay` samples ago, for each sample; below 0, as it will be. Between samples it is the simulator's
-/// cubic ([`DelayLine`]), before its start what it was at the start, after its end what it was at the end.
+/// Returns returns, for each sample, the motion `delay` samples ago; for a negative delay, the future motion. Between
+/// samples the motion follows the simulator's cubic ([`DelayLine`]). Before its start it keeps its first value, after
+/// its end its last one.
 pub(super) fn delayed(motions: &[Motion], delay: impl Fn(usize) -> f64) -> Vec<Motion> {
     let last = motions.len().saturating_sub(1);
     let at = |index: usize| {
@@ -99,15 +101,16 @@ pub(super) fn delayed(motions: &[Motion], delay: impl Fn(usize) -> f64) -> Vec<M
     (0..motions.len()).map(at).collect()
 }
 
-/// By how many whole samples, up to `most`, the samples are later than the input: the largest cross-correlation of their
-/// differences, which have no bias and little of the slow noise. `weights`: one per axis.
+/// Returns by how many whole samples, up to `most`, the samples are later than the input. This is the lag of the
+/// largest cross-correlation of their differences, which have no bias and little slow noise. `weights` has one entry
+/// per axis.
 pub(super) fn coarse(samples: [&[f64]; 3], input: &[Axes], weights: Axes, most: usize) -> f64 {
     let n = input.len();
     let most = most.min(n / 4);
     if n < 8 || most == 0 {
         return 0.0;
     }
-    // As long as no lag up to `most` wraps round.
+    // Long enough that no lag up to `most` wraps round.
     let length = (n + most).next_power_of_two();
     let mut planner = RealFftPlanner::<f64>::new();
     let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
@@ -119,7 +122,7 @@ pub(super) fn coarse(samples: [&[f64]; 3], input: &[Axes], weights: Axes, most: 
                 *place = value(index + 1) - value(index);
             }
             let mut spectrum = forward.make_output_vec();
-            // It fails only for buffers of a wrong length, and these are the plan's own.
+            // This fails only for buffers of a wrong length; these are the plan's own.
             let _ = forward.process(&mut padded, &mut spectrum);
             spectrum
         };
@@ -129,7 +132,7 @@ pub(super) fn coarse(samples: [&[f64]; 3], input: &[Axes], weights: Axes, most: 
             *sum += shown * felt.conj() * weights[axis];
         }
     }
-    // The ends are real but for rounding.
+    // The ends are real except for rounding.
     if let Some(first) = sum.first_mut() {
         first.im = 0.0;
     }

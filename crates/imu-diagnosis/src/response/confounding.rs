@@ -14,7 +14,7 @@ const STILL_RAD_S: f64 = 1e-3;
 const CONSTANT_SHARE: f64 = 0.01;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// How far the motion leaves parameters open.
+/// How much of the parameters the motion leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Openness {
     /// The response does not depend on the parameters, or by less than the noise hides: they keep their known values.
@@ -28,11 +28,11 @@ pub enum Openness {
 /// A group of parameters that the motion leaves open.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Confounding {
-    /// How far.
+    /// How much is left open.
     pub openness: Openness,
-    /// Their places among the fit's estimates.
+    /// The parameters' places among the fit's estimates.
     pub places: Vec<usize>,
-    /// Whether the reference's clock is among them.
+    /// Whether the parameters include the reference's clock.
     pub of_clock: bool,
     /// One sentence: which parameters, which motion is missing, and which motion would separate them.
     pub sentence: String,
@@ -42,7 +42,7 @@ pub struct Confounding {
 #[derive(Debug)]
 pub(super) struct Motions {
     triad: Triad,
-    /// Largest less smallest of each input, and whether that range counts as 0.
+    /// Largest less smallest value of each input, and whether that range counts as 0.
     turns: [bool; 3],
     force_changes: [bool; 3],
     force_felt: [bool; 3],
@@ -68,7 +68,7 @@ impl Motions {
         }
     }
 
-    /// The statement for one group of slots.
+    /// Returns the statement for one group of slots.
     pub(super) fn state(
         &self,
         openness: Openness,
@@ -95,7 +95,7 @@ impl Motions {
         Confounding { openness, places: group.to_vec(), of_clock, sentence: format!("{what}: {why}{would}") }
     }
 
-    /// The motion that these columns depend on and that the record lacks, and the motion that would provide it.
+    /// Returns the motion that these columns depend on and the record lacks, and the motion that would provide it.
     fn lacks(&self, group: &[usize], slots: &[Slot], candidates: &[Candidate]) -> (Vec<String>, Vec<String>) {
         let (mut lacks, mut wants) = (Vec::new(), Vec::new());
         let (mut still, mut constant) = ([false; 3], [false; 3]);
@@ -140,7 +140,7 @@ impl Motions {
     }
 }
 
-/// "bias x, scale_factor (x, y) and misalignment z".
+/// Returns a text such as "bias x, scale_factor (x, y) and misalignment z".
 fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &[Estimate]) -> String {
     let mut effects: Vec<(String, Vec<&str>)> = Vec::new();
     for place in group {
@@ -162,7 +162,8 @@ fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &
     listed(&effects.iter().map(one).collect::<Vec<_>>())
 }
 
-/// On which axes of the triad's input and of the specific force a coefficient's column depends, asked of the effect itself.
+/// Returns the axes of the triad's input and of the specific force on which a coefficient's column depends, as the
+/// effect itself reports them.
 fn depends(candidate: Candidate, coefficient: usize) -> ([bool; 3], [bool; 3]) {
     let effect = candidate.make(&[]);
     let at = |input, accel_m_s2| effect.regress(Drive { input, accel_m_s2 }).get(coefficient).copied();
@@ -173,12 +174,12 @@ fn depends(candidate: Candidate, coefficient: usize) -> ([bool; 3], [bool; 3]) {
     (input, force)
 }
 
-/// "a, b and c".
+/// Returns a text such as "a, b and c".
 fn listed<S: AsRef<str>>(names: &[S]) -> String {
     joined(names, "and")
 }
 
-/// "a, b or c".
+/// Returns a text such as "a, b or c".
 fn either<S: AsRef<str>>(names: &[S]) -> String {
     joined(names, "or")
 }

@@ -13,13 +13,13 @@ use imu_model::simulator::response::{STAGES, stage};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Half the step of the derivative by a delay, in samples: small against the cubic between them.
+/// Half the step of the derivative by a delay, in samples: small on the scale of the cubic between them.
 const DELAY_STEP: f64 = 0.02;
 
 /// Half the step of the derivative by a stage's input, in parts of the largest: exact for squares.
 const SLOPE_STEP: f64 = 1e-4;
 const IDENTITY: [Axes; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-/// Samples that the cubic needs beyond the place it is taken at.
+/// Number of samples that the cubic needs beyond its place.
 const NODES_BEYOND: f64 = 2.0;
 
 /// The parameter that one column of the design belongs to.
@@ -27,9 +27,9 @@ const NODES_BEYOND: f64 = 2.0;
 pub(super) enum Slot {
     /// A coefficient of the candidate at this place.
     Coefficient(usize, usize),
-    /// How late the triad is: a latency or a clock's offset.
+    /// The delay of the triad: a latency or a clock's offset.
     Delay,
-    /// How much faster the triad falls behind.
+    /// The rate at which the triad falls behind.
     RateError,
     /// Bias per kelvin of an axis.
     Temperature(usize),
@@ -37,12 +37,12 @@ pub(super) enum Slot {
     Cutoff(usize),
 }
 
-/// Values of all that is fitted.
+/// Values of all fitted parameters.
 #[derive(Debug, Clone)]
 pub(super) struct State {
-    /// Per candidate.
+    /// Coefficients per candidate.
     pub(super) coefficients: Vec<Vec<f64>>,
-    /// In the middle of the record, s.
+    /// The delay in the middle of the record, s.
     pub(super) delay_s: f64,
     pub(super) rate_error: f64,
     pub(super) per_c: Axes,
@@ -60,7 +60,7 @@ impl State {
         }
     }
 
-    /// The state `share` of a step further.
+    /// Returns the state after `share` of a step.
     pub(super) fn stepped(&self, slots: &[Slot], step: &[f64], share: f64) -> Self {
         let mut to = self.clone();
         for (slot, step) in slots.iter().zip(step) {
@@ -77,7 +77,7 @@ impl State {
     }
 }
 
-/// A stage's additional output for a change of each axis of its input: the change's image, axis by axis.
+/// Returns a stage's additional output for a change of each axis of its input: the image of the change, axis by axis.
 fn slopes(effects: &[Arc<dyn TriadEffect>], drive: Drive, step: f64) -> [Axes; 3] {
     if effects.is_empty() {
         return IDENTITY;
@@ -93,7 +93,7 @@ fn slopes(effects: &[Arc<dyn TriadEffect>], drive: Drive, step: f64) -> [Axes; 3
     })
 }
 
-/// A change through stages that show these images of changes of single axes.
+/// Passes a change through stages that have these images of changes of single axes.
 fn carried(images: &[Axes; 3], change: Axes) -> Axes {
     std::array::from_fn(|shown| (0..3).map(|axis| images[axis][shown] * change[axis]).sum())
 }
@@ -106,17 +106,17 @@ pub(super) type Column = [Option<Vec<f64>>; 3];
 pub(super) struct Design<'a> {
     record: &'a Record<'a>,
     pub(super) filters: &'a Filters,
-    /// Effects that stay as they are.
+    /// Effects that stay unchanged.
     kept: Vec<Arc<dyn TriadEffect>>,
     level: Axes,
-    /// Those fitted by regression.
+    /// Effects that are fitted by regression.
     pub(super) candidates: Vec<Candidate>,
     pub(super) slots: Vec<Slot>,
     reference_c: f64,
 }
 
 impl<'a> Design<'a> {
-    /// The design and the state to start from: the known effects' values, 0 for the others.
+    /// Returns the design and the state to start from: the known values of known effects, 0 for others.
     pub(super) fn new(record: &'a Record<'a>, request: &Request<'a>) -> (Self, State) {
         let candidates: Vec<Candidate> = request.candidates.iter().copied().filter(|one| one.is_linear()).collect();
         let mut coefficients: Vec<Vec<f64>> = candidates.iter().map(|one| one.make(&[]).coefficients()).collect();
@@ -148,7 +148,7 @@ impl<'a> Design<'a> {
         let mut reference_c = 0.0;
         if let Some(temperature_c) = record.temperature_c {
             slots.extend((0..3).map(Slot::Temperature));
-            // About the mean, so that the bias is that of the record's own temperature.
+            // Relative to the mean, so that the bias is that at the record's own temperature.
             reference_c = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
         }
         slots.extend((0..3).filter(|axis| request.filters.open[*axis].is_some()).map(Slot::Cutoff));
@@ -157,7 +157,7 @@ impl<'a> Design<'a> {
         (Self { record, filters: request.filters, kept, level: request.level, candidates, slots, reference_c }, state)
     }
 
-    /// The triad's own input in a motion.
+    /// Returns the triad's own input for a motion.
     pub(super) fn input(&self, motion: &Motion) -> Axes {
         if self.record.triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 }
     }
@@ -173,13 +173,13 @@ impl<'a> Design<'a> {
         0.5 * self.record.reference.len().saturating_sub(1) as f64
     }
 
-    /// The samples whose motion lies within the reference.
+    /// Returns the range of samples whose motion lies within the reference.
     pub(super) fn reached(&self, state: &State) -> Range<usize> {
         let n = self.record.reference.len();
         let delay =
             |index: usize| state.delay_s * self.record.rate_hz + state.rate_error * (index as f64 - self.middle());
         let (first, last) = (delay(0), delay(n - 1));
-        // What is held at the ends for less than a sample or two is no motion lost.
+        // A hold of less than a sample or two at the ends does not lose motion.
         if first.abs().max(last.abs()) < NODES_BEYOND {
             return 0..n;
         }
@@ -189,7 +189,7 @@ impl<'a> Design<'a> {
         from..to.max(from)
     }
 
-    /// The known and the fitted effects of each memoryless stage.
+    /// Returns the known and the fitted effects of each memoryless stage.
     fn stages(&self, state: &State) -> [Vec<Arc<dyn TriadEffect>>; 3] {
         let fitted = self.candidates.iter().zip(&state.coefficients).map(|(one, values)| one.make(values));
         let all: Vec<Arc<dyn TriadEffect>> = self.kept.iter().cloned().chain(fitted).collect();
@@ -200,14 +200,14 @@ impl<'a> Design<'a> {
         TemperatureBias::linear(state.per_c[axis], self.reference_c)
     }
 
-    /// The mean output of the triad.
+    /// Returns the mean output of the triad.
     pub(super) fn response(&self, state: &State) -> [Vec<f64>; 3] {
         let mut axes = self.unfiltered(state);
         axes.iter_mut().enumerate().for_each(|(axis, values)| self.pass(state, axis, values));
         axes
     }
 
-    /// The input of the filters.
+    /// Returns the input of the filters.
     fn unfiltered(&self, state: &State) -> [Vec<f64>; 3] {
         let mut axes = self.answer(&self.stages(state), &self.moved(state, 0.0));
         for (axis, values) in axes.iter_mut().enumerate() {
@@ -229,7 +229,7 @@ impl<'a> Design<'a> {
         At { time_s: index as f64 / self.record.rate_hz, temperature_c: temperature_c.unwrap_or(self.reference_c) }
     }
 
-    /// The memoryless stages' output.
+    /// Returns the output of the memoryless stages.
     fn answer(&self, stages: &[Vec<Arc<dyn TriadEffect>>; 3], motions: &[Motion]) -> [Vec<f64>; 3] {
         let mut axes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(motions.len()));
         for motion in motions {
@@ -242,8 +242,8 @@ impl<'a> Design<'a> {
         axes
     }
 
-    /// The response's derivatives in the order of the slots: the effects' own at their stage, carried through the stages
-    /// after it.
+    /// Returns the response's derivatives in the order of the slots: those of the effects at their stage, carried
+    /// through the stages after it.
     pub(super) fn columns(&self, state: &State) -> Vec<Column> {
         let stages = self.stages(state);
         let fitted: Vec<Arc<dyn TriadEffect>> =
@@ -308,7 +308,7 @@ impl<'a> Design<'a> {
         columns
     }
 
-    /// Delay, rate error and temperature.
+    /// Returns the columns of delay, rate error and temperature.
     fn other_columns(&self, state: &State, stages: &[Vec<Arc<dyn TriadEffect>>; 3], columns: &mut [Column]) {
         let delayed = self.slots.iter().any(|slot| matches!(slot, Slot::Delay | Slot::RateError));
         let slope = delayed.then(|| {

@@ -1,52 +1,52 @@
-//! Why a response cannot be fitted.
+//! The reasons why a response cannot be fitted.
 
 use imu_core::sample::{Channel, Triad};
 use imu_model::effects::{EffectKind, Refusal};
 
-/// Why a record cannot be held against its reference.
+/// The reasons why a record cannot be compared with its reference.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ResponseError {
     /// No motion drives this triad.
     #[error("cannot hold {} against a motion: expected accel or gyro", found.name())]
     Triad {
-        /// The triad as it was given.
+        /// The given triad.
         found: Triad,
     },
     /// The rate is not a number above 0.
     #[error("the rate must be a finite number above 0, found {found} Hz")]
     Rate {
-        /// The rate as it was given.
+        /// The given rate.
         found: f64,
     },
     /// Two columns that belong together differ in length.
     #[error("{what}: expected {expected} samples, found {found}")]
     Length {
-        /// Which of them.
+        /// The column.
         what: &'static str,
-        /// The samples of the record's first column.
+        /// The number of samples of the record's first column.
         expected: usize,
-        /// How many there are.
+        /// The number of samples of this column.
         found: usize,
     },
     /// There are too few samples.
     #[error("a response needs {needed} samples or more, found {found}")]
     TooShort {
-        /// The least that is needed.
+        /// The minimum number of samples.
         needed: usize,
-        /// How many there are.
+        /// The number of samples.
         found: usize,
     },
     /// A value is not a finite number.
     #[error("{what}: expected finite numbers, found {found} at sample {index}")]
     NotFinite {
-        /// Which column.
+        /// The column.
         what: &'static str,
-        /// Where.
+        /// The place in the column.
         index: usize,
-        /// What stood there.
+        /// The value.
         found: f64,
     },
-    /// The noise of a channel has no density that its parameters alone give.
+    /// The noise of a channel has no density that follows from its parameters alone.
     #[error("{channel}: its effects have no spectral density; expected N, B, K and stationary effects")]
     NoDensity {
         /// The channel.
@@ -59,13 +59,13 @@ pub enum ResponseError {
         channel: Channel,
         /// The frequency, Hz.
         frequency_hz: f64,
-        /// The density there, U²/Hz.
+        /// The density at that frequency, U²/Hz.
         found: f64,
     },
-    /// An effect is asked for twice.
+    /// An effect is requested twice.
     #[error("`{effect}` is asked for twice; expected each effect once")]
     Twice {
-        /// Which.
+        /// The effect.
         effect: EffectKind,
     },
     /// A parameter or an effect that this triad cannot have.
@@ -76,9 +76,9 @@ pub enum ResponseError {
     LeftOut {
         /// The channel.
         channel: Channel,
-        /// The least that is needed.
+        /// The minimum number of samples.
         needed: usize,
-        /// How many there are.
+        /// The number of samples.
         found: usize,
     },
 }

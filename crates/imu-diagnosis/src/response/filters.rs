@@ -1,41 +1,41 @@
-//! Filters: the sensor's bandwidth, which a motion passes as the noise does.
+//! Filters: the sensor's bandwidth, which acts on motion and noise alike.
 //!
-//! Noise determines a low pass's cutoff to some accuracy and without its phase; a motion shows the low pass mostly as a delay. A
-//! latency beside a filter is known as well as noise and motion together determine it: the logarithm of the cutoff is fitted, and
-//! the noise's estimate enters as one more observation.
+//! Noise determines a low pass's cutoff to some accuracy and without its phase; a motion shows the low pass mostly as a
+//! delay. Noise and motion together determine a latency beside a filter: the logarithm of the cutoff is fitted, and the
+//! noise's estimate enters as one more observation.
 
 use crate::law::reach;
 use imu_model::effects::{Effect, EffectKind, LowPass, Stream, StreamId};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-/// The filters that each axis's motion passes, at the record's rate.
+/// The filters that the motion of each axis passes, at the record's rate.
 #[derive(Debug, Clone, Default)]
 pub struct Filters {
-    /// x, y and z, each in their order.
+    /// The filters of x, y and z, each in their order.
     pub of: [Vec<Arc<dyn Effect>>; 3],
-    /// Which of each axis's filters is a low pass whose cutoff is to be fitted, and the standard error of its logarithm.
+    /// For each axis, the index of the low pass whose cutoff is fitted, and the standard error of its logarithm.
     pub open: [Option<(usize, f64)>; 3],
 }
 
-/// Filters of no axis.
+/// No filters on any axis.
 pub static NO_FILTERS: Filters = Filters { of: [Vec::new(), Vec::new(), Vec::new()], open: [None; 3] };
 /// Half the step of the derivative by the logarithm.
 const STEP: f64 = 1e-3;
-/// The upper bound of a cutoff, in parts of the rate.
+/// The upper bound of a cutoff, as a part of the rate.
 const HIGHEST: f64 = 0.49;
-/// The least starting value of a supposed cutoff, in parts of the rate.
+/// The smallest starting value of a supposed cutoff, as a part of the rate.
 const LOWEST: f64 = 0.005;
 /// The starting value if there is no information.
 const UNTOLD: f64 = 0.1;
 /// Standard error of the logarithm of a cutoff without prior information.
 const WIDE_OPEN: f64 = 3.0;
-/// Times rate over cutoff, 2π of a filter's time constants, that it remembers.
+/// A filter's memory, in multiples of rate over cutoff, which is 2π of its time constants.
 const FORGETS: f64 = 3.0;
 
 impl Filters {
-    /// Lets values of an axis pass, in place; linear, and from what they begin with. `moved`: what is added to the logarithm of
-    /// the open cutoff.
+    /// Filters the values of an axis in place, linearly and beginning from their first value. `moved` is added to the
+    /// logarithm of the open cutoff.
     pub(crate) fn pass(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
         let length_s = values.len() as f64 / rate_hz;
         let open = self.open[axis].map(|(place, _)| place).filter(|_| moved != 0.0);
@@ -51,7 +51,7 @@ impl Filters {
         }
     }
 
-    /// The derivative of the output by the logarithm of the open cutoff, in the place of the input.
+    /// Replaces the input by the derivative of the output by the logarithm of the open cutoff.
     pub(super) fn slope(&self, axis: usize, moved: f64, rate_hz: f64, values: &mut [f64]) {
         let mut above = values.to_vec();
         self.pass(axis, moved + STEP, rate_hz, &mut above);
@@ -59,9 +59,9 @@ impl Filters {
         values.iter_mut().zip(above).for_each(|(value, above)| *value = (above - *value) / (2.0 * STEP));
     }
 
-    /// The same with a low pass of this order on every axis without one. Its cutoff is so weakly bounded that the motion alone
-    /// determines it. The cutoff starts at that of the triad's other axes, else at the value that would make this delay. None if
-    /// every axis has a low pass.
+    /// Returns the filters with a low pass of this order added to every axis without one. The prior of its cutoff is so
+    /// weak that the motion alone determines it. The cutoff starts at that of the triad's other axes, else at the value
+    /// that would cause this delay. `None` if every axis has a low pass.
     pub(crate) fn supposed(&self, order: u64, delay_s: Option<f64>, rate_hz: f64) -> Option<Self> {
         let own = |axis: usize| self.of[axis].iter().find_map(|filter| low_pass(filter.as_ref()));
         // The delay of a Butterworth filter of order n is 1/(2πf·sin(π/2n)).
@@ -80,8 +80,8 @@ impl Filters {
         Some(all)
     }
 
-    /// Samples after which the input before a record's first sample no longer shows: it falls by e to the −6π, slower behind the
-    /// sharper corners of higher orders.
+    /// Returns the number of samples after which the input before a record's first sample no longer shows. The input
+    /// decays by e to the −6π, more slowly behind the sharper corners of higher orders.
     pub(crate) fn memory(&self, rate_hz: f64) -> usize {
         let of = |filter: &dyn Effect| match low_pass(filter) {
             Some(own) => FORGETS * rate_hz / own.cutoff_hz / (PI / (2 * own.order) as f64).sin(),
@@ -90,7 +90,7 @@ impl Filters {
         self.of.iter().flatten().map(|filter| of(filter.as_ref())).fold(0.0, f64::max).ceil() as usize
     }
 
-    /// The prior knowledge of an axis's cutoff: the inverse variance of its logarithm.
+    /// Returns the prior information about an axis's cutoff: the inverse variance of its logarithm.
     pub(super) fn weight(&self, axis: usize) -> f64 {
         self.open[axis].map_or(0.0, |(_, error)| error.powi(-2))
     }
@@ -110,7 +110,8 @@ mod tests {
     use imu_core::sample::Triad;
     use imu_model::effects::MovingAverage;
 
-    /// A triad behind a low pass of `sent_hz`, fitted with one of `told_hz` whose logarithm is known to `error`.
+    /// Returns the fit of a triad behind a low pass of `sent_hz` with one of `told_hz` whose logarithm is known to
+    /// `error`.
     fn fitted(seed: u64, sent_hz: f64, told_hz: f64, error: f64) -> Fit {
         let case = Case::new(Triad::Gyro, rate_table(), &[]);
         let filters = |cutoff_hz| Filters {
@@ -182,7 +183,7 @@ mod tests {
         assert_eq!(passed(filters(10.0, None), 0, 0.1), plain);
         assert_eq!(passed(filters(10.0, Some(0.1)), 0, 0.1), other);
         assert!(plain != other);
-        // Only up to what the rate carries, and without a change if there is no filter.
+        // The cutoff moves only up to the limit of the rate. Without a filter, nothing changes.
         assert_eq!(passed(filters(10.0, Some(0.1)), 0, 9.0), passed(filters(49.0, None), 0, 0.0));
         assert_eq!(passed(filters(10.0, None), 1, 0.1), passed(filters(10.0, None), 2, 0.0));
     }

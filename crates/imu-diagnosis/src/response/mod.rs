@@ -1,26 +1,29 @@
-//! Response: effects of a triad fitted against a known reference motion. Pure.
+//! Response: effects of a triad, fitted against a known reference motion. Pure.
 //!
 //! In: a triad's samples at one rate, the motion at each of them, the noise's law, the parameters that the model knows already,
 //! and the effects to fit. Out: each effect with its parameters, their covariance and 95 % intervals, its gain in nats, the
 //! residual, and plain sentences about the parameters that this motion leaves open.
 //!
-//! **Method.** Generalised least squares. Samples, response and its derivatives pass the cosine transform and are divided by the
-//! square root of the noise's density there ([`noise_law`]). All three axes are fitted at once, since effects share parameters
-//! among them. Derivatives are the effects' own ([`imu_model::effects::TriadEffect::regress`]), and the response is the
-//! simulator's ([`imu_model::simulator::response`]). Gauss–Newton steps go on until they are below a thousandth of a standard
-//! error: products of effects are then as the simulator makes them. A latency is found starting from the largest
-//! cross-correlation. Clipped samples are found first and left out ([`clipping`]). Samples that the reference, shifted by a
-//! delay, does not reach are left out as well.
+//! **Method.** Generalised least squares. Samples, response and its derivatives pass the cosine transform and are
+//! divided by the square root of the noise's density there ([`noise_law`]). All three axes are fitted at once, since
+//! effects share parameters among them. Derivatives are the effects' own
+//! ([`imu_model::effects::TriadEffect::regress`]), and the response is the simulator's
+//! ([`imu_model::simulator::response`]). Gauss–Newton steps continue until they are below a thousandth of a standard
+//! error: products of effects then equal the simulator's. A latency is found starting from the largest
+//! cross-correlation. Clipped samples are found first and left out ([`clipping`]). Samples that the reference, shifted
+//! by a delay, does not reach are left out as well.
 //!
-//! **Limits of the method.** Singular values of the whitened design with columns of length 1 show which parameters the motion
-//! leaves open ([`confounding`]). If a direction is open, only the joint effect of its parameters is known; they share it and
-//! have no interval. One triad's latency and an offset of the reference's clock cannot be separated ([`clock`]). The sensor's
-//! bandwidth and boxcar act on the motion too; a reference has to have passed them, or they are found as latency.
+//! **Limits of the method.** Singular values of the whitened design with columns of length 1 show which parameters the
+//! motion leaves open ([`confounding`]). If a direction is open, only the joint effect of its parameters is known; they
+//! share it and have no interval. One triad's latency and an offset of the reference's clock cannot be separated
+//! ([`clock`]). The sensor's bandwidth and boxcar act on the motion too; a reference has to have passed them, or they
+//! are reported as latency.
 //!
 //! **Refused**: triads that no motion drives, columns of different lengths, fewer than [`SAMPLES_MIN`] samples, values that
 //! are not finite, densities that are not above 0.
 //!
-//! Validation: `round_trip.rs` simulates every effect under coloured noise and asks whether 95 % of intervals hold.
+//! Validation: `round_trip.rs` simulates every effect under coloured noise and tests whether 95 % of the intervals
+//! hold.
 
 #[cfg(test)]
 mod behaviour;
@@ -58,13 +61,14 @@ use solution::{Search, Solution};
 use std::sync::Arc;
 use whitening::Whitening;
 
-/// The least samples of a record: more than its parameters.
+/// The minimum number of samples in a record: more than its parameters.
 pub const SAMPLES_MIN: usize = 64;
-/// The normal distribution's 97.5 % point.
+/// The 97.5 % point of the normal distribution.
 pub(crate) const NORMAL_95: f64 = 1.959_963_984_540_054;
-/// How often the stretches to leave out are determined again from the fitted response.
+/// How often the excluded stretches are determined again from the fitted response.
 const CLIPPING_ROUNDS: usize = 4;
-/// Part of them that may still change: whether a response is five standard deviations from the limit or a little less.
+/// Part of the samples that may still change: whether a response is five standard deviations from the limit or a little
+/// less.
 const CLIPPING_SETTLED: f64 = 1e-3;
 
 /// A triad's record beside its reference.
@@ -72,27 +76,28 @@ const CLIPPING_SETTLED: f64 = 1e-3;
 pub struct Record<'a> {
     /// Samples per second.
     pub rate_hz: f64,
-    /// Accel or gyro.
+    /// Accelerometer or gyro.
     pub triad: Triad,
     /// x, y and z, U; without gaps, as many as there are motions.
     pub samples: [&'a [f64]; 3],
     /// The reference at each sample's time.
     pub reference: &'a [Motion],
-    /// Temperature at each sample, °C: where it is given, a bias per kelvin of each axis is fitted beside all else. Smoothed: a
-    /// rounded one makes its own errors.
+    /// Temperature at each sample, °C. If it is given, a bias per kelvin of each axis is fitted beside all else. It has
+    /// to be smoothed: a rounded temperature causes errors of its own.
     pub temperature_c: Option<&'a [f64]>,
-    /// Samples that are missing or no noise, and are left out of all axes; empty if none is. What stands there is a
-    /// finite number.
+    /// Whether each sample is missing or not noise; such samples are left out of all axes. Empty if there are none. The
+    /// values of these samples are finite numbers.
     pub left_out: &'a [bool],
-    /// The samples as they were sent, where a course was taken off those above: what the sensor cuts off is seen in these. Those
-    /// that are missing are no numbers here.
+    /// The samples as they were sent, if a course was subtracted from `samples`: only these show what the sensor cuts
+    /// off. Missing samples are not numbers here.
     pub sent: Option<[&'a [f64]; 3]>,
 }
 
 /// The known quantities and the effects to find.
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
-    /// Effects that the model has. One that is also a candidate is where its fit starts; others stay as they are.
+    /// Effects that the model has. The fit of an effect that is also a candidate starts from it; others stay as they
+    /// are.
     pub known: &'a [Arc<dyn TriadEffect>],
     /// The channels' own biases, U.
     pub level: Axes,
@@ -100,24 +105,24 @@ pub struct Request<'a> {
     pub candidates: &'a [Candidate],
     /// The reference's clock.
     pub clock: Clock,
-    /// The sensor's bandwidth: what each axis shows of a motion passes these. A delay is beside theirs.
+    /// The sensor's bandwidth: motion passes these filters on each axis. A fitted delay comes in addition to theirs.
     pub filters: &'a Filters,
 }
 
 /// A fitted parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// The effect: a temperature bias for what goes with the temperature, a low pass for a cutoff; none for the clock of the
-    /// reference.
+    /// The effect: a temperature bias for dependence on temperature, a low pass for a cutoff; none for the reference's
+    /// clock.
     pub effect: Option<EffectKind>,
-    /// `x`, `xy`, `m[0][2]`, `seconds`; `offset_s`, `rate_error`; `x per_c`; `x ln_cutoff`, what is added to
-    /// the logarithm of a cutoff.
+    /// `x`, `xy`, `m[0][2]`, `seconds`; `offset_s`, `rate_error`; `x per_c`; `x ln_cutoff`, the addition to the
+    /// logarithm of a cutoff.
     pub parameter: String,
-    /// In the parameter's unit.
+    /// The fitted value, in the parameter's unit.
     pub value: f64,
-    /// Before the fit.
+    /// The value before the fit.
     pub known: f64,
-    /// `None` if the motion leaves it open.
+    /// The standard error; `None` if the motion leaves the parameter open.
     pub standard_error: Option<f64>,
     /// Value ± 1.96 standard errors.
     pub ci95: Option<[f64; 2]>,
@@ -126,35 +131,36 @@ pub struct Estimate {
 /// A fitted effect.
 #[derive(Debug, Clone)]
 pub struct Fitted {
-    /// With the fitted parameters. A latency that came out below 0 is 0 here.
+    /// The effect with the fitted parameters. A latency that was fitted below 0 is 0 here.
     pub effect: Arc<dyn TriadEffect>,
-    /// The places of its parameters in [`Fit::estimates`]. None for a saturation, which is read off exactly.
+    /// The places of the effect's parameters in [`Fit::estimates`]. None for a saturation, which is read off exactly.
     pub places: std::ops::Range<usize>,
-    /// Log likelihood lost if its parameters went back to their known values and all others were fitted again, nats; to second
-    /// order. Parameters that the motion leaves open count as 0. The value is 0 for a saturation: an exact tie has no density.
+    /// Log likelihood lost if the effect's parameters returned to their known values and all others were fitted again,
+    /// nats, to second order. Parameters that the motion leaves open count as 0. The value is 0 for a saturation: an
+    /// exact tie has no density.
     pub gain_nats: f64,
 }
 
 /// The result of a fit.
 #[derive(Debug, Clone)]
 pub struct Fit {
-    /// The candidates in their order; a latency only if the reference's clock has no separate offset, a saturation only if there
-    /// is one.
+    /// The candidates in their order; a latency only if the reference's clock has no separate offset, a saturation only
+    /// if the samples show one.
     pub fitted: Vec<Fitted>,
-    /// Every parameter, then the clock's and the temperature's.
+    /// Every parameter, then those of the clock and the temperature.
     pub estimates: Vec<Estimate>,
-    /// Covariance of the estimates: rows and columns in their order, 0 for those left open.
+    /// Covariance of the estimates: rows and columns in their order, 0 for open parameters.
     pub covariance: Vec<Vec<f64>>,
-    /// Of the whitened design whose informative columns have length 1, the largest first: small ones are combinations of
-    /// parameters that the motion hardly shows.
+    /// Singular values of the whitened design whose informative columns have length 1, the largest first. Small ones
+    /// belong to combinations of parameters that the motion hardly shows.
     pub singular_values: Vec<f64>,
-    /// Log likelihood gained over what was known, nats; where samples were left out, the others' share of it.
+    /// Log likelihood gained over the known values, nats; if samples were left out, that of the others.
     pub gain_nats: f64,
     /// Mean square of the whitened residual per axis: 1 if the noise follows its law and no effect is missing.
     pub misfit: Axes,
     /// The triad's mean output with all fitted effects, U.
     pub response: [Vec<f64>; 3],
-    /// Samples less response, U; bridged where samples were left out.
+    /// Samples less response, U; bridged across samples that were left out.
     pub residual: [Vec<f64>; 3],
     /// The sensor's range, if the samples show it.
     pub clipping: Option<Clipping>,
@@ -188,7 +194,7 @@ pub fn fit(record: &Record<'_>, law: &NoiseLaw, request: &Request<'_>) -> Result
     })
 }
 
-/// The mean output of a triad with these effects in a motion, per axis, U.
+/// Returns the mean output of a triad with these effects in a motion, per axis, U.
 pub fn expected(
     triad: Triad,
     rate_hz: f64,

@@ -1,15 +1,17 @@
 //! The noise's law in the cosine transform: the weight of every coefficient of a record.
 //!
-//! From the second coefficient on, noise of spectrum S is uncorrelated there with variance rate·S(f_k) ([`Cosines`]). For flicker
-//! the lowest have less, by a share of 2/(π²k) (within 3 % of the integral over its spectrum). The first coefficient, the
-//! record's mean, determines a bias, and a spectrum does not determine the mean's variance:
+//! From the second coefficient on, noise of spectrum S is uncorrelated there with variance rate·S(f_k) ([`Cosines`]).
+//! For flicker, the lowest coefficients have less variance, by a share of 2/(π²k) (within 3 % of the integral over its
+//! spectrum). The first coefficient, the record's mean, determines a bias, and a spectrum does not determine the mean's
+//! variance:
 //!
 //! * White and other stationary noise of finite density at 0 gives it rate·S(0).
-//! * A random walk that starts at 0, as the simulator's does, gives it (n − 1)(2n − 1)/6 steps' variance, and it is
-//!   correlated with all others. That correlation is used: bias is then the level that the walk starts from, at the record's
-//!   first sample, and not the level halfway through it.
-//! * Flicker's mean wanders without bound the further down its spectrum goes. Here that ends at 1/32 of one over the record's
-//!   length, between the simulator's 1/16 and 1/64 ([`imu_model::effects::flicker`]): a variance of 1.13 B².
+//! * A random walk that starts at 0, as the simulator's does, gives it (n − 1)(2n − 1)/6 steps' variance, and
+//!   correlates it with all others. That correlation is used: bias is then the level from which the walk starts, at the
+//!   record's first sample, not the level halfway through it.
+//! * Flicker's mean wanders without bound the further down its spectrum goes. Here the spectrum ends at 1/32 of one
+//!   over the record's length, between the simulator's 1/16 and 1/64 ([`imu_model::effects::flicker`]): a variance of
+//!   1.13 B².
 //!
 //! [`Cosines`]: crate::transform::Cosines
 
@@ -20,14 +22,15 @@ use imu_model::effects::triad::Axes;
 use imu_model::simulator::{SensorModel, Spectrum};
 use std::f64::consts::{PI, SQRT_2};
 
-/// The frequency at which flicker's spectrum ends, and below which stationary noise is flat, times the record's length.
+/// The frequency, times the record's length, at which flicker's spectrum ends and below which stationary noise is flat.
 const LOWEST: f64 = 1.0 / 32.0;
 /// Euler's constant.
 const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
-/// Least share of the mean's variance that the other coefficients leave: a bound on rounding where there is no white noise.
+/// Minimum share of the mean's variance that the other coefficients leave: a bound on rounding if there is no white
+/// noise.
 const LEAST_SHARE: f64 = 1e-9;
 
-/// Noise of a triad's three axes over records of one length.
+/// Noise of a triad's three axes in records of one length.
 #[derive(Debug, Clone)]
 pub struct NoiseLaw {
     pub(super) axes: [AxisLaw; 3],
@@ -36,19 +39,19 @@ pub struct NoiseLaw {
 /// Noise of one axis.
 #[derive(Debug, Clone)]
 pub(super) struct AxisLaw {
-    /// √variance of each coefficient; of the first, given all others.
+    /// √variance of each coefficient; for the first, given all others.
     deviations: Vec<f64>,
-    /// The mean's regression on the other coefficients; empty if there is none. The first place is not used.
+    /// The mean's regression on the other coefficients; empty if there is none. The first place is unused.
     coupling: Vec<f64>,
 }
 
 impl NoiseLaw {
-    /// The law of `triad` in a sensor model, for records of `samples` samples at `rate_hz`: its N, B and K, its stationary
-    /// effects, its bandwidth and sampling. Lines (tones) are not part of it.
+    /// Returns the law of `triad` in a sensor model, for records of `samples` samples at `rate_hz`: its N, B and K, its
+    /// stationary effects, its bandwidth and sampling. Lines (tones) are not part of it.
     ///
     /// # Errors
-    /// [`ResponseError::NoDensity`] if a channel has noise that its parameters alone do not give a density, or is missing, and
-    /// those of [`NoiseLaw::new`].
+    /// [`ResponseError::NoDensity`] if a channel is missing or has noise whose density does not follow from its
+    /// parameters alone, and the errors of [`NoiseLaw::new`].
     pub fn of_model(model: &SensorModel, triad: Triad, rate_hz: f64, samples: usize) -> Result<Self, ResponseError> {
         let record = Record { rate_hz, samples: samples as u64 };
         // Without B and K the density has a value at 0.
@@ -73,12 +76,13 @@ impl NoiseLaw {
         Ok(Self { axes })
     }
 
-    /// The law of these two-sided densities (U²/Hz, all noise included) at rate·k/2n, k = 1 … n − 1, one list per axis, with the
-    /// quantities that the mean needs in addition: the stationary noise's density at 0 (U²/Hz, without B and K), B (U) and K
-    /// (U/√s).
+    /// Returns the law of these two-sided densities (U²/Hz, all noise included) at rate·k/2n, k = 1 … n − 1, one list
+    /// per axis, with the quantities that the mean needs in addition: the stationary noise's density at 0 (U²/Hz,
+    /// without B and K), B (U) and K (U/√s).
     ///
     /// # Errors
-    /// [`ResponseError::Density`] for one that is not above 0, [`ResponseError::Length`] if lists differ in length.
+    /// [`ResponseError::Density`] for a density that is not above 0, [`ResponseError::Length`] if lists differ in
+    /// length.
     pub fn new(
         triad: Triad,
         rate_hz: f64,
@@ -100,12 +104,12 @@ impl NoiseLaw {
         Ok(Self { axes })
     }
 
-    /// How many samples a record has.
+    /// Returns the number of samples in a record.
     pub fn samples(&self) -> usize {
         self.axes[0].deviations.len()
     }
 
-    /// Standard deviation of each axis's white noise in single samples, U.
+    /// Returns the standard deviation of each axis's white noise in single samples, U.
     pub fn sample_deviations(&self) -> Axes {
         self.axes.each_ref().map(AxisLaw::sample_deviation)
     }
@@ -129,7 +133,7 @@ impl AxisLaw {
         let n = samples as f64;
         let step = k * k / rate_hz;
         let walk = step * (n - 1.0) * (2.0 * n - 1.0) / 6.0;
-        // ∫ B²/(2πf)·sinc²(πfT) df on both sides down to the lowest frequency and level below, in coefficients (× n).
+        // ∫ B²/(2πf)·sinc²(πfT) df on both sides down to the lowest frequency, constant below, in coefficients (× n).
         let flicker = n * b * b / PI * (2.5 - EULER_GAMMA - (2.0 * PI * LOWEST).ln());
         let total = rate_hz * at_zero + walk + flicker;
         if !(total.is_finite() && total > 0.0) {
@@ -158,13 +162,13 @@ impl AxisLaw {
         Ok(Self { deviations, coupling })
     }
 
-    /// The deviation that white noise of the density at high frequencies has in single samples, U.
+    /// Returns the deviation in single samples of white noise with the density at high frequencies, U.
     pub(super) fn sample_deviation(&self) -> f64 {
         let upper = &self.deviations[self.deviations.len() / 2..];
         (upper.iter().map(|deviation| deviation * deviation).sum::<f64>() / upper.len().max(1) as f64).sqrt()
     }
 
-    /// Coefficients to uncorrelated ones of variance 1, in place.
+    /// Turns coefficients into uncorrelated ones of variance 1, in place.
     pub(super) fn whiten(&self, coefficients: &mut [f64]) {
         let explained: f64 = self.coupling.iter().zip(&*coefficients).map(|(slope, value)| slope * value).sum();
         coefficients[0] -= explained;
@@ -173,7 +177,7 @@ impl AxisLaw {
         }
     }
 
-    /// The transpose of [`AxisLaw::whiten`], in place.
+    /// Applies the transpose of [`AxisLaw::whiten`], in place.
     pub(super) fn whiten_transposed(&self, values: &mut [f64]) {
         for (value, deviation) in values.iter_mut().zip(&self.deviations) {
             *value /= deviation;
@@ -184,7 +188,7 @@ impl AxisLaw {
         }
     }
 
-    /// The inverse of [`AxisLaw::whiten_transposed`], in place.
+    /// Applies the inverse of [`AxisLaw::whiten_transposed`], in place.
     pub(super) fn colour_transposed(&self, values: &mut [f64]) {
         let mean = values[0];
         for (value, slope) in values.iter_mut().zip(&self.coupling) {
@@ -225,7 +229,7 @@ mod tests {
         values
     }
 
-    /// Mean square of the first whitened coefficient and of the next three, over 1500 records.
+    /// Returns the mean square of the first whitened coefficient and of the next three, over 1500 records.
     fn first_four(n: f64, b: f64, k: f64) -> [f64; 4] {
         let (samples, seeds) = (401, 1500);
         let law = NoiseLaw::of_model(&model(n, b, k), Triad::Gyro, 20.0, samples).unwrap();
@@ -244,7 +248,8 @@ mod tests {
 
     #[test]
     fn the_lowest_coefficients_of_simulated_noise_have_variance_one() {
-        // One standard error of a mean square over 1500 records is 3.7 %; flicker's mean is known to its lowest frequency only.
+        // One standard error of a mean square over 1500 records is 3.7 %; flicker's mean is only as exact as its lowest
+        // frequency.
         for (n, b, k, mean) in
             [(1.0, 0.0, 0.0, 0.15), (1.0, 0.0, 0.3, 0.15), (0.1, 0.0, 2.0, 0.15), (1.0, 1.0, 0.05, 0.35)]
         {

@@ -2,32 +2,32 @@
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-/// Share of the largest eigenvalue (of the design with columns of length 1) below which a direction is open: what remains of
-/// it is rounding.
+/// Share of the largest eigenvalue (of the design with columns of length 1) below which a direction is open: the rest
+/// is rounding.
 const OPEN: f64 = 1e-10;
-/// The standard error that carries no information, multiplied by this factor, beyond which a direction is open as well. Effects
+/// A direction is also open if its standard error exceeds the one that carries no information by this factor. Effects
 /// of first order would be larger than their input, and steps along the direction do not converge.
 const BEYOND: f64 = 10.0;
-/// Share below which a direction is hardly seen: standard errors grow thirtyfold by it.
+/// Share below which a direction hardly shows: it increases standard errors thirtyfold.
 const FAINT: f64 = 1e-3;
-/// Share of a column's length, against the longest of its effect, below which it is rounding.
+/// Minimum length of a column as a share of the longest column of its effect; shorter ones are rounding.
 const NOTHING: f64 = 1e-9;
 
 /// Normal equations with their eigenvalues.
 #[derive(Debug, Clone)]
 pub(super) struct Normal {
-    /// Of all slots; 0 if the column is not used.
+    /// Scales of all slots; 0 if the column is not used.
     scales: Vec<f64>,
     values: DVector<f64>,
     vectors: DMatrix<f64>,
     used: Vec<usize>,
-    /// Which directions are open.
+    /// Whether each direction is open.
     open: Vec<bool>,
 }
 
 impl Normal {
-    /// From XᵀX. `unseen`: the standard error from which on a column carries no information; `effects`: the effect that each
-    /// column belongs to.
+    /// Creates the equations from XᵀX. `unseen` is the standard error from which on a column carries no information;
+    /// `effects` is the effect of each column.
     pub(super) fn new(matrix: &DMatrix<f64>, unseen: &[f64], effects: &[usize]) -> Self {
         let lengths: Vec<f64> = (0..matrix.nrows()).map(|place| matrix[(place, place)].sqrt()).collect();
         let longest = |effect: usize| {
@@ -72,7 +72,7 @@ impl Normal {
         self.values[direction] / self.largest().max(f64::MIN_POSITIVE)
     }
 
-    /// The inverse of XᵀX where it has one, 0 in open directions: len = slots.
+    /// Returns the inverse of XᵀX, with 0 in open directions; its size is the number of slots.
     pub(super) fn inverse(&self) -> DMatrix<f64> {
         let slots = self.scales.len();
         let mut inverse = DMatrix::zeros(slots, slots);
@@ -88,31 +88,32 @@ impl Normal {
         inverse
     }
 
-    /// Singular values of the informative columns, each of length 1; the largest first.
+    /// Returns the singular values of the informative columns, each of length 1; the largest first.
     pub(super) fn singular_values(&self) -> Vec<f64> {
         let mut values: Vec<f64> = self.values.iter().map(|value| value.max(0.0).sqrt()).collect();
         values.sort_by(|one, other| other.total_cmp(one));
         values
     }
 
-    /// Columns without information.
+    /// Returns the columns without information.
     pub(super) fn unseen(&self) -> Vec<usize> {
         (0..self.scales.len()).filter(|place| self.scales[*place] <= 0.0).collect()
     }
 
-    /// Groups of columns among which a direction is open.
+    /// Returns groups of columns among which a direction is open.
     pub(super) fn open_groups(&self) -> Vec<Vec<usize>> {
         self.groups(|direction| self.open[direction])
     }
 
-    /// Groups of columns among which a direction is hardly seen.
+    /// Returns groups of columns among which a direction hardly shows.
     pub(super) fn faint_groups(&self) -> Vec<Vec<usize>> {
         self.groups(|direction| !self.open[direction] && self.share(direction) < FAINT)
     }
 
-    /// The projection on such directions splits into blocks for any basis of eigenvectors.
+    /// Returns the groups of columns of such directions. The projection on the directions splits into blocks for any
+    /// basis of eigenvectors.
     fn groups(&self, of: impl Fn(usize) -> bool) -> Vec<Vec<usize>> {
-        /// Part of a column in those directions, and of two columns together, that counts.
+        /// The part of a column in those directions, and of two columns together, that counts.
         const PART: f64 = 0.01;
         let directions: Vec<usize> = (0..self.used.len()).filter(|place| of(*place)).collect();
         let shared = |row: usize, column: usize| {
@@ -162,7 +163,7 @@ mod tests {
         assert!((largest - 2.0_f64.sqrt()).abs() < 1e-9, "{largest}");
         let inverse = normal.inverse();
         assert!((inverse[(5, 5)] * 1e-18 - 1.0).abs() < 1e-9);
-        // What both columns of a pair make together is known all the same.
+        // The joint effect of both columns of a pair is still known.
         let sum = inverse[(0, 0)] + 4.0 * inverse[(1, 1)] + 4.0 * inverse[(0, 1)];
         assert!((sum - 1.0).abs() < 1e-9);
         assert_eq!(Normal::new(&matrix, &[1e-3; 6], &[0; 6]).unseen(), [0, 1, 4, 5]);

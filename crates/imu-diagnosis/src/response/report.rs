@@ -8,7 +8,7 @@ use super::{Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, 
 use imu_model::effects::EffectKind;
 use nalgebra::{DMatrix, DVector};
 
-/// The complete report of a solution.
+/// Returns the complete report of a solution.
 pub(super) fn report(
     record: &Record<'_>,
     request: &Request<'_>,
@@ -34,7 +34,7 @@ pub(super) fn report(
         .enumerate()
         .map(|(place, slot)| {
             let (effect, parameter) = label(design, request, *slot);
-            // A clock's offset is beyond the latency that is known.
+            // A clock's offset comes in addition to the known latency.
             let own = *slot == Slot::Delay && request.clock.offset_unknown;
             let before = if own { 0.0 } else { known.value(*slot) };
             let value = solution.state.value(*slot) - if own { known.delay_s } else { 0.0 };
@@ -62,7 +62,7 @@ pub(super) fn report(
     Fit {
         fitted: fitted(request, design, &solution.state, &estimates, &rows, clipping),
         gain_nats: (0..3).map(gain).sum(),
-        // Behind a bridge almost no signal is left.
+        // A bridge leaves almost no signal.
         misfit: std::array::from_fn(|axis| squares(&solution.residual[axis]) / (n - left_out[axis] as f64)),
         residual: std::array::from_fn(|axis| {
             let pairs = record.samples[axis].iter().zip(&solution.response[axis]);
@@ -132,7 +132,7 @@ fn fitted(
     all
 }
 
-/// ½ (β − known)ᵀ C⁻¹ (β − known) over the parameters of these places that are not left open.
+/// Returns ½ (β − known)ᵀ C⁻¹ (β − known) over the parameters of these places that are not left open.
 fn loss(places: std::ops::Range<usize>, estimates: &[Estimate], covariance: &[Vec<f64>]) -> f64 {
     let seen: Vec<usize> = places.filter(|place| estimates[*place].standard_error.is_some_and(|e| e > 0.0)).collect();
     let errors: Vec<f64> = seen.iter().map(|place| covariance[*place][*place].sqrt()).collect();

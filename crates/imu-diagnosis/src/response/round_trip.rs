@@ -1,4 +1,4 @@
-//! Round trips: effects simulated by the simulator under coloured noise, fitted, and compared with what was put in.
+//! Round trips: effects simulated under coloured noise, fitted, and compared with the simulated values.
 
 use super::*;
 use imu_model::motion::{Course, Kind, Site};
@@ -7,7 +7,7 @@ use imu_model::simulator::{ChannelModel, SensorModel, Simulator, TriadModel};
 pub(super) const RATE_HZ: f64 = 20.0;
 const SEEDS: u64 = 60;
 
-/// A motion of this many samples.
+/// Returns a motion of this many samples.
 pub(super) fn motion(kind: Kind, samples: usize, rate_hz: f64) -> Vec<Motion> {
     let course = Course::new(kind, samples as f64 / rate_hz, Site::default()).unwrap();
     course.sampled(rate_hz).take(samples).collect()
@@ -21,7 +21,7 @@ pub(super) fn tumble() -> Vec<Motion> {
     motion(Kind::Tumble, 1575, RATE_HZ)
 }
 
-/// A sensor whose N, B and K all show in 100 s, with a separate size for each axis.
+/// Returns a sensor whose N, B and K all show in 100 s, with a separate size for each axis.
 pub(super) fn sensor(triad: Triad, effects: &[Arc<dyn TriadEffect>]) -> SensorModel {
     let unit = if triad == Triad::Gyro { 1.0 } else { 10.0 };
     let of = |axis: usize| {
@@ -97,7 +97,8 @@ impl Case {
     }
 }
 
-/// How often the intervals of the parameters hold, per parameter, over the seeds. The truth is that of `truth`, 0 for others.
+/// Returns how often the intervals of each parameter hold over the seeds. The true values are those of `truth`, 0 for
+/// others.
 fn coverage(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)], others: &[Candidate]) {
     let case = Case::new(triad, reference, truth);
     let candidates: Vec<Candidate> = truth.iter().map(|(of, _)| *of).chain(others.iter().copied()).collect();
@@ -186,7 +187,7 @@ fn intervals_of_latency_hold_with_other_effects_beside_it() {
 fn intervals_hold_where_samples_are_clipped() {
     let scale = (Candidate::ScaleFactor, vec![2e-3, -1e-3, 5e-4]);
     let bias = (Candidate::Bias, vec![1e-3, -2e-3, 5e-4]);
-    // Below the fastest stair; and just at one, where the noise decides which samples are clipped.
+    // Below the fastest stair, and exactly at one, at which the noise decides which samples are clipped.
     for range in [3.0, 1.7459] {
         let saturation = (Candidate::Saturation, vec![range]);
         coverage(Triad::Gyro, rate_table(), &[scale.clone(), bias.clone(), saturation], &[]);

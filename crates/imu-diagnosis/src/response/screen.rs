@@ -1,13 +1,15 @@
-//! Screening: every candidate fitted at once, as sums over blocks of time from which any subset's gain follows.
+//! Screening: fits every candidate at once, as sums over blocks of time from which the gain of any subset follows.
 //!
-//! Around the solution with all candidates the response is X·δ, δ the parameters less their known values, and the whitened
-//! samples less the known response are y = r + X·δ̂. A subset S of the columns then explains ½·gᵀA⁻¹g nats, A = X_Sᵀ·X_S and g =
-//! X_Sᵀ·y, for any values of the others. Of two subsets, the better one explains more for its price. The derivatives are those at
-//! the solution: products of effects that are present are right, and those of absent effects do not matter.
+//! Around the solution with all candidates, the response is X·δ, with δ the parameters less their known values; the
+//! whitened samples less the known response are y = r + X·δ̂. A subset S of the columns then explains ½·gᵀA⁻¹g nats for
+//! any values of the others, with A = X_Sᵀ·X_S and g = X_Sᵀ·y. Of two subsets, the better one explains more for its
+//! price. The derivatives are those at the solution: products of effects that are present are right, and those of
+//! absent effects do not matter.
 //!
-//! Whitened columns are transformed back into time, where they stay uncorrelated (the transform is orthonormal). Sums over blocks
-//! of time are then parts of the likelihood. What a subset's numbers from some blocks explain in others is gᵀβ − ½·βᵀ·A·β with g
-//! and A of those others: a prediction of data that were not used to choose the numbers.
+//! Whitened columns are transformed back into time, where they stay uncorrelated (the transform is orthonormal). Sums
+//! over blocks of time are then parts of the likelihood. The numbers of a subset from some blocks explain gᵀβ −
+//! ½·βᵀ·A·β in other blocks, with g and A of those others: a prediction of data that were not used to choose the
+//! numbers.
 
 use super::clipping::Bridges;
 use super::design::{Column, State};
@@ -17,31 +19,32 @@ use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use std::ops::Range;
 
-/// Share of the largest eigenvalue, of columns of length 1, below which a direction is rounding.
+/// Share of the largest eigenvalue, for columns of length 1, below which a direction is rounding.
 const OPEN: f64 = 1e-9;
 
-/// A column that is none of the library's effects: its values per axis, as long as the record; `None` if it is 0 throughout.
+/// A column that belongs to no effect of the library: its values per axis, as long as the record; `None` if it is 0
+/// throughout.
 pub type Extra = [Option<Vec<f64>>; 3];
 
-/// A whitened column in time, per axis; `None` if it is 0 throughout. There are many, and what rounding to 24 bits makes of the
-/// sums of their products is far below [`OPEN`].
+/// A whitened column in time, per axis; `None` if it is 0 throughout. There are many. The effect of rounding to 24 bits
+/// on the sums of their products is far below [`OPEN`].
 type Held = [Option<Vec<f32>>; 3];
 
 /// Sums over the blocks of a record.
 #[derive(Debug, Clone)]
 pub struct Screen {
-    /// The fit of all candidates, extra columns left out.
+    /// The fit of all candidates, without extra columns.
     pub fit: Fit,
-    /// How many columns the fit's parameters have; those behind them are the extra ones, in their order.
+    /// Number of columns of the fit's parameters; the extra columns follow in their order.
     pub own: usize,
-    /// Per column what it was before.
+    /// The previous value of each column's number.
     pub known: Vec<f64>,
     /// XᵀX and Xᵀy per block, in the order of time.
     pub blocks: Vec<(DMatrix<f64>, DVector<f64>)>,
-    /// Their sums, with what was known of open cutoffs beforehand.
+    /// The sums of the blocks, with the prior information about open cutoffs.
     pub total: (DMatrix<f64>, DVector<f64>),
-    /// What was known of each column's number beforehand: the inverse variance about 0, no block's and therefore every
-    /// one's in part.
+    /// The prior information about each column's number: the inverse variance about 0. It belongs to no single block,
+    /// and therefore to each one in part.
     beforehand: Vec<f64>,
     /// Whitened columns in time, per axis.
     columns: Vec<Held>,
@@ -74,7 +77,7 @@ pub fn screen(
             total.0 += matrix;
             total.1 += gradient;
         }
-        // What was known of a cutoff is one observation more, of no time.
+        // The prior of a cutoff is one more observation without a time.
         let known = search.known();
         let beforehand =
             (0..columns.len()).map(|place| if place < own { known[(place, place)] } else { 0.0 }).collect();
@@ -84,7 +87,7 @@ pub fn screen(
     })
 }
 
-/// Whitened columns and samples, back in time.
+/// Transforms whitened columns and samples back into time.
 fn in_time(
     search: &mut Search<'_, '_>,
     solution: Solution,
@@ -100,14 +103,14 @@ fn in_time(
             }
         }
     }
-    // A bridge carries the noise of the few samples at its ends over many samples. In time, where values are uncorrelated, the
-    // samples that are left out have no weight instead.
+    // A bridge carries the noise of the few samples at its ends over many samples. In time, values are uncorrelated, so
+    // that excluded samples get no weight instead.
     let stretches = search.whitening.bridges.each_ref().map(Bridges::stretches);
     let back = |search: &mut Search<'_, '_>, axis: usize, values: &mut Vec<f64>| {
         search.whitening.in_time(values);
         stretches[axis].iter().for_each(|stretch| values[stretch.clone()].fill(0.0));
     };
-    // One after the other: all of them as they are made beside all of them whitened would be twice the memory.
+    // One after the other: keeping all columns beside all whitened ones would need twice the memory.
     let mut all: Vec<Held> = Vec::new();
     for column in columns {
         all.push(held(column, |axis, values| back(search, axis, values)));
@@ -123,7 +126,7 @@ fn in_time(
     (all, samples)
 }
 
-/// A column after an operation on each of its axes.
+/// Returns a column after an operation on each of its axes.
 fn held(column: Column, mut done: impl FnMut(usize, &mut Vec<f64>)) -> Held {
     let mut axis = 0;
     column.map(|values| {
@@ -136,7 +139,7 @@ fn held(column: Column, mut done: impl FnMut(usize, &mut Vec<f64>)) -> Held {
     })
 }
 
-/// XᵀX and Xᵀy over a stretch of time.
+/// Returns XᵀX and Xᵀy over a stretch of time.
 fn sums(columns: &[Held], samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMatrix<f64>, DVector<f64>) {
     let mut matrix = DMatrix::zeros(columns.len(), columns.len());
     let mut gradient = DVector::zeros(columns.len());
@@ -163,17 +166,17 @@ fn sums(columns: &[Held], samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMa
 }
 
 impl Screen {
-    /// The estimates that the columns of the fit belong to.
+    /// Returns the estimates of the fit's columns.
     pub fn estimates(&self) -> &[Estimate] {
         &self.fit.estimates
     }
 
-    /// The joint gain of the columns, nats, and their numbers, less the known values.
+    /// Returns the joint gain of the columns, nats, and their numbers, less the known values.
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
     }
 
-    /// Forgets the values of columns that are not among these: their sums stay.
+    /// Drops the values of columns other than these and keeps their sums.
     pub fn keep(&mut self, columns: &[usize]) {
         for (place, column) in self.columns.iter_mut().enumerate() {
             if !columns.contains(&place) {
@@ -182,8 +185,8 @@ impl Screen {
         }
     }
 
-    /// The gain of the columns' numbers from all other folds in each block: held out, nats per block. Every `folds`th block is of
-    /// the same fold, so that each part of a motion is in all of them.
+    /// Returns the held-out gain in each block of the columns' numbers fitted to all other folds, nats. Every `folds`th
+    /// block is of the same fold, so that each part of a motion is in all of them.
     pub fn held_out(&self, columns: &[usize], folds: usize) -> Vec<f64> {
         let mut explained = vec![0.0; self.blocks.len()];
         for fold in 0..folds {
@@ -200,21 +203,21 @@ impl Screen {
         explained
     }
 
-    /// The gain of the columns with these numbers in each block, nats.
+    /// Returns the gain of the columns with these numbers in each block, nats.
     pub fn explained(&self, columns: &[usize], numbers: &[f64]) -> Vec<f64> {
         let strained = self.strained(columns, numbers);
         self.blocks.iter().map(|(own, more)| predicted(own, more, columns, numbers) - strained).collect()
     }
 
-    /// Nats per block that it costs to have these numbers otherwise than they were known beforehand.
+    /// Returns the nats per block lost because these numbers differ from their prior values.
     fn strained(&self, columns: &[usize], numbers: &[f64]) -> f64 {
         let all: f64 =
             columns.iter().zip(numbers).map(|(column, number)| self.beforehand[*column] * number * number).sum();
         0.5 * all / self.blocks.len().max(1) as f64
     }
 
-    /// Per axis and sample: half the square of what the columns with these numbers make of it, whitened. Its sum is the gap
-    /// that they are, nats; where it is large is where the gap lies.
+    /// Returns, per axis and sample, half the square of the whitened contribution of the columns with these numbers.
+    /// Its sum is the gap of the columns, nats; the gap lies where the values are large.
     pub fn course(&self, columns: &[usize], numbers: &[f64]) -> [Vec<f64>; 3] {
         std::array::from_fn(|axis| {
             let mut sum = vec![0.0; self.samples[axis].len()];
@@ -227,13 +230,13 @@ impl Screen {
         })
     }
 
-    /// The same per axis, summed: nats.
+    /// Returns the sums of [`Screen::course`] per axis, nats.
     pub fn by_axis(&self, columns: &[usize], numbers: &[f64]) -> Axes {
         self.course(columns, numbers).map(|values| values.into_iter().sum())
     }
 }
 
-/// gᵀβ − ½ βᵀAβ.
+/// Returns gᵀβ − ½ βᵀAβ.
 fn predicted(matrix: &DMatrix<f64>, gradient: &DVector<f64>, columns: &[usize], numbers: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (row, one) in columns.iter().zip(numbers) {
@@ -245,7 +248,7 @@ fn predicted(matrix: &DMatrix<f64>, gradient: &DVector<f64>, columns: &[usize], 
     sum
 }
 
-/// ½ gᵀA⁺g over these columns, and A⁺g; directions without information are 0.
+/// Returns ½ gᵀA⁺g over these columns, and A⁺g; directions without information are 0.
 fn solve(matrix: &DMatrix<f64>, gradient: &DVector<f64>, columns: &[usize]) -> (f64, Vec<f64>) {
     let lengths: Vec<f64> = columns.iter().map(|place| matrix[(*place, *place)].max(0.0).sqrt()).collect();
     let used: Vec<usize> = (0..columns.len()).filter(|place| lengths[*place] > 0.0).collect();
@@ -313,7 +316,7 @@ mod tests {
         let columns: Vec<usize> = (0..6).collect();
         let (gain, numbers) = found.gain(&columns);
         let alone = fit(&record, &case.law, &request(&all[..2])).unwrap();
-        // Products of effects of some thousandths are what they differ by.
+        // They differ by products of effects of some thousandths.
         assert!((gain / alone.gain_nats - 1.0).abs() < 4e-3, "{gain} {}", alone.gain_nats);
         for (number, estimate) in numbers.iter().zip(&alone.estimates) {
             assert!((number - estimate.value).abs() < 0.05 * estimate.standard_error.unwrap(), "{estimate:?}");
@@ -321,7 +324,7 @@ mod tests {
         let explained: f64 = found.explained(&columns, &numbers).iter().sum();
         assert!((explained / gain - 1.0).abs() < 1e-9);
         let held_out: f64 = found.held_out(&columns, 4).iter().sum();
-        // Six numbers from three quarters: they explain less by about p/2·(1 + 1/3), give or take a few nats.
+        // Six numbers from three quarters of the data explain less by about p/2·(1 + 1/3), give or take a few nats.
         assert!(held_out < gain && gain - held_out < 25.0, "{held_out} of {gain}");
         assert!((found.by_axis(&columns, &numbers).iter().sum::<f64>() / gain - 1.0).abs() < 1e-9);
         // A cube explains no more here than chance.

@@ -1,4 +1,4 @@
-//! The solution: Gauss–Newton steps from the known values until they are small against the standard errors.
+//! The solution: Gauss–Newton steps from the known values until the steps are small compared with the standard errors.
 
 use super::candidate::Candidate;
 use super::clipping::{Bridges, is_near};
@@ -10,20 +10,21 @@ use super::{Record, ResponseError, SAMPLES_MIN};
 use imu_model::effects::triad::{Axes, Latency};
 use nalgebra::{DMatrix, DVector};
 
-/// Steps after which the search is given up.
+/// Maximum number of steps in a search.
 const STEPS_MAX: usize = 30;
-/// Part of a step's squared length that the next one may keep; derivatives are computed again if it keeps more. The effect of old
-/// derivatives on the estimates is second order.
+/// Part of a step's squared length that the next step may have; derivatives are computed again if the next step is
+/// longer. The effect of old derivatives on the estimates is second order.
 const STALE: f64 = 0.01;
-/// Change of the delay, in samples, that asks for new derivatives in any case.
+/// Change of the delay, in samples, above which derivatives are always computed again.
 const STALE_DELAY: f64 = 0.05;
-/// Samples between two delays from which the same is reached.
+/// Two delays within this many samples lead to the same solution.
 const NEAR: f64 = 1.5;
-/// Squared length of a step in standard errors at which it is done.
+/// Squared length of a step, in standard errors, at which the search ends.
 const DONE: f64 = 1e-6;
-/// Squared length of a step that is taken without asking whether it leads down: derivatives a little old are off by more.
+/// Squared length of a step that is taken without checking whether it leads down: slightly old derivatives have a
+/// larger error.
 const TRUSTED: f64 = 1e-2;
-/// Halvings of a step that does not lead down.
+/// Maximum number of halvings of a step that does not lead down.
 const HALVINGS: u32 = 10;
 /// Standard error of a clock's rate above which a motion carries no information about it, s/s.
 const UNSEEN_RATE: f64 = 0.1;
@@ -33,7 +34,7 @@ const UNSEEN_RATE: f64 = 0.1;
 pub(super) struct Solution {
     pub(super) state: State,
     pub(super) response: [Vec<f64>; 3],
-    /// Whitened.
+    /// The whitened residual.
     pub(super) residual: [Vec<f64>; 3],
     pub(super) columns: Columns,
     pub(super) normal: Normal,
@@ -74,7 +75,7 @@ impl Search<'_, '_> {
         let deviations = self.whitening.sample_deviations();
         let bridges: [Bridges; 3] = std::array::from_fn(|axis| {
             let out = |(index, shown): (usize, &f64)| {
-                // A course that was taken off is on both again: the limit is that of what was sent.
+                // A course that was subtracted is added to both again: the limit applies to the sent values.
                 let sent = self.record.sent.map_or(*shown, |axes| axes[axis][index]);
                 let course = Some(sent - shown).filter(|course| course.is_finite()).unwrap_or(0.0);
                 let response = response.map(|axes| axes[axis][index] + course);
@@ -119,15 +120,15 @@ impl Search<'_, '_> {
         (columns, normal)
     }
 
-    /// The prior information, as a part of XᵀX: of open cutoffs alone, about 0.
+    /// Returns the prior information as a part of XᵀX: of open cutoffs alone, about 0.
     pub(super) fn known(&self) -> DMatrix<f64> {
         let weight = |slot: &Slot| if let Slot::Cutoff(axis) = *slot { self.design.filters.weight(axis) } else { 0.0 };
         let slots = &self.design.slots;
         DMatrix::from_diagonal(&DVector::from_iterator(slots.len(), slots.iter().map(weight)))
     }
 
-    /// The known state, or where a delay is fitted, one that is right to a sample: a delay that is long against the motion's
-    /// turns is out of reach of its derivative.
+    /// Returns the known state; if a delay is fitted, one that is right to a sample. The derivative does not reach a
+    /// delay that is long compared with the motion's turns.
     pub(super) fn start(&mut self, known: &State) -> State {
         let slots = self.design.slots.clone();
         if !slots.contains(&Slot::Delay) {
@@ -137,7 +138,7 @@ impl Search<'_, '_> {
         let n = self.record.reference.len();
         let input: Vec<Axes> = self.record.reference.iter().map(|motion| self.design.input(motion)).collect();
         let weights = self.whitening.sample_deviations().map(|deviation| deviation.powi(-2));
-        // A latency is bounded, and a clock's offset only by what is left of the record.
+        // A latency is bounded; a clock's offset is bounded only by the rest of the record.
         let most = if self.offset_unknown { n / 4 } else { (Latency::SECONDS_MAX * rate_hz) as usize };
         let over = |from: usize, to: usize| {
             let samples = self.record.samples.map(|axis| &axis[from..to]);
@@ -175,7 +176,7 @@ impl Search<'_, '_> {
         best.map_or_else(|| known.clone(), |(_, state)| state)
     }
 
-    /// Steps from `start` on.
+    /// Takes steps from `start` on.
     pub(super) fn run(&mut self, start: State) -> Solution {
         let slots = self.design.slots.clone();
         let known = self.known();
@@ -195,7 +196,7 @@ impl Search<'_, '_> {
             let mut step: DVector<f64> = normal.inverse() * &gradient;
             let slow = gradient.dot(&step) > (STALE * last).max(DONE);
             if slow || (state.delay_s - linear_at_s).abs() * self.record.rate_hz > STALE_DELAY {
-                // Both at once would be twice the memory.
+                // Keeping both would need twice the memory.
                 columns.clear();
                 (columns, normal) = self.linearised(&state);
                 linear_at_s = state.delay_s;

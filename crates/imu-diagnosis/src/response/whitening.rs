@@ -1,4 +1,4 @@
-//! Whitening: columns of a record to coefficients of variance 1, with what is clipped bridged.
+//! Whitening: turns columns of a record into coefficients of variance 1, and bridges clipped samples.
 
 use super::clipping::Bridges;
 use super::design::Column;
@@ -7,7 +7,7 @@ use crate::transform::Cosines;
 use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
 
-/// All operations that a record's columns pass before they are compared.
+/// All operations on a record's columns before they are compared.
 #[derive(Debug)]
 pub(super) struct Whitening<'a> {
     law: &'a NoiseLaw,
@@ -22,10 +22,10 @@ fn dot(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(one, other)| one * other).sum()
 }
 
-/// Samples whose products are summed at a time: two dozen columns of them stay in a processor's cache.
+/// Samples whose products are summed at a time: two dozen columns of them fit a processor's cache.
 const AT_A_TIME: usize = 1024;
 
-/// Σ over the axes of every two columns' product.
+/// Returns Σ over the axes of the products of every two columns.
 fn products(columns: &Columns) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(columns.len(), columns.len());
     for axis in 0..3 {
@@ -50,7 +50,7 @@ impl<'a> Whitening<'a> {
         Self { law, cosines: Cosines::new(law.samples()), bridges: Default::default() }
     }
 
-    /// Standard deviation of each axis's white noise in single samples.
+    /// Returns the standard deviation of each axis's white noise in single samples.
     pub(super) fn sample_deviations(&self) -> Axes {
         self.law.sample_deviations()
     }
@@ -61,7 +61,7 @@ impl<'a> Whitening<'a> {
         self.law.axes[axis].whiten(values);
     }
 
-    /// Whitened samples less response.
+    /// Returns the whitened samples less the response.
     pub(super) fn residual(&mut self, samples: [&[f64]; 3], response: &[Vec<f64>; 3]) -> [Vec<f64>; 3] {
         std::array::from_fn(|axis| {
             let pairs = samples[axis].iter().zip(&response[axis]);
@@ -82,18 +82,18 @@ impl<'a> Whitening<'a> {
         columns
     }
 
-    /// A whitened column back in time: as long as it was, each value at its place. Samples of noise are then uncorrelated, so
-    /// that sums over blocks of time are sums of the likelihood.
+    /// Transforms a whitened column back into time: it has its original length, with each value at its place. Samples
+    /// of noise are then uncorrelated, so that sums over blocks of time are sums of the likelihood.
     pub(super) fn in_time(&mut self, values: &mut [f64]) {
         self.cosines.backward(values);
     }
 
-    /// XᵀX of whitened columns.
+    /// Returns XᵀX of whitened columns.
     pub(super) fn matrix(columns: &Columns) -> DMatrix<f64> {
         products(columns)
     }
 
-    /// Xᵀr.
+    /// Returns Xᵀr.
     pub(super) fn gradient(columns: &Columns, residual: &[Vec<f64>; 3]) -> DVector<f64> {
         let along = |column: &Column| {
             let axes = column.iter().zip(residual);
@@ -102,7 +102,8 @@ impl<'a> Whitening<'a> {
         DVector::from_iterator(columns.len(), columns.iter().map(along))
     }
 
-    /// The covariance of Xᵀr under the law: XᵀX, but for bridges, behind which there is less noise than the weights assume.
+    /// Returns the covariance of Xᵀr under the law: XᵀX except for bridges, which have less noise than the weights
+    /// assume.
     pub(super) fn gradient_covariance(&mut self, columns: &Columns) -> DMatrix<f64> {
         let mut seen = columns.clone();
         for column in &mut seen {

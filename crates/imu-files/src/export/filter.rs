@@ -1,9 +1,9 @@
 //! Parameters of filters that take one white noise and one random walk of the bias for a triad of axes.
 //!
-//! All of them are written in one way. The number is that of the largest axis, and a comment has each axis. A walk or
-//! white noise that the record does not identify is written as its 95 % upper limit, with `<` in the comment: a filter
-//! whose bias cannot walk does not follow one that does. The formats differ in their conventions, which each [`Layout`]
-//! states with its source.
+//! All of them are written in the same way. The number is that of the largest axis, and a comment has each axis. A walk
+//! or white noise that the record does not identify is written as its 95 % upper limit, with `<` in the comment: a
+//! filter whose bias cannot walk does not follow one that does. The formats differ in their conventions, which each
+//! [`Layout`] states with its source.
 
 use super::form::{Entry, Form, Noise};
 use super::{ImuNoise, Known, largest};
@@ -19,11 +19,11 @@ pub(super) const INFLATED: &str = "These are the sensor's own at rest. Published
 /// The rate at which a program draws its noise.
 #[derive(Clone, Copy)]
 pub(super) enum Step {
-    /// No rate: it takes densities, N in U/√Hz and K in U/√s.
+    /// No rate: the program takes densities, N in U/√Hz and K in U/√s.
     Continuous,
     /// Once per sample: N√rate in U, and K√rate in U/s.
     Sample,
-    /// Once per step of the filter, of that many seconds.
+    /// Once per step of the filter, which takes this many seconds.
     Filter(f64),
 }
 
@@ -31,14 +31,14 @@ pub(super) enum Step {
 pub(super) struct Layout {
     /// The program's interpretation of the numbers and the code that reads them, as a comment.
     pub convention: &'static str,
-    /// That code.
+    /// The source of the convention.
     pub source: &'static str,
     pub step: Step,
-    /// Whether it takes squares.
+    /// Whether the program takes squares.
     pub squared: bool,
     /// The line above all keys, empty if there is none.
     pub head: &'static str,
-    /// The text before a key and behind it.
+    /// The text before and after a key.
     pub around: [&'static str; 2],
     /// The keys: accelerometer white and walk, gyroscope white and walk.
     pub keys: [[&'static str; 2]; 2],
@@ -177,7 +177,7 @@ pub(super) const ARDUPILOT: Layout = Layout {
     rate: None,
 };
 
-/// The numbers for a program with that layout.
+/// Returns the numbers for a program with that layout.
 pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
     let (factor, step) = match layout.step {
         Step::Continuous => (1.0, String::new()),
@@ -210,7 +210,7 @@ pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
     Form { takes, source: layout.source, each_axis: false, entries }
 }
 
-/// The text for a program with that layout.
+/// Returns the text for a program with that layout.
 pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
     text += &super::comment("# ", layout.convention);
@@ -240,12 +240,12 @@ pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
     text
 }
 
-/// The instrument of a triad.
+/// Returns the instrument of a triad.
 pub(super) fn sensor(triad: Triad) -> &'static str {
     if triad == Triad::Gyro { "gyroscope" } else { "accelerometer" }
 }
 
-/// The part of the text before a key that is only indentation.
+/// Returns the part of the text before a key that is only indentation.
 fn indent(before: &str) -> &str {
     if before.trim().is_empty() { before } else { "" }
 }

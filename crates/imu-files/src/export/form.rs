@@ -5,7 +5,7 @@ use super::{Axis, Known};
 use imu_core::sample::Triad;
 use serde::{Deserialize, Serialize};
 
-/// What a number is of.
+/// The kind of noise that a number describes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Noise {
@@ -19,7 +19,7 @@ impl Noise {
     /// Both kinds.
     pub const ALL: [Self; 2] = [Self::White, Self::Walk];
 
-    /// The name in words.
+    /// Returns the name in words.
     pub const fn words(self) -> &'static str {
         match self {
             Self::White => "white noise",
@@ -27,7 +27,7 @@ impl Noise {
         }
     }
 
-    /// N or K.
+    /// Returns N or K.
     pub(super) const fn of(self, axis: &Axis) -> Known {
         match self {
             Self::White => axis.n,
@@ -42,9 +42,9 @@ pub(super) struct Form {
     pub takes: String,
     /// The code or document that states it.
     pub source: &'static str,
-    /// Whether it has a number for each axis, as `takes` then states; else the largest stands for all three.
+    /// Whether there is a number for each axis, as `takes` then states; otherwise the largest stands for all three.
     pub each_axis: bool,
-    /// Its numbers.
+    /// The numbers.
     pub entries: Vec<Entry>,
 }
 
@@ -53,13 +53,13 @@ pub(super) struct Entry {
     pub key: &'static str,
     pub triad: Triad,
     pub noise: Noise,
-    /// In ASCII, as in files.
+    /// The unit in ASCII, as in files.
     pub unit: String,
     pub axes: [Known; 3],
 }
 
 impl Entry {
-    /// `x, y, z` in words.
+    /// Returns `x, y, z` in words.
     pub fn words(&self) -> String {
         super::each(self.axes)
     }

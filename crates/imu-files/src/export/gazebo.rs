@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 /// Correlation time that stands for a random walk, s: two hundred times five hours.
 const WALK_S: f64 = 3.6e6;
 
-/// Standard deviations at the sensor's rate, and those of the bias' steps, for each axis.
+/// Returns standard deviations at the sensor's rate, and those of the bias' steps, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     for (triad, axes, unit, factor) in [
@@ -26,7 +26,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
     ] {
         let Some(axes) = axes else { continue };
         let white = axes.map(|axis| axis.n.scaled(noise.rate_hz.sqrt() * factor));
-        // There is no place for the bias of an axis without white noise.
+        // The format has no place for the bias of an axis without white noise.
         let walk =
             axes.map(|axis| if axis.n == Known::Nothing { Known::Nothing } else { bias(&axis).0.scaled(factor) });
         for (key, noise, unit, axes) in [
@@ -40,7 +40,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
     Form { takes, source: "SDFormat specification, element noise", each_axis: true, entries }
 }
 
-/// The steps of the bias, U/√s, and its correlation time, s.
+/// Returns the steps of the bias, U/√s, and its correlation time, s.
 fn bias(axis: &Axis) -> (Known, f64) {
     axis.gauss_markov
         .map_or((axis.k.measured(), WALK_S), |(sigma, tc_s)| (Known::Value(sigma * (2.0 / tc_s).sqrt()), tc_s))

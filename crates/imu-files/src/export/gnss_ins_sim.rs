@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 /// rad/s to deg/hr.
 const DEG_HR: f64 = SECONDS_PER_HOUR / RAD_PER_DEG;
 
-/// Densities per root hour, and Gauss-Markov biases, for each axis.
+/// Returns densities per root hour, and Gauss-Markov biases, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     let mut add = |triad, noise, key, unit: &str, axes: [Known; 3]| {
@@ -38,7 +38,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
     Form { takes, source: "Aceinna/gnss-ins-sim, README, step 1.1", each_axis: true, entries }
 }
 
-/// The standard deviation of the bias and its correlation time, s: long enough to walk over the whole record.
+/// Returns the standard deviation of the bias and its correlation time, s: long enough to walk over the whole record.
 fn drift(axis: &Axis, noise: &ImuNoise) -> (Known, f64) {
     let walk_s = (10.0 * noise.duration_s).max(1.0);
     let walk = (axis.k.measured().scaled((walk_s / 2.0).sqrt()), walk_s);

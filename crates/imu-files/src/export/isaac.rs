@@ -10,7 +10,7 @@ use super::{ImuNoise, each, largest};
 use imu_core::sample::Triad;
 use std::fmt::Write as _;
 
-/// Standard deviations at the sensor's rate, one for three axes.
+/// Returns standard deviations at the sensor's rate, one for three axes.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     for (triad, key, unit, axes) in [

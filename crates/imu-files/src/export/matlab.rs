@@ -23,7 +23,7 @@ const PARTS: [(Triad, &str, &str, f64); 3] = [
 /// The temperature from which `imuSensor` counts, °C.
 const REFERENCE_C: f64 = 25.0;
 
-/// Densities of the measured quantities, for each axis.
+/// Returns densities of the measured quantities, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut entries = Vec::new();
     for ((triad, _, unit, factor), axes) in PARTS.into_iter().zip([&noise.accel, &noise.gyro, &noise.mag]) {

@@ -76,22 +76,22 @@ impl Target {
     /// All targets.
     pub const ALL: [Self; 14] = variants();
 
-    /// The name on the command line and in queries.
+    /// Returns the name on the command line and in queries.
     pub fn name(self) -> &'static str {
         self.into()
     }
 
-    /// A short description of the text that it writes.
+    /// Returns a short description of the text that it writes.
     pub fn about(self) -> &'static str {
         self.get_documentation().unwrap_or_default()
     }
 
-    /// The target with that name.
+    /// Returns the target with that name.
     pub fn from_name(name: &str) -> Option<Self> {
         name.parse().ok()
     }
 
-    /// Media type of its text.
+    /// Returns the media type of the text.
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Gazebo => "application/xml",
@@ -102,7 +102,7 @@ impl Target {
         }
     }
 
-    /// Whether its text has numbers of a channel.
+    /// Returns whether its text has numbers of a channel.
     pub fn holds(self, channel: Channel) -> bool {
         match channel.triad() {
             Some(Triad::Gyro | Triad::Accel) => true,
@@ -111,18 +111,18 @@ impl Target {
         }
     }
 
-    /// The reason why the parameters of a report should not be written: the channels that the text would contain and
-    /// that are not usable, with their reasons. `None` if all of them are usable.
+    /// Returns the reason why the parameters of a report should not be written: the channels that the text would
+    /// contain and that are not usable, with their reasons. `None` if all of them are usable.
     pub fn refusal(self, report: &NoiseReport) -> Option<String> {
         report.refusal(|channel| self.holds(channel))
     }
 
-    /// The text of a report's parameters; a comment names those that are not usable.
+    /// Returns the text of a report's parameters; a comment names those that are not usable.
     pub fn write_report(self, report: &NoiseReport) -> String {
         self.write(&ImuNoise { caution: self.refusal(report), ..ImuNoise::of(report) })
     }
 
-    /// The text with the parameters.
+    /// Returns the text with the parameters.
     pub fn write(self, noise: &ImuNoise) -> String {
         match self {
             Self::Kalibr => kalibr::write(noise),
@@ -142,7 +142,7 @@ impl Target {
         }
     }
 
-    /// The numbers in the program's convention.
+    /// Returns the numbers in the program's convention.
     fn form(self, noise: &ImuNoise) -> Form {
         match self {
             Self::Kalibr => filter::form(noise, &kalibr::LAYOUT),
@@ -163,14 +163,14 @@ impl Target {
     }
 }
 
-/// The knowledge of one parameter.
+/// A parameter: measured, only bounded, or unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Known {
-    /// Measured.
+    /// The measured value.
     Value(f64),
-    /// Not supported by the data, but below this with 95 % confidence.
+    /// The data does not support a value, but with 95 % confidence it is below this.
     Below(f64),
-    /// Not known.
+    /// The parameter is unknown.
     Nothing,
 }
 
@@ -183,12 +183,12 @@ impl Known {
         }
     }
 
-    /// The measured value, without a limit.
+    /// Returns the parameter if it is measured, else `Nothing`.
     fn measured(self) -> Self {
         if let Self::Value(_) = self { self } else { Self::Nothing }
     }
 
-    /// A number that is not too small: the value, else the limit.
+    /// Returns a number that is not too small: the value, else the limit.
     fn bound(self) -> Option<f64> {
         match self {
             Self::Value(value) | Self::Below(value) => Some(value),
@@ -258,7 +258,7 @@ enum Part {
 }
 
 impl Axis {
-    /// An axis of which nothing is known.
+    /// An axis without any known parameter.
     pub const UNKNOWN: Self = Self {
         n: Known::Nothing,
         b: Known::Nothing,
@@ -299,7 +299,7 @@ pub struct ImuNoise {
 }
 
 impl ImuNoise {
-    /// The parameters of a report, without a statement whether they may be used ([`Target::write_report`]).
+    /// Returns the parameters of a report, without a statement whether they may be used ([`Target::write_report`]).
     fn of(report: &NoiseReport) -> Self {
         let axes = |triad: Triad| {
             let known = |channel: Channel| report.channels.get(&channel);
@@ -324,7 +324,7 @@ impl ImuNoise {
         }
     }
 
-    /// The parameters of a sensor model. Of an axis' effects one Gauss–Markov process, `resolution` and
+    /// Returns the parameters of a sensor model. Of an axis' effects one Gauss–Markov process, `resolution` and
     /// `temperature_bias` are used. Of a triad's effects its bias, its range, and the diagonal of `g_sensitivity` are
     /// used, the latter if there is nothing beside it. All others are reported as omitted. A magnetometer's level is
     /// the local field, not a bias.
@@ -412,7 +412,7 @@ impl ImuNoise {
         Self { origin, caution, behind, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
     }
 
-    /// The channels behind filters, as the end of a sentence; empty if there are none.
+    /// Returns the channels behind filters, as the end of a sentence; empty if there are none.
     fn filters(&self) -> String {
         let mut filters: Vec<(&str, Vec<&str>)> = Vec::new();
         for (channel, words) in &self.behind {
@@ -424,8 +424,8 @@ impl ImuNoise {
         filters.iter().map(|(words, whose)| format!("; {} behind {words}", whose.join(" "))).collect()
     }
 
-    /// The meaning of a number at the sensor's rate: the noise of one sample, unless a filter in front of it makes that
-    /// smaller.
+    /// Returns the meaning of a number at the sensor's rate: the noise of one sample, unless a filter in front of it
+    /// makes that smaller.
     fn of_one_sample(&self, of: &[Triad]) -> String {
         if self.behind.keys().any(|channel| channel.triad().is_some_and(|triad| of.contains(&triad))) {
             format!(
@@ -437,7 +437,7 @@ impl ImuNoise {
         }
     }
 
-    /// The origin, and the parts of it that a target which holds these parts omits.
+    /// Returns the origin, and the parts of it that a target which holds these parts omits.
     fn origin_for(&self, held: &[Part]) -> String {
         let mut left: Vec<(&str, Vec<&str>)> = Vec::new();
         let mut leave = |name, whose| match left.iter_mut().find(|(other, _)| *other == name) {
@@ -479,7 +479,7 @@ fn first<T>(place: &mut Option<T>, found: Option<T>) -> bool {
     fits
 }
 
-/// Whether an effect of a triad can be expressed axis by axis; if so, it is stored.
+/// Returns whether an effect of a triad can be expressed axis by axis; if so, it is stored.
 fn of_triad(axes: &mut [Axis; 3], name: &str, parameters: &[(&'static str, Value)]) -> bool {
     let of = |key: &str| parameters.iter().find(|(name, _)| *name == key).map(|(_, value)| value);
     let number = |key: &str| of(key).and_then(Value::as_f64);
@@ -511,7 +511,7 @@ fn of_triad(axes: &mut [Axis; 3], name: &str, parameters: &[(&'static str, Value
     }
 }
 
-/// A comment in lines of at most a hundred characters, each after `mark`.
+/// Returns a comment in lines of at most a hundred characters, each after `mark`.
 fn comment(mark: &str, text: &str) -> String {
     const WIDTH: usize = 100;
     let (mut lines, mut line) = (String::new(), String::new());
@@ -526,22 +526,22 @@ fn comment(mark: &str, text: &str) -> String {
     lines + mark + &line + "\n"
 }
 
-/// A rate or a time in words, to the thousandth.
+/// Returns a rate or a time in words, to the thousandth.
 fn short(value: f64) -> f64 {
     (value * 1e3).round() / 1e3
 }
 
-/// A name goes into comments: it must not end them.
+/// Returns a name that does not end a comment.
 fn harmless(name: &str) -> String {
     name.chars().map(|c| if c.is_control() || "<>-\"'".contains(c) { '_' } else { c }).collect()
 }
 
-/// `x, y, z` of a parameter in words.
+/// Returns `x, y, z` of a parameter in words.
 fn each(axes: [Known; 3]) -> String {
     axes.map(Known::words).join(", ")
 }
 
-/// The addition to a comment if a number is a limit; empty if all are measured.
+/// Returns the addition to a comment if a number is a limit; empty if all are measured.
 fn limits(axes: [Known; 3]) -> String {
     let limited = ["x", "y", "z"].into_iter().zip(axes).filter(|(_, known)| matches!(known, Known::Below(_)));
     let letters: Vec<&str> = limited.map(|(letter, _)| letter).collect();
@@ -551,7 +551,7 @@ fn limits(axes: [Known; 3]) -> String {
     format!("; {}: not identified, from the 95 % upper limit", letters.join(", "))
 }
 
-/// The largest of the axes, limits included.
+/// Returns the largest of the axes, limits included.
 fn largest(axes: [Known; 3]) -> Known {
     let larger = |one: Known, other: Known| if other.bound() > one.bound() { other } else { one };
     axes.into_iter().fold(Known::Nothing, larger)

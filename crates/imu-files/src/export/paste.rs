@@ -1,4 +1,4 @@
-//! The numbers to paste and their places: the input of each program, in its own convention, beside the parameters
+//! The numbers to paste and their places: the input of each program, in its own convention, next to the parameters
 //! themselves.
 
 use super::form::{Entry, Form, Noise};
@@ -7,13 +7,13 @@ use imu_core::sample::{Channel, Triad};
 use imu_noise::NoiseReport;
 use serde::{Deserialize, Serialize};
 
-/// `vn100d-noise-1` as it is answered: the parameters, and what each program takes of them.
+/// `vn100d-noise-1` as returned: the parameters, and the numbers for each program.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct NoiseDocument {
     /// The parameters.
     #[serde(flatten)]
     pub report: NoiseReport,
-    /// Which number to paste where.
+    /// The number to paste for each program.
     pub paste: Paste,
 }
 
@@ -23,25 +23,25 @@ impl From<NoiseReport> for NoiseDocument {
     }
 }
 
-/// Which number to paste where.
+/// The number to paste for each program.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Paste {
-    /// Why published values are larger than these.
+    /// The reason why published values are larger than these.
     pub note: String,
-    /// The programs that take something of this record.
+    /// The programs that take numbers of this record.
     pub programs: Vec<Program>,
 }
 
-/// What one program takes.
+/// The numbers for one program.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Program {
-    /// Its name on the command line and in queries: `--format` and `?format=` write its file.
+    /// The name on the command line and in queries: `--format` and `?format=` write the file.
     pub format: String,
-    /// The file.
+    /// The program's file.
     pub program: String,
-    /// What it takes its numbers for.
+    /// The program's interpretation of its numbers.
     pub takes: String,
-    /// The code or document that says so.
+    /// The code or document that states this.
     pub source: String,
     /// The numbers.
     pub values: Vec<Number>,
@@ -50,19 +50,19 @@ pub struct Program {
 /// A number that a program takes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Number {
-    /// The program's name for it.
+    /// The program's name for the number.
     pub name: String,
-    /// The channel, or the triad where one number stands for three axes: that of the largest.
+    /// The channel, or the triad if one number stands for three axes: that of the largest.
     pub of: String,
-    /// What it is of.
+    /// The kind of noise.
     pub noise: Noise,
-    /// Null where it is not known, where a simulator gets nothing that was not measured, and where a channel is not usable.
+    /// The number; null if it is not known, if a simulator gets only measured values, or if a channel is not usable.
     pub value: Option<f64>,
-    /// Its unit.
+    /// The unit.
     pub unit: String,
     /// Whether it is a 95 % upper limit, because the record does not identify it.
     pub limit: bool,
-    /// Why there is no number: the channels that are not usable.
+    /// The reason why there is no number: the channels that are not usable.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
@@ -77,7 +77,7 @@ impl Paste {
     /// The entry of the table for a channel that is not usable.
     pub const UNUSABLE: &str = "not usable";
 
-    /// The summary of a report.
+    /// Returns the summary of a report.
     pub fn of(report: &NoiseReport) -> Self {
         let noise = ImuNoise::of(report);
         let programs = Target::ALL.into_iter().map(|target| Program::of(target, &noise, report));
@@ -87,8 +87,8 @@ impl Paste {
         }
     }
 
-    /// The header of a table for the user, and its rows: a program's name, its input, and white noise and walk of
-    /// gyroscope and accelerometer, the largest of the axes. There are no rows if the record has neither.
+    /// Returns the header of a table for the user, and its rows: a program's name, its input, and white noise and walk
+    /// of gyroscope and accelerometer, the largest of the axes. There are no rows if the record has neither.
     pub fn table(&self, number: impl Fn(f64) -> String) -> (Vec<&'static str>, Vec<Vec<String>>) {
         let there =
             |triad: Triad| self.programs.iter().flat_map(|program| &program.values).any(|number| number.is_of(triad));
@@ -167,7 +167,7 @@ fn refusal(report: &NoiseReport, channels: &[Channel]) -> Option<String> {
     report.refusal(|channel| channels.contains(&channel))
 }
 
-/// A unit in the form for documents.
+/// Returns a unit in the form for documents.
 fn for_people(ascii: &str) -> String {
     const SIGNS: [(&str, &str); 7] = [
         ("sqrt(Hz)", "√Hz"),

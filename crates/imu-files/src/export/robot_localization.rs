@@ -9,7 +9,7 @@ use super::form::Form;
 use super::{ImuNoise, filter, ros};
 use imu_core::sample::Triad;
 
-/// Variances at the sensor's rate, for each axis.
+/// Returns variances at the sensor's rate, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     ros::inertial(noise, "cra-ros-pkg/robot_localization, src/ros_filter.cpp")
 }

@@ -10,7 +10,7 @@ use imu_core::sample::Triad;
 use imu_core::units::TESLA_PER_GAUSS;
 use std::fmt::Write as _;
 
-/// Variances at the sensor's rate, for each axis.
+/// Returns variances at the sensor's rate, for each axis.
 pub(super) fn form(noise: &ImuNoise) -> Form {
     let mut form = inertial(noise, "ROS REP 145; sensor_msgs/Imu, sensor_msgs/MagneticField");
     if let Some(mag) = &noise.mag {
@@ -20,7 +20,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
     form
 }
 
-/// Those of `sensor_msgs/Imu`.
+/// Returns the covariances of `sensor_msgs/Imu`.
 pub(super) fn inertial(noise: &ImuNoise, source: &'static str) -> Form {
     let of = |triad, key, unit, axes: &Option<[Axis; 3]>| {
         axes.as_ref().map(|axes| covariance(triad, key, unit, axes, noise.rate_hz))
@@ -35,7 +35,7 @@ pub(super) fn inertial(noise: &ImuNoise, source: &'static str) -> Form {
     }
 }
 
-/// The covariance of all three axes, or none.
+/// Returns the covariance of all three axes, or none.
 fn covariance(triad: Triad, key: &'static str, unit: &str, axes: &[Axis; 3], factor: f64) -> Entry {
     let axes = axes.map(|axis| axis.n.map(|n| n * n * factor));
     let axes = if axes.contains(&Known::Nothing) { [Known::Nothing; 3] } else { axes };
@@ -60,7 +60,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
     text
 }
 
-/// The covariances, row by row.
+/// Writes the covariances, row by row.
 pub(super) fn matrices(text: &mut String, form: Form) {
     for Entry { key, unit, axes, .. } in form.entries {
         // Writing to a text cannot fail.

@@ -105,7 +105,7 @@ fn every_target_is_found_by_its_name_and_survives_knowing_nothing() {
     assert_eq!(Target::from_name("json"), None);
 }
 
-/// The first word that is a float and no number.
+/// Returns the first word that is a float but not a finite number.
 fn no_number(text: &str) -> Option<&str> {
     let mut words = text.split(|c: char| !c.is_ascii_alphanumeric());
     words.find(|word| ["nan", "inf", "infinity"].iter().any(|name| word.eq_ignore_ascii_case(name)))
@@ -249,7 +249,7 @@ fn what_is_no_noise_goes_where_a_target_has_a_place_for_it() {
     }
 }
 
-/// A report of gyroscope x alone, white noise of 4000 samples.
+/// Returns a report of gyroscope x alone, white noise of 4000 samples.
 fn report() -> NoiseReport {
     use imu_noise::robust::{All, Part, spectral_sums};
     let values = (0..4000u64).map(|i| (i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40) as f64 * 1e-10).collect();
@@ -262,7 +262,7 @@ fn report() -> NoiseReport {
     .unwrap()
 }
 
-/// The same with that of all axes, a walk that only z has, and a limit for the others.
+/// Returns a report with all axes, a walk that only z has, and a limit for the others.
 fn of_six_axes() -> NoiseReport {
     use imu_noise::fit::{Estimate, Term};
     let mut report = report();
@@ -292,7 +292,7 @@ fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
         // Covariances are of all three axes or not given.
         assert!(text.find("e-").is_none_or(|number| caution < number), "{text}");
     }
-    // A magnetometer that is not usable is no reason to withhold what has no magnetometer.
+    // An unusable magnetometer is no reason to withhold formats without a magnetometer.
     let gyro = report.channels.get_mut(&Channel::GyroX).unwrap();
     let mag = gyro.clone();
     gyro.usable = true;
@@ -408,7 +408,7 @@ fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
         assert!(!text.contains("of one sample") || target == Target::GnssInsSim, "{target:?}: {text}");
         assert_eq!(text.contains("keeps the density, which is what integrates"), at_rate.contains(&target), "{text}");
     }
-    // A sensor model's filter as well.
+    // The filter of a sensor model is named too.
     let model = imu_model::simulator::SensorModel::from_json(
         r#"{"format":"vn100d-sensor-model-1","name":"m","rate_hz":40,
             "channels":{"gyro_x":{"N":1e-4,"effects":[{"effect":"moving_average","window":4}]}, "gyro_y":{"N":1e-4}, "gyro_z":{"N":1e-4}}}"#,
@@ -419,7 +419,7 @@ fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
     assert!(text.contains("gyro_x behind a moving average") && !text.contains("of one sample"), "{text}");
 }
 
-/// A report does not know its sensor: no text names one.
+/// A report has no information about its sensor: no text names one.
 #[test]
 fn no_text_names_a_sensor_that_nobody_named() {
     for target in Target::ALL {

@@ -3,7 +3,7 @@
 //!
 //! With stamps the grid determines how many samples are missing before each one ([`super::grid`]). A rejected line with
 //! a stamp takes the grid point nearest to it, with the cause `checksum` if its checksum failed. A hole beside a
-//! rejected line thus stays a separate gap, caused by the source. Without stamps only what was rejected is known to be
+//! rejected line thus stays a separate gap, caused by the source. Without stamps only rejected samples are known to be
 //! missing. Each rejected line that stands for a sample is one missing sample, not exact, since a spliced line may hold
 //! parts of several.
 //!
@@ -43,7 +43,7 @@ pub struct RecordingAccountant {
 }
 
 impl RecordingAccountant {
-    /// An accountant of a recording of which nothing has been read yet.
+    /// Creates an accountant of a recording of which nothing has been read yet.
     pub fn new(info: &RecordingInfo) -> Self {
         Self {
             rate_hz: info.rate_hz,
@@ -56,19 +56,19 @@ impl RecordingAccountant {
         }
     }
 
-    /// Samples so far.
+    /// Returns the number of samples so far.
     pub fn received(&self) -> u64 {
         self.received
     }
-    /// Missing samples so far.
+    /// Returns the number of missing samples so far.
     pub fn missing(&self) -> u64 {
         self.missing
     }
-    /// Gaps so far.
+    /// Returns the number of gaps so far.
     pub fn gaps(&self) -> u64 {
         self.gaps
     }
-    /// UTC of the last sample, ns; of the start if there is no sample yet.
+    /// Returns UTC of the last sample, ns; of the start if there is no sample yet.
     pub fn last_utc_ns(&self) -> i64 {
         self.last.map_or(self.started_utc_ns, |(_, utc_ns)| utc_ns)
     }
@@ -138,8 +138,8 @@ impl RecordingAccountant {
         self.received += 1;
     }
 
-    /// The gaps between the sample before, with this device time and UTC, and this one, before which `missing` samples
-    /// are missing.
+    /// Returns the gaps between the sample before, with this device time and UTC, and this one, before which `missing`
+    /// samples are missing.
     fn gaps_before(
         &mut self,
         (device_ns, utc_ns): (Option<u64>, i64),

@@ -13,7 +13,7 @@ pub(super) struct Between {
     placed: Vec<(i64, bool)>,
     /// Lines without a usable stamp.
     pub(super) unplaced: u64,
-    /// Whether one of those failed its checksum.
+    /// Whether a line without a usable stamp failed its checksum.
     pub(super) unplaced_checksum: bool,
 }
 
@@ -40,12 +40,12 @@ impl Between {
         }
     }
 
-    /// The number of lines.
+    /// Returns the number of lines.
     pub(super) fn count(&self) -> u64 {
         self.placed.len() as u64 + self.unplaced
     }
 
-    /// Whether one of them failed its checksum.
+    /// Returns whether a line failed its checksum.
     pub(super) fn any_checksum(&self) -> bool {
         self.unplaced_checksum || self.placed.iter().any(|(_, checksum)| *checksum)
     }
@@ -63,7 +63,7 @@ impl Between {
         self.unplaced_checksum |= misplaced_checksum;
     }
 
-    /// The stamps up to the sample at `to_ns`.
+    /// Returns the stamps up to the sample at `to_ns`.
     pub(super) fn instants(&self, to_ns: i64) -> impl Iterator<Item = Instant> + '_ {
         let placed = self.placed.iter().map(|(stamp_ns, checksum)| (*stamp_ns, Some(*checksum)));
         placed.chain([(to_ns, None)]).map(|(stamp_ns, rejected)| Instant { stamp_ns, rejected })

@@ -49,13 +49,13 @@ pub(super) struct Chosen {
     pub(super) count: usize,
     /// The index of the selected column, from 0; `None` without stamps.
     pub(super) column: Option<usize>,
-    /// Whether its stamps are times since 1970.
+    /// Whether the stamps are times since 1970.
     pub(super) unix: bool,
     pub(super) regular: Vec<f64>,
     pub(super) pairs: Vec<Option<Pairs>>,
-    /// How its stamps may fall behind each other.
+    /// How the stamps may fall behind each other.
     pub(super) falls: Falls,
-    /// The grid of its stamps.
+    /// The grid of the stamps.
     pub(super) grid: Option<StampGrid>,
     /// The rate of its stamps, Hz, if a given rate overrides it: then the stamps are not used.
     pub(super) overridden_hz: Option<f64>,
@@ -81,8 +81,8 @@ struct Repeats {
 }
 
 impl Repeats {
-    /// Whether samples of one stamp have the same values no more often than others do. This indicates a coarse channel,
-    /// not a line that was written twice.
+    /// Returns whether samples of one stamp have the same values no more often than others do. This indicates a coarse
+    /// channel, not a line that was written twice.
     fn by_chance(&self) -> bool {
         let share = |[other, same]: [u64; 2]| same as f64 / (other + same).max(1) as f64;
         self.shared != [0, 0] && share(self.shared) <= 2.0 * share(self.apart) + 0.05
@@ -95,7 +95,7 @@ const JITTER_LEAST: usize = 64;
 const ROUNDED_FROM: f64 = 0.2;
 /// If this share of the samples has the stamp of the sample before, stamps are those of deliveries.
 const SHARED_FROM: f64 = 0.02;
-/// If this share has it, the column is not a time.
+/// If this share of the samples has the stamp of the sample before, the column is not a time.
 const SHARED_MOST: f64 = 0.98;
 /// If this share of the steps falls, the column is not a time.
 const FALLING_MOST: f64 = 0.5;
@@ -110,7 +110,7 @@ const DEVIATIONS: f64 = 8.0;
 const STD_OF_PERCENTILES: f64 = 2.563;
 
 impl Falls {
-    /// Determines this from stamps in the order of their samples, ns.
+    /// Determines the falls from stamps in the order of their samples, ns.
     fn of(stamps: &[i64], values: &Repeats) -> Self {
         let mut steps: Vec<f64> = stamps.windows(2).map(|two| two[1].saturating_sub(two[0]) as f64).collect();
         let span_ns = stamps.first().zip(stamps.last()).map_or(0, |(first, last)| last.saturating_sub(*first));
@@ -183,7 +183,7 @@ impl Column {
     fn same_time(&self, other: &Self) -> bool {
         (self.span_ns() - other.span_ns()).abs() <= SAME_SPAN_WITHIN * other.span_ns()
     }
-    /// Whether the column increases by whole numbers, nearly always by one, as a line number does.
+    /// Returns whether the column increases by whole numbers, nearly always by one, as a line number does.
     fn counts(&self) -> bool {
         let counted = self.steps.counted();
         median_of(&counted) == Some(NANOS_PER_SECOND as f64)
@@ -198,7 +198,7 @@ impl Column {
     }
 }
 
-/// The column whose time is used, among those of `rows` rows.
+/// Returns the column whose time is used, among those of `rows` rows.
 fn reference(columns: &[Column], rows: u64) -> Option<usize> {
     let advancing = || (0..columns.len()).rev().filter(|index| columns[*index].steps.total() > 0);
     let differ = advancing().any(|one| advancing().any(|other| !columns[one].same_time(&columns[other])));

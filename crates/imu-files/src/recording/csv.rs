@@ -3,7 +3,7 @@
 //! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted
 //! to the channel's unit once, here. Other columns are ignored and reported by name. A blank cell or NaN leaves its
 //! channel absent. A row is rejected if it has another number of cells, or a cell that is no number or no stamp. A line
-//! that ends within quotation marks is rejected as well: a cell does not run over a line's end, or an open mark would
+//! that ends within quotation marks is also rejected: a cell does not run over a line's end, or an open mark would
 //! consume the rows behind it. A rejected row's stamp still shows its time.
 //!
 //! Rows of plain numbers are read in place; only those with quotation marks are copied. Memory is bounded by the
@@ -36,7 +36,7 @@ struct Lines {
     current: Range<usize>,
     /// The line that follows it in `bytes`, if a carriage return ended the current line.
     next: usize,
-    /// Its number, from 1.
+    /// The number of the line, from 1.
     number: u64,
     /// Lines end with a carriage return alone, as the first one does.
     by_return: bool,
@@ -107,7 +107,7 @@ impl Lines {
         Ok(())
     }
 
-    /// Reads up to the next line end behind the present data; returns how many bytes.
+    /// Reads up to the next line end behind the present data; returns the number of bytes.
     fn read(&mut self) -> Result<usize, RecordingError> {
         let room = (ROW_BYTES + 1).saturating_sub(self.bytes.len());
         let read = self.reader.by_ref().take(room as u64).read_until(b'\n', &mut self.bytes);
@@ -167,7 +167,7 @@ impl CsvRows {
         let mut told_rate_hz = None;
         let header = loop {
             if !lines.advance()? {
-                // The file contains nothing but comments.
+                // The file contains only comments.
                 break Header::understand("", map, file)?;
             }
             lines.by_return = lines.cut() || lines.by_return;
@@ -189,14 +189,15 @@ impl CsvRows {
         })
     }
 
-    /// The header determines whether rows have a stamp; the first rows determine its clock.
+    /// Returns the choice of stamps. The header determines whether rows have a stamp; the first rows determine its
+    /// clock.
     pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
         let column = self.header.stamp.is_some().then_some(0);
         let Chosen { unix, falls, .. } = choose(&mut self)?;
         Ok(Chosen { count: usize::from(column.is_some()), column, unix, falls, ..Chosen::default() })
     }
 
-    /// The current line's stamp and values, if it consists of numbers and delimiters.
+    /// Returns the current line's stamp and values, if it consists of numbers and delimiters.
     fn plain(&mut self) -> Found {
         let mut sample = Sample::at(0, 0);
         let mut stamp_ns = None;
@@ -225,7 +226,7 @@ impl CsvRows {
         if self.lines.current().contains(&b'"') { Found::Quoted } else { Found::Bad }
     }
 
-    /// The same for a line with quotation marks.
+    /// Returns stamp and values as [`Self::plain`] does, for a line with quotation marks.
     fn quoted(&mut self) -> Found {
         self.split.clear();
         self.split.push(self.lines.current(), self.header.delimiter);
@@ -247,8 +248,8 @@ impl CsvRows {
         if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) }
     }
 
-    /// The stamp of a line that is no row: its own if it has all its cells, else the one in its first cell if that is
-    /// complete.
+    /// Returns the stamp of a line that is no row: its own if it has all its cells, else the one in its first cell if
+    /// that is complete.
     fn stamp_of_rejected(&self) -> RowStamps {
         let cells = || self.lines.current().split(|byte| *byte == self.header.delimiter);
         let place = self.header.columns.iter().position(|column| matches!(column, Column::Stamp { .. }));

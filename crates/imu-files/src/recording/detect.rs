@@ -1,5 +1,5 @@
-//! Detects what a file is by its content: a ROS bag, raw bytes or lines of a VN-100, or CSV. Names and extensions do
-//! not count.
+//! Detects the kind of a file by its content: a ROS bag, raw bytes or lines of a VN-100, or CSV. Names and extensions
+//! do not count.
 
 use super::error::RecordingError;
 use super::header::{Header, foreign_names};
@@ -9,11 +9,11 @@ use super::{ros, vn_binary};
 use std::io::Read;
 use std::path::Path;
 
-/// How much of a file is examined.
+/// The number of bytes of a file that are examined.
 const LOOK_AT_BYTES: u64 = 64 * 1024;
-/// How many lines from the start may lack `$VN` in a file of raw lines: a recorder's header, a cut first line.
+/// The number of lines at the start of a file of raw lines that may lack `$VN`: a recorder's header, a cut first line.
 const LOOK_AT_LINES: usize = 100;
-/// How much of an unrecognised file is shown.
+/// The number of characters of an unrecognised file that are shown.
 const SHOWN_CHARS: usize = 60;
 
 /// The kind of a recording. A further format needs a kind here, a file that implements its [`Rows`](super::rows::Rows),
@@ -36,7 +36,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The name of one of its entries.
+    /// Returns the name of one of its entries.
     pub fn entry(self) -> &'static str {
         match self {
             Self::Csv | Self::VnText => "line",
@@ -45,7 +45,7 @@ impl Kind {
         }
     }
 
-    /// The name of a recording without columns; `None` for a kind that has columns.
+    /// Returns the name of a recording without columns; `None` for a kind that has columns.
     pub(super) fn without_columns(self) -> Option<&'static str> {
         match self {
             Self::Csv => None,
@@ -77,7 +77,7 @@ pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> Reco
     RecordingError::Read { file: file.to_owned(), line, source }
 }
 
-/// The error of a reading that was ended before the end of the file.
+/// Returns the error of a reading that was ended before the end of the file.
 pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     match refusal {
         Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
@@ -87,7 +87,7 @@ pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     }
 }
 
-/// Determines what `input` is.
+/// Determines the kind of `input`.
 ///
 /// # Errors
 /// [`RecordingError`] if it cannot be read or is of no known kind. The error shows how the content begins.

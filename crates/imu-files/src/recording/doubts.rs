@@ -15,7 +15,7 @@ use std::ops::Range;
 
 /// Fewer samples are not judged.
 const LEAST_SAMPLES: usize = 32;
-/// |a| is gravity's where most samples lie so near the median.
+/// |a| is that of gravity if most samples lie this near the median.
 const STEADY: f64 = 0.03;
 /// The range of gravity that a sensor at rest may measure, relative to gravity.
 const GRAVITY: Range<f64> = 0.85..1.15;
@@ -29,7 +29,7 @@ const REST: f64 = 0.01;
 const REST_NOISE_RAD_S: f64 = 0.03;
 /// A VN-100 measures up to 35 rad/s.
 const RATE_MAX_RAD_S: f64 = 40.0;
-/// This share of the samples must be above it.
+/// The share of the samples that must exceed [`RATE_MAX_RAD_S`].
 const FAST_SHARE: f64 = 0.01;
 /// The minimum number of turns to compare, and how well their directions must agree.
 const LEAST_TURNS: u64 = 5;
@@ -37,8 +37,8 @@ const AGREEMENT: f64 = 0.8;
 /// A ratio within this factor of the expected one counts as equal to it.
 const RATIO_WITHIN: f64 = 1.6;
 
-/// The units that these values contradict. `turned_s` is the time unit of the turning's angles, in s: the period if
-/// there are no stamps, else 1 s.
+/// Returns the units that these values contradict. `turned_s` is the time unit of the turning's angles, in s: the
+/// period if there are no stamps, else 1 s.
 pub(super) fn doubts(values: &Values, conversions: &[Conversion], turned_s: f64) -> Vec<Doubt> {
     [gravity(values, conversions), field(values, conversions), rotation(values, conversions, turned_s)]
         .into_iter()
@@ -46,7 +46,7 @@ pub(super) fn doubts(values: &Values, conversions: &[Conversion], turned_s: f64)
         .collect()
 }
 
-/// The stated unit of a triad's columns, with its factor; `None` if they differ.
+/// Returns the stated unit of a triad's columns, with its factor; `None` if they differ.
 fn told(triad: Triad, conversions: &[Conversion]) -> Option<(&'static str, f64)> {
     let mut units = triad.channels().into_iter().map(|channel| {
         let converted = conversions.iter().find(|conversion| conversion.channel == channel);
@@ -56,7 +56,7 @@ fn told(triad: Triad, conversions: &[Conversion]) -> Option<(&'static str, f64)>
     units.all(|other| other == first).then_some(first)
 }
 
-/// The lengths of a triad's vectors.
+/// Returns the lengths of a triad's vectors.
 fn lengths(values: &Values, triad: Triad) -> Vec<f64> {
     let channels = triad.channels();
     let length = |sample: &imu_core::sample::Sample| {
@@ -66,7 +66,7 @@ fn lengths(values: &Values, triad: Triad) -> Vec<f64> {
     values.spread.iter().filter_map(length).collect()
 }
 
-/// The unit, with its suffix, in which this number satisfies `fits` in the channel's unit.
+/// Returns the unit, with its suffix, in which this number satisfies `fits` in the channel's unit.
 fn fitting(triad: Triad, written: f64, fits: impl Fn(f64) -> bool) -> Option<(&'static str, &'static str)> {
     let [first, ..] = triad.channels();
     let found = suffixes(first).iter().find(|(_, _, factor)| fits(written * factor))?;
@@ -158,8 +158,8 @@ fn rotation(values: &Values, conversions: &[Conversion], turned_s: f64) -> Optio
     Some(Doubt::new("gyro", unit, Some(("_rad_s", "rad/s")), turned(ratio)))
 }
 
-/// The gyro's noise, rad/s, if the accelerometer shows that the sensor rests most of the time. The sensor may still
-/// turn about the vertical. So noise is the disagreement of three neighbouring samples, on the median axis.
+/// Returns the gyro's noise, rad/s, if the accelerometer shows that the sensor rests most of the time. The sensor may
+/// still turn about the vertical. So noise is the disagreement of three neighbouring samples, on the median axis.
 fn noise_at_rest(values: &Values) -> Option<f64> {
     let spreads = |triad: Triad| -> Option<Vec<(f64, f64)>> {
         let of = |channel| Some(values.of(channel)).filter(|of| of.len() >= LEAST_SAMPLES).and_then(median_and_spread);
@@ -179,7 +179,7 @@ fn noise_at_rest(values: &Values) -> Option<f64> {
     Some(STD_OF_SPREAD * axes[1] / 6_f64.sqrt())
 }
 
-/// A number with four digits, for display.
+/// Returns a number with four digits, for display.
 pub(super) fn shown(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();

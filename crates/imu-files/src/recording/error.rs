@@ -3,7 +3,7 @@
 use imu_core::sample::Channel;
 use std::path::PathBuf;
 
-/// Why a recording could not be read.
+/// The reasons why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file could not be opened.
@@ -147,7 +147,7 @@ pub enum RecordingError {
     ColumnsOfNoCsv {
         /// The file.
         file: PathBuf,
-        /// Its kind.
+        /// The recording's kind.
         found: &'static str,
     },
     /// Numbers with commas.
@@ -183,7 +183,7 @@ pub enum RecordingError {
     NoStep {
         /// The file.
         file: PathBuf,
-        /// Samples that were found.
+        /// Number of samples found.
         samples: u64,
     },
     /// The recording contains no sample.
@@ -191,9 +191,9 @@ pub enum RecordingError {
     NoSample {
         /// The file.
         file: PathBuf,
-        /// Lines after the header.
+        /// Number of lines after the header.
         lines: u64,
-        /// Lines rejected.
+        /// Number of rejected lines.
         rejected: u64,
         /// The first rejected line, its cause and text.
         first: String,
@@ -203,7 +203,7 @@ pub enum RecordingError {
     NoBag {
         /// The file.
         file: PathBuf,
-        /// What the database contains instead.
+        /// The content of the database.
         found: String,
     },
     /// An SQLite database that cannot be read.

@@ -20,48 +20,48 @@ const SLOW: f64 = 0.5;
 const JITTER_FROM: f64 = 1e-3;
 const ROUNDED_FROM: f64 = 1e-3;
 
-/// Figures of a first pass.
+/// The figures of a first pass.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
 pub struct Findings {
-    /// Steps from stamp to stamp.
+    /// Number of steps from stamp to stamp.
     pub steps: u64,
     /// The median step, s.
     pub median_step_s: Option<f64>,
     /// The number of steps over their time, Hz; below the rate if samples are missing.
     pub mean_rate_hz: Option<f64>,
-    /// Grid points without a sample.
+    /// Number of grid points without a sample.
     pub missing: u64,
-    /// The number of gaps that contain them.
+    /// Number of gaps that contain them.
     pub gaps: u64,
-    /// From sample to sample across the longest gap, s.
+    /// Time from sample to sample across the longest gap, s.
     pub longest_gap_s: Option<f64>,
     /// The start of that gap, UTC ns; `None` if stamps do not show the time of day.
     pub longest_gap_utc_ns: Option<i64>,
-    /// Stamps that are late by half a period or more, beyond their rounding: the next ones make up for it.
+    /// Number of stamps that are late by half a period or more, beyond their rounding: the next ones compensate this.
     pub delayed: u64,
     /// The longest delay, s.
     pub longest_delay_s: Option<f64>,
-    /// How often stamps left the grid: the clock was set, or the rate changed.
+    /// How often stamps left the grid because the clock was set or the rate changed.
     pub off_grid: u64,
-    /// Steps below a tenth of the median step, or of the long one of pairs.
+    /// Number of steps below a tenth of the median step, or of the long one of pairs.
     pub short_steps: u64,
     /// The two alternating steps, if stamps come in pairs.
     pub pairs: Option<Pairs>,
-    /// Stamps that repeat that of the sample before; rejected as duplicates.
+    /// Number of stamps that repeat that of the sample before; rejected as duplicates.
     pub frozen_stamps: u64,
-    /// The number of runs of such stamps.
+    /// Number of runs of such stamps.
     pub frozen_runs: u64,
-    /// Repetitions in the longest run.
+    /// Number of repetitions in the longest run.
     pub longest_frozen_run: u64,
-    /// Stamps before that of the sample before: out of order; rejected as duplicates.
+    /// Number of stamps before that of the sample before: out of order; rejected as duplicates.
     pub late_stamps: u64,
     /// The largest distance, s.
     pub latest_by_s: Option<f64>,
     /// The line (a bag's message) of the first of them.
     pub first_late_line: Option<u64>,
-    /// Stamps far ahead of those that follow, or of another clock; rejected as malformed.
+    /// Number of stamps far ahead of those that follow, or of another clock; rejected as malformed.
     pub stray_stamps: u64,
-    /// Samples that repeat the one before in every channel.
+    /// Number of samples that repeat the one before in every channel.
     pub repeated_samples: u64,
     /// The rate in use, Hz, if a comment in the file states it.
     pub commented_rate_hz: Option<f64>,
@@ -69,7 +69,7 @@ pub struct Findings {
     pub restarts: u64,
     /// For each channel that lacks values, the number of samples in which it has no finite value.
     pub absent: BTreeMap<Channel, u64>,
-    /// Samples with a magnetic field above 25 gauss: the assumed unit is wrong.
+    /// Number of samples with a magnetic field above 25 gauss: the assumed unit is wrong.
     pub strong_fields: u64,
     /// The step of each channel's values, if one is found.
     pub quantisation: BTreeMap<Channel, Quantisation>,
@@ -89,11 +89,11 @@ pub struct Pairs {
 /// The smallest step of which nearly all values of a channel are multiples.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Quantisation {
-    /// In the channel's unit.
+    /// The step in the channel's unit.
     pub step: f64,
-    /// In the file's unit.
+    /// The step in the file's unit.
     pub original_step: f64,
-    /// That unit.
+    /// The file's unit.
     pub original_unit: String,
 }
 
@@ -113,7 +113,7 @@ pub struct Doubt {
 }
 
 impl Doubt {
-    /// `found` is the suffix and the unit that would fit.
+    /// Creates a doubt. `found` is the suffix and the unit that would fit.
     pub(super) fn new(
         triad: &'static str,
         unit: &'static str,
@@ -137,7 +137,7 @@ impl Doubt {
 }
 
 impl RecordingInfo {
-    /// The sentences that a user should read about the recording.
+    /// Returns the sentences that a user should read about the recording.
     pub fn remarks(&self) -> Vec<String> {
         // Findings that invalidate other figures come first.
         let mut remarks: Vec<String> = self.pairs().into_iter().collect();
@@ -386,17 +386,17 @@ impl RecordingInfo {
     }
 }
 
-/// A count with its noun.
+/// Returns a count with its noun.
 fn counted(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// A rate for display: 40.0, 1.0, 0.04245.
+/// Returns a rate for display: 40.0, 1.0, 0.04245.
 fn rate(hz: f64) -> String {
     if hz >= 0.95 { format!("{hz:.1}") } else { shown(hz) }
 }
 
-/// UTC to the millisecond.
+/// Returns UTC to the millisecond.
 fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Millis, true)
 }

@@ -37,7 +37,8 @@ pub(super) enum Target {
     Value { channel: Channel, unit: &'static str, factor: f64 },
 }
 
-/// Unit suffixes that a channel's column may have, with the unit's name and the factor to the channel's unit.
+/// Returns the unit suffixes that a channel's column may have, with the unit's name and the factor to the channel's
+/// unit.
 pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static str, f64)] {
     match channel.triad() {
         Some(Triad::Attitude) => &[("_deg", "deg", 1.0), ("_rad", "rad", 1.0 / RAD_PER_DEG)],
@@ -55,7 +56,7 @@ pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static st
     }
 }
 
-/// The channel and unit that a column's name denotes.
+/// Returns the channel and unit that a column's name denotes.
 pub(super) fn known_column(name: &str) -> Option<(Channel, &'static str, f64)> {
     Channel::ALL.into_iter().find_map(|channel| {
         let suffix = name.strip_prefix(channel.name())?;
@@ -68,19 +69,19 @@ fn value_of(name: &str) -> Option<Target> {
     known_column(name).map(|(channel, unit, factor)| Target::Value { channel, unit, factor })
 }
 
-/// The meaning of a name that the user may give to a foreign column.
+/// Returns the meaning of a name that the user may give to a foreign column.
 pub(super) fn target(name: &str) -> Option<Target> {
     let stamp = STAMPS.iter().find(|(known, _)| *known == name);
     stamp.map(|(_, places)| Target::Stamp { places: *places }).or_else(|| value_of(name))
 }
 
-/// Those names, abbreviated.
+/// Returns the names that [`target`] accepts, abbreviated.
 pub(super) fn allowed_names() -> &'static str {
     "time_{s,ms,us,ns}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,tesla,ut}, accel_{x,y,z}_{m_s2,g,mg}, \
      gyro_{x,y,z}_{rad_s,deg_s,dps}, temperature_c and pressure_kpa"
 }
 
-/// A column's name without the space, quotes and byte-order mark that some programs put around it.
+/// Returns a column's name without the space, quotes and byte-order mark that some programs put around it.
 pub(super) fn clean(name: &str) -> &str {
     name.trim_matches(|c: char| c.is_whitespace() || c == '\u{FEFF}' || c == '"')
 }
@@ -155,25 +156,26 @@ impl Header {
         Ok(header)
     }
 
-    /// Whether a line, as the header of a CSV, names at least one channel with its unit or a column that the user
-    /// named.
+    /// Returns whether a line, as the header of a CSV, names at least one channel with its unit or a column that the
+    /// user named.
     pub(super) fn names_channels(line: &str, map: &ColumnMap) -> bool {
         delimiter(without_comment_sign(line, map), map).1 > 0
     }
 
-    /// The same, or whether it may be a row of a table whose columns are identified by their positions.
+    /// Returns whether [`Self::names_channels`] accepts the line, or whether it may be a row of a table whose columns are
+    /// identified by their positions.
     pub(super) fn is_known(line: &str, map: &ColumnMap) -> bool {
         !map.is_empty() || Self::names_channels(line, map)
     }
 
-    /// Whether a line is a comment before the header.
+    /// Returns whether a line is a comment before the header.
     pub(super) fn is_comment(line: &str, map: &ColumnMap) -> bool {
         let line = line.trim_start_matches('\u{FEFF}').trim_start();
         line.starts_with(['#', '%']) && delimiter(without_comment_sign(line, map), map).1 == 0
     }
 }
 
-/// The columns' names for a message, if several of them are words: then the line may be a foreign header.
+/// Returns the columns' names for a message, if several of them are words: then the line may be a foreign header.
 pub(super) fn foreign_names(line: &str) -> Option<String> {
     let cells = cells(line, delimiter(line, &ColumnMap::default()).0);
     let is_word = |cell: &String| {
@@ -187,7 +189,7 @@ pub(super) fn foreign_names(line: &str) -> Option<String> {
 const RATES_OF: [&str; 9] =
     ["sample", "samples", "sampling", "output", "imu", "sensor", "update", "measurement", "acquisition"];
 
-/// The rate that a comment states: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
+/// Returns the rate that a comment states: `# rate: 40 Hz`, `# rate_hz = 40`, `# sampling rate 40`.
 pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
     let lower = line.to_ascii_lowercase();
     lower.match_indices("rate").find_map(|(place, rate)| {
@@ -198,7 +200,7 @@ pub(super) fn rate_of_comment(line: &str) -> Option<f64> {
     })
 }
 
-/// The number behind the word, unless it has another unit.
+/// Returns the number behind the word, unless it has another unit.
 fn rate_behind(behind: &str) -> Option<f64> {
     let is_filler = |c: char| c.is_whitespace() || matches!(c, ':' | '=' | '_' | ',' | ';' | '(' | ')' | '[' | ']');
     let mut words = behind.split(is_filler).filter(|word| !word.is_empty()).skip_while(|word| *word == "hz");
@@ -206,7 +208,7 @@ fn rate_behind(behind: &str) -> Option<f64> {
     (number.is_finite() && number > 0.0 && words.next().is_none_or(|unit| unit == "hz")).then_some(number)
 }
 
-/// Some programs write the header line as a comment.
+/// Removes the comment sign, because some programs write the header line as a comment.
 fn without_comment_sign<'a>(line: &'a str, map: &ColumnMap) -> &'a str {
     let trimmed = line.trim_start_matches('\u{FEFF}').trim_start();
     match trimmed.strip_prefix(['#', '%']) {
@@ -215,7 +217,7 @@ fn without_comment_sign<'a>(line: &'a str, map: &ColumnMap) -> &'a str {
     }
 }
 
-/// The character that separates the columns of a header line, and the number of columns it identifies.
+/// Returns the character that separates the columns of a header line, and the number of columns it identifies.
 fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
     let known = |delimiter: u8| {
         let names = cells(line, delimiter);
@@ -228,7 +230,7 @@ fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
     counted.max_by_key(|(_, known)| *known).unwrap_or_else(|| (b',', known(b',')))
 }
 
-/// A line's cells; a cell in quotation marks stays whole.
+/// Returns a line's cells; a cell in quotation marks stays whole.
 fn cells(line: &str, delimiter: u8) -> Vec<String> {
     let mut split = Split::default();
     split.push(line.as_bytes(), delimiter);
@@ -236,7 +238,8 @@ fn cells(line: &str, delimiter: u8) -> Vec<String> {
     split.cells().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect()
 }
 
-/// Whether every column that the user named by its position contains a number or is empty; other columns may hold text.
+/// Returns whether every column that the user named by its position contains a number or is empty; other columns may
+/// hold text.
 fn is_row(cells: &[String], map: &ColumnMap) -> bool {
     let told = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
     let told: Vec<&str> = told.map(|(_, cell)| clean(cell)).collect();
@@ -259,9 +262,9 @@ pub(super) struct Split {
     bytes: Vec<u8>,
     ends: Vec<usize>,
     quoted: bool,
-    /// Behind the quotation mark that closes a cell, or that is the first of two.
+    /// Whether the position is behind the quotation mark that closes a cell, or that is the first of two.
     closed: bool,
-    /// At the beginning of a cell.
+    /// Whether the position is inside a cell.
     inside: bool,
 }
 
@@ -288,7 +291,7 @@ impl Split {
         }
     }
 
-    /// Whether a quotation mark is open.
+    /// Returns whether a quotation mark is open.
     pub(super) fn is_open(&self) -> bool {
         self.quoted
     }
@@ -299,7 +302,7 @@ impl Split {
         (self.quoted, self.closed, self.inside) = (false, false, false);
     }
 
-    /// The cells.
+    /// Returns the cells.
     pub(super) fn cells(&self) -> impl ExactSizeIterator<Item = &[u8]> {
         let begins = std::iter::once(0).chain(self.ends.iter().copied());
         let cells: Vec<&[u8]> =

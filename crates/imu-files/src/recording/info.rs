@@ -65,8 +65,8 @@ impl Decimals {
         });
     }
 
-    /// The most decimals that a value of the channel was written with; `None` if it has no values or some were written
-    /// with an exponent.
+    /// Returns the largest number of decimals with which a value of the channel was written; `None` if it has no values
+    /// or some were written with an exponent.
     pub fn get(&self, channel: Channel) -> Option<u8> {
         self.seen[channel as usize].flatten()
     }
@@ -105,9 +105,9 @@ pub struct RecordingInfo {
     pub stamp_grid: Option<StampGrid>,
     /// UTC of the first sample, ns since 1970: its stamp, else the start that the caller gave.
     pub started_utc_ns: i64,
-    /// Samples that the second pass will return.
+    /// Number of samples that the second pass will return.
     pub samples: u64,
-    /// Lines that the second pass will reject, by cause (bytes for [`DiscardCause::GarbageBytes`]).
+    /// Number of lines that the second pass will reject, by cause (bytes for [`DiscardCause::GarbageBytes`]).
     pub rejected: BTreeMap<DiscardCause, u64>,
     /// The first rejected lines, at most [`super::REJECTED_KEPT`].
     pub first_rejected: Vec<Rejected>,
@@ -116,7 +116,7 @@ pub struct RecordingInfo {
 }
 
 impl RecordingInfo {
-    /// The timebase of the segments.
+    /// Returns the timebase of the segments.
     pub fn timebase(&self) -> Timebase {
         if self.stamps == Stamps::None { Timebase::Rate } else { Timebase::Stamps }
     }

@@ -25,7 +25,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// A file.
+    /// Creates an input from a file.
     pub fn file(path: &Path) -> Self {
         Self {
             path: path.to_owned(),
@@ -36,58 +36,58 @@ impl Input {
         }
     }
 
-    /// Bytes in memory; messages refer to them as `name`.
+    /// Creates an input from bytes in memory; messages refer to them as `name`.
     pub fn memory(name: &str, bytes: impl Into<Arc<[u8]>>) -> Self {
         Self { bytes: Some(bytes.into()), ..Self::file(Path::new(name)) }
     }
 
-    /// The same, read only while it is wanted: once it is not, reading ends with [`RecordingError::Unwanted`].
+    /// Reads only while the recording is wanted: once it is not, reading ends with [`RecordingError::Unwanted`].
     pub fn while_wanted(self, keep_on: KeepOn) -> Self {
         Self { keep_on, ..self }
     }
 
-    /// The same with a map of the columns of a foreign CSV.
+    /// Sets the map of the columns of a foreign CSV.
     pub fn with_columns(self, columns: ColumnMap) -> Self {
         Self { columns, ..self }
     }
 
-    /// The map of the columns of a foreign CSV.
+    /// Returns the map of the columns of a foreign CSV.
     pub(super) fn columns(&self) -> &ColumnMap {
         &self.columns
     }
 
-    /// The same with other limits for the expansion of compressed data.
+    /// Sets other limits for the expansion of compressed data.
     #[cfg(test)]
     pub(super) fn expanding(self, expansion: Expansion) -> Self {
         Self { expansion, ..self }
     }
 
-    /// The file's path, or the name.
+    /// Returns the file's path, or the name.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Its bytes, if they are in memory.
+    /// Returns the bytes, if they are in memory.
     pub(super) fn bytes(&self) -> Option<&[u8]> {
         self.bytes.as_deref()
     }
 
-    /// A handle that reports whether the recording is still wanted.
+    /// Returns a handle that reports whether the recording is still wanted.
     pub(super) fn keep_on(&self) -> KeepOn {
         self.keep_on.clone()
     }
 
-    /// A meter for a separate reading.
+    /// Returns a meter for a separate reading.
     pub(super) fn meter(&self) -> Rc<Meter> {
         Meter::new(self.keep_on.clone(), self.expansion)
     }
 
-    /// Its content from the start, decompressed if it is gzip.
+    /// Returns the content from the start, decompressed if it is gzip.
     pub(super) fn open(&self) -> Result<Box<dyn BufRead>, RecordingError> {
         Ok(self.open_metered()?.0)
     }
 
-    /// The same, with the meter that counts this reading.
+    /// Opens the content as [`Self::open`] does, and returns the meter that counts this reading.
     pub(super) fn open_metered(&self) -> Result<(Box<dyn BufRead>, Rc<Meter>), RecordingError> {
         let bytes: Box<dyn BufRead> = match &self.bytes {
             Some(bytes) => Box::new(Cursor::new(Arc::clone(bytes))),

@@ -20,7 +20,7 @@ pub struct LoadedColumn {
 /// A recording in memory: 8 bytes per sample and channel, and per stamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedRecording {
-    /// The facts about it.
+    /// The facts about the recording.
     pub info: RecordingInfo,
     /// The recording's channels in column order, all of the same length.
     pub columns: Vec<LoadedColumn>,
@@ -28,20 +28,20 @@ pub struct LoadedRecording {
     pub stamps_ns: Vec<u64>,
     /// Stretches of samples without a gap.
     pub segments: Vec<Range<usize>>,
-    /// The gaps between them.
+    /// The gaps between the segments.
     pub gaps: Vec<Gap>,
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Missing samples.
+    /// Number of missing samples.
     pub missing: u64,
 }
 
 impl LoadedRecording {
-    /// Sample time from the first to one period after the last sample, s: (samples + missing)/rate.
+    /// Returns the sample time from the first to one period after the last sample, s: (samples + missing)/rate.
     pub fn duration_s(&self) -> f64 {
         (self.samples + self.missing) as f64 / self.info.rate_hz
     }
-    /// The column of a channel.
+    /// Returns the column of a channel.
     pub fn column(&self, channel: Channel) -> Option<&LoadedColumn> {
         self.columns.iter().find(|column| column.channel == channel)
     }
@@ -50,7 +50,7 @@ impl LoadedRecording {
 /// Reads a whole recording.
 ///
 /// # Errors
-/// [`RecordingError`] as [`Recording::open`].
+/// The errors of [`Recording::open`].
 pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, RecordingError> {
     columns(&Recording::open(file, options)?)
 }
@@ -58,7 +58,7 @@ pub fn load_columns(file: &Path, options: Options) -> Result<LoadedRecording, Re
 /// Reads all samples of an opened recording.
 ///
 /// # Errors
-/// [`RecordingError`] as [`Recording::items`].
+/// The errors of [`Recording::items`].
 pub fn columns(recording: &Recording) -> Result<LoadedRecording, RecordingError> {
     let info = recording.info().clone();
     let capacity = usize::try_from(info.samples).unwrap_or(0);

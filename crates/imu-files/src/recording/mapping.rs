@@ -51,7 +51,7 @@ pub enum ColumnsError {
     UnknownName {
         /// The pair.
         pair: String,
-        /// Its name.
+        /// The name in the pair.
         name: String,
     },
     /// The position is invalid.
@@ -105,17 +105,17 @@ impl ColumnMap {
         Ok(Self { pairs })
     }
 
-    /// Whether the map is empty.
+    /// Returns whether the map is empty.
     pub fn is_empty(&self) -> bool {
         self.pairs.is_empty()
     }
 
-    /// The pairs, each in its written form.
+    /// Returns the pairs, each in its written form.
     pub fn pairs(&self) -> impl Iterator<Item = String> + '_ {
         self.pairs.iter().map(|(foreign, name)| format!("{foreign}={name}"))
     }
 
-    /// The meaning of the column with this name at this position, from 1, with the pair's index in the map.
+    /// Returns the meaning of the column with this name at this position, from 1, with the pair's index in the map.
     pub(super) fn of(&self, position: usize, name: &str) -> Option<(usize, &str)> {
         let is = |foreign: &Foreign| match foreign {
             Foreign::Position(at) => *at == position,
@@ -126,12 +126,12 @@ impl ColumnMap {
         self.pairs.get(found).map(|(_, name)| (found, name.as_str()))
     }
 
-    /// The foreign sides.
+    /// Returns the foreign sides.
     pub(super) fn foreign(&self) -> impl Iterator<Item = &Foreign> {
         self.pairs.iter().map(|(foreign, _)| foreign)
     }
 
-    /// Whether all columns are given by position, so that no header line is needed.
+    /// Returns whether all columns are given by position, so that no header line is needed.
     pub(super) fn is_by_position(&self) -> bool {
         !self.is_empty() && self.foreign().all(|foreign| matches!(foreign, Foreign::Position(_)))
     }

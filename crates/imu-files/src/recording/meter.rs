@@ -9,7 +9,7 @@ use std::io::{BufRead, Read};
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// Called now and then while a recording is read, to determine whether it is still wanted.
+/// Called from time to time while a recording is read, to determine whether it is still wanted.
 #[derive(Clone)]
 pub struct KeepOn(Arc<dyn Fn() -> bool + Send + Sync>);
 
@@ -19,7 +19,7 @@ impl KeepOn {
         Self(Arc::new(wanted))
     }
 
-    /// Whether it is still wanted.
+    /// Returns whether the recording is still wanted.
     pub fn is_wanted(&self) -> bool {
         (self.0)()
     }
@@ -92,7 +92,7 @@ impl Meter {
         })
     }
 
-    /// The reason for the refusal, if any.
+    /// Returns the reason for the refusal, if any.
     pub(super) fn refused(&self) -> Option<Refusal> {
         self.refused.get()
     }

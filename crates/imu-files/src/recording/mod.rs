@@ -81,7 +81,7 @@ pub const REJECTED_KEPT: usize = 100;
 /// A given rate that is closer than this to that of the stamps is theirs by another clock; one farther off overrides
 /// them.
 const RATE_NEAR: f64 = 0.01;
-/// If a larger share of the stamps leaves the grid, it is not that of the whole recording.
+/// If a larger share of the stamps leaves the grid, the grid is not that of the whole recording.
 const SLIPS_MOST: f64 = 2e-3;
 
 /// The caller's knowledge about a recording.
@@ -90,7 +90,8 @@ pub struct Options {
     /// Samples per second. For a recording with stamps it overrides theirs; stamps that differ by more than 1 % are not
     /// used at all.
     pub rate_hz: Option<f64>,
-    /// UTC of its start, ns since 1970, used if it has no stamps since 1970: for example the time of the import.
+    /// UTC of the recording's start, ns since 1970, used if it has no stamps since 1970: for example the time of the
+    /// import.
     pub started_utc_ns: i64,
     /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageDefinition>,
@@ -101,7 +102,7 @@ pub struct Options {
 pub enum Item {
     /// A sample with its times, and the number of samples missing before it; `None` if no stamps determine it.
     Sample(Sample, Option<u64>),
-    /// A line that is no sample.
+    /// A line that is not a sample.
     Rejected(Rejected),
 }
 
@@ -122,10 +123,10 @@ impl Recording {
         Self::read(Input::file(file), options)
     }
 
-    /// As [`Self::open`], for any input.
+    /// Reads any input as [`Self::open`] reads a file.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// The errors of [`Self::open`].
     pub fn read(input: Input, options: Options) -> Result<Self, RecordingError> {
         if let Some(rate_hz) = options.rate_hz.filter(|rate| !(rate.is_finite() && *rate > 0.0)) {
             return Err(RecordingError::Rate { found: rate_hz });
@@ -196,12 +197,12 @@ impl Recording {
         Ok(Self { info, layout, input })
     }
 
-    /// The result of the first pass.
+    /// Returns the result of the first pass.
     pub fn info(&self) -> &RecordingInfo {
         &self.info
     }
 
-    /// The second pass: samples and rejected lines in the file's order.
+    /// Returns the second pass: samples and rejected lines in the file's order.
     ///
     /// # Errors
     /// [`RecordingError`] if the file can no longer be opened.
@@ -381,7 +382,7 @@ impl Source {
             Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
         }
     }
-    /// Channels that the file declares.
+    /// Returns the channels that the file declares.
     fn claimed(&self) -> ChannelSet {
         let Self::Csv(rows) = self else { return ChannelSet::default() };
         let channel = |column: &header::Column| match column {
@@ -390,11 +391,11 @@ impl Source {
         };
         rows.header.columns.iter().filter_map(channel).collect()
     }
-    /// How often the sensor's clock restarted.
+    /// Returns how often the sensor's clock restarted.
     fn restarts(&self) -> u64 {
         if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
     }
-    /// The rate that the file itself states for samples without stamps, Hz.
+    /// Returns the rate that the file itself states for samples without stamps, Hz.
     fn told_rate_hz(&self) -> Option<f64> {
         match self {
             Self::Csv(rows) => rows.told_rate_hz,

@@ -58,7 +58,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// For accepted text the result must have the same bits as that of `str::parse`.
+    /// Checks that for accepted text the result has the same bits as that of `str::parse`.
     fn same(text: &str) -> bool {
         let Some(plain) = parse_plain(text.as_bytes()) else { return true };
         let decimals = text.find('.').map_or(0, |point| text.len() - point - 1);

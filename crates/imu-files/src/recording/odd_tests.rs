@@ -126,7 +126,7 @@ fn the_bytes_of_garbage_are_those_of_the_file() {
     assert_eq!(recording.info().rejected, [(DiscardCause::GarbageBytes, 10)].into());
 }
 
-/// A valid `$VNYMR` line.
+/// Returns a valid `$VNYMR` line.
 fn line(index: usize) -> String {
     let gyro = index as f64 * 1e-6;
     let body = format!(

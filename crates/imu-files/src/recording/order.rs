@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 
 /// Stamped samples that are examined together: up to seven stamps in a row may be wrong.
 const WINDOW: usize = 16;
-/// The maximum number of rows of any kind that wait for their judgement: memory does not grow with what is rejected
+/// The maximum number of rows of any kind that wait for their judgement: memory does not grow with the rejected rows
 /// between samples.
 const WAITING_MAX: usize = 256;
 
@@ -28,7 +28,7 @@ pub(super) enum Entry {
         stamp_ns: Option<i64>,
         sample: Sample,
     },
-    /// With its stamp, if it stands for a sample and its stamp is later than that of the sample before.
+    /// A rejected row with its stamp, if it stands for a sample and its stamp is later than that of the sample before.
     Rejected(Rejected, Option<i64>),
     Aside,
 }
@@ -41,12 +41,12 @@ enum Waiting {
         line: u64,
         stamp_ns: i64,
         sample: Sample,
-        /// Whether its stamp is not later than the one read before it.
+        /// Whether the stamp is not later than the one read before it.
         falls: bool,
     },
     /// A sample of a recording without stamps.
     Plain(Sample),
-    /// With its stamp.
+    /// A rejected row with its stamp.
     Rejected(Rejected, Option<i64>),
     Aside,
 }
@@ -63,9 +63,9 @@ pub(super) struct Order {
     /// The last sample, if equal stamps may belong to different samples.
     last_sample: Option<Sample>,
     waiting: VecDeque<Waiting>,
-    /// The number of those that have a stamp.
+    /// The number of waiting rows that have a stamp.
     stamped: usize,
-    /// The number of those that fall behind the one before: if none does, the waiting stamps increase.
+    /// The number of these whose stamp falls behind the one before: if none does, the waiting stamps increase.
     falling: usize,
     /// The stamp read last.
     newest_stamp_ns: Option<i64>,
@@ -88,7 +88,7 @@ impl Order {
         }
     }
 
-    /// The outcome of the next row; `None` at the end.
+    /// Returns the outcome of the next row; `None` at the end.
     pub(super) fn next_entry(&mut self, rows: &mut dyn Rows) -> Result<Option<Entry>, RecordingError> {
         loop {
             let needs_more = match self.waiting.front() {
@@ -114,7 +114,7 @@ impl Order {
         }
     }
 
-    /// The row with the selected stamp, if that is of the recording's clock.
+    /// Returns the row with the selected stamp, if that is of the recording's clock.
     fn read(&self, row: Row) -> Waiting {
         let stamp_of = |stamps: super::stamps::RowStamps| self.column.and_then(|column| stamps.get(column));
         let malformed = |line, text: &str| Rejected::new(line, DiscardCause::Malformed, text, true);
@@ -178,7 +178,7 @@ impl Order {
         follows(self.falls, before_ns, stamp_ns)
     }
 
-    /// Whether a longest increasing run from here on begins with this stamp, which is later than the last.
+    /// Returns whether a longest increasing run from here on begins with this stamp, which is later than the last.
     fn fits(&self, stamp_ns: i64) -> bool {
         if self.falling == 0 {
             return true;
@@ -195,13 +195,13 @@ impl Order {
     }
 }
 
-/// Whether a sample with stamp `stamp_ns` may follow one with stamp `before_ns`.
+/// Returns whether a sample with stamp `stamp_ns` may follow one with stamp `before_ns`.
 fn follows(falls: Falls, before_ns: i64, stamp_ns: i64) -> bool {
     let by_ns = stamp_ns.saturating_sub(before_ns);
     by_ns > 0 || (falls.equal && by_ns >= -falls.back_ns)
 }
 
-/// The length of the longest increasing run among the stamps, if others are omitted.
+/// Returns the length of the longest increasing run among the stamps, if others are omitted.
 fn longest_run(stamps: impl Iterator<Item = i64>, falls: Falls) -> usize {
     // The smallest stamp with which a run of each length can end.
     let mut ends: Vec<i64> = Vec::with_capacity(WINDOW);
@@ -239,7 +239,7 @@ mod tests {
         }
     }
 
-    /// The accepted stamps, and the causes of the rejections.
+    /// Returns the accepted stamps, and the causes of the rejections.
     fn judged(stamps: &[i64]) -> (Vec<i64>, Vec<DiscardCause>) {
         let chosen = Chosen { count: 1, column: Some(0), ..Chosen::default() };
         let (mut order, mut rows) = (Order::new(&chosen), Given(stamps.iter(), Decimals::default()));
@@ -254,7 +254,7 @@ mod tests {
         (kept, causes)
     }
 
-    /// The stamps that are kept if each stamp is accepted in turn.
+    /// Returns the stamps that are kept if each stamp is accepted in turn.
     fn greedy(stamps: &[i64]) -> Vec<i64> {
         let mut kept: Vec<i64> = Vec::new();
         for stamp_ns in stamps {

@@ -27,8 +27,8 @@ impl Pairing {
         self.steps += 1;
     }
 
-    /// The two alternating lengths, if there are such. `counted` are the distinct steps and how often each came,
-    /// increasing.
+    /// Returns the two alternating lengths, if there are such. `counted` are the distinct steps and how often each
+    /// came, increasing.
     pub(super) fn pairs(&self, counted: &[(u64, u64)]) -> Option<Pairs> {
         if self.changes as f64 <= PAIRED_FROM * self.steps as f64 {
             return None;

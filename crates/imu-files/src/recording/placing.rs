@@ -26,7 +26,7 @@ impl Placing {
         Self { order: Order::new(chosen), tracker, held: VecDeque::new(), ended: false }
     }
 
-    /// The next entry, a stamped sample with its place; `None` at the end.
+    /// Returns the next entry, a stamped sample with its place; `None` at the end.
     pub(super) fn next_entry(
         &mut self,
         rows: &mut dyn Rows,
@@ -65,7 +65,7 @@ impl Placing {
         }
     }
 
-    /// The mean period of all stamps, ns, and how often they left the grid.
+    /// Returns the mean period of all stamps, ns, and how often they left the grid.
     pub(super) fn outcome(&self) -> Option<(f64, u64)> {
         let tracker = self.tracker.as_ref()?;
         Some((tracker.mean_period_ns()?, tracker.slips))

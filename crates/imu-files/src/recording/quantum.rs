@@ -23,7 +23,7 @@ const CHANCE: f64 = 1e-6;
 /// Differences up to this share of the greatest value are rounding of the arithmetic.
 const ROUNDING: f64 = 1e-13;
 
-/// The step of these finite values, or `None` if there is none.
+/// Returns the step of these finite values, or `None` if there is none.
 pub(super) fn step_of(values: &[f64]) -> Option<f64> {
     if values.len() < LEAST_VALUES {
         return None;
@@ -56,7 +56,7 @@ pub(super) fn step_of(values: &[f64]) -> Option<f64> {
     candidates.into_iter().find_map(|step| origins.iter().find_map(|distances| fitted(distances, step)))
 }
 
-/// The mean of the gaps that are about as large as this one; `gaps` is sorted, the smallest first.
+/// Returns the mean of the gaps that are about as large as this one; `gaps` is sorted, the smallest first.
 fn mean_about(gaps: &[f64], gap: f64) -> f64 {
     let begin = gaps.partition_point(|other| *other < (1.0 - ALIKE) * gap);
     let end = gaps.partition_point(|other| *other <= (1.0 + ALIKE) * gap);
@@ -64,7 +64,7 @@ fn mean_about(gaps: &[f64], gap: f64) -> f64 {
     alike.iter().sum::<f64>() / alike.len().max(1) as f64
 }
 
-/// The step near this one of which the distances are multiples; `distances` is sorted, the smallest first.
+/// Returns the step near this one of which the distances are multiples; `distances` is sorted, the smallest first.
 fn fitted(distances: &[f64], first: f64) -> Option<f64> {
     let may_be_beside = (BESIDE_SHARE * distances.len() as f64) as usize;
     let (mut step, mut squares, mut products, mut beside) = (first, 0.0, 0.0, 0_usize);

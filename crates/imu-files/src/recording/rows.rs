@@ -11,19 +11,20 @@ const TEXT_CHARS: usize = 256;
 /// A line that did not become a sample.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Rejected {
-    /// Its number in the (decompressed) file, from 1; for a bag the number of the message among those of its topic.
+    /// The number of the line in the (decompressed) file, from 1; for a bag, the number of the message among those of
+    /// its topic.
     pub line: u64,
     /// The cause.
     pub cause: DiscardCause,
-    /// Its text, at most 256 characters.
+    /// The text of the line, at most 256 characters.
     pub text: String,
     /// Bytes of the line.
     #[serde(skip)]
     pub bytes: u64,
-    /// Whether it takes the place of a sample: without stamps, one sample is then missing there.
+    /// Whether the line takes the place of a sample: without stamps, one sample is then missing there.
     #[serde(skip)]
     pub stands_for_sample: bool,
-    /// Its time: since the recording's first stamp, and UTC, ns. `None` if no stamp shows it.
+    /// The time of the line: since the recording's first stamp, and UTC, ns. `None` if no stamp shows it.
     #[serde(skip)]
     pub at: Option<(u64, i64)>,
     #[serde(skip)]
@@ -52,7 +53,7 @@ impl Rejected {
         }
     }
 
-    /// Makes it from a line of the file, whose bytes are counted, whether they are text or not.
+    /// Creates the rejection of a line of the file, whose bytes are counted whether they are text or not.
     pub(super) fn of_line(line: u64, cause: DiscardCause, bytes: &[u8], stands_for_sample: bool) -> Self {
         let text = String::from_utf8_lossy(bytes.get(..4 * TEXT_CHARS).unwrap_or(bytes));
         Self { bytes: bytes.len() as u64, ..Self::new(line, cause, &text, stands_for_sample) }
@@ -64,7 +65,8 @@ impl Rejected {
         self
     }
 
-    /// The amount that it adds to the count of its cause: 1, or its bytes for [`DiscardCause::GarbageBytes`].
+    /// Returns the amount that the line adds to the count of its cause: 1, or its bytes for
+    /// [`DiscardCause::GarbageBytes`].
     pub fn amount(&self) -> u64 {
         if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }
     }
@@ -75,7 +77,7 @@ impl Rejected {
 pub(super) enum Row {
     /// A sample; its times are not set yet.
     Sample { line: u64, stamps: RowStamps, sample: Sample },
-    /// A line that is no sample.
+    /// A line that is not a sample.
     Rejected(Rejected),
     /// A valid line that carries no measurement: a reply to a command.
     Aside,
@@ -83,8 +85,8 @@ pub(super) enum Row {
 
 /// A recording, line by line.
 pub(super) trait Rows {
-    /// The next line; `None` at the end.
+    /// Returns the next line; `None` at the end.
     fn next_row(&mut self) -> Result<Option<Row>, RecordingError>;
-    /// How the values read so far were written.
+    /// Returns how the values read so far were written.
     fn decimals(&self) -> &Decimals;
 }

@@ -16,9 +16,10 @@ pub(super) fn parse_seconds(text: &str) -> Option<i64> {
     parse_stamp(text.as_bytes(), NANO_PLACES)
 }
 
-/// The same in any unit of which a nanosecond is the `places`th decimal: 9 for seconds, 6 for ms, 3 for µs, 0 for ns.
+/// Converts a stamp in any unit of which a nanosecond is the `places`th decimal: 9 for seconds, 6 for ms, 3 for µs, 0
+/// for ns.
 ///
-/// This does not use `f64`, which resolves a time since 1970 to 240 ns only.
+/// This does not use `f64`, which resolves a time since 1970 only to 240 ns.
 pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
     let (negative, digits) = match text.first()? {
         b'-' => (true, &text[1..]),
@@ -128,7 +129,7 @@ impl StepMedian {
         }
     }
 
-    /// The table with these steps in it.
+    /// Returns the table with these steps in it.
     fn merged(&self, mut gathered: Vec<(u64, u64)>) -> Vec<(u64, u64)> {
         for (step, _) in &mut gathered {
             *step = rounded(*step, self.kept_bits);
@@ -148,12 +149,12 @@ impl StepMedian {
         merged
     }
 
-    /// Distinct steps, ns, and how often each came, increasing.
+    /// Returns distinct steps, ns, and how often each came, increasing.
     pub(super) fn counted(&self) -> Vec<(u64, u64)> {
         self.merged(self.gathered.clone())
     }
 
-    /// How many steps there are.
+    /// Returns the number of steps.
     pub(super) fn total(&self) -> u64 {
         self.total
     }
@@ -172,7 +173,7 @@ fn push(table: &mut Vec<(u64, u64)>, step: u64, count: u64) {
     }
 }
 
-/// The median of the steps counted in an increasing table; of an even number the mean of the middle two.
+/// Returns the median of the steps counted in an increasing table; of an even number the mean of the middle two.
 pub(super) fn median_of(counted: &[(u64, u64)]) -> Option<f64> {
     let total: u64 = counted.iter().map(|(_, count)| count).sum();
     let at = |rank: u64| {
@@ -186,7 +187,7 @@ pub(super) fn median_of(counted: &[(u64, u64)]) -> Option<f64> {
     (total > 0).then(|| 0.5 * (at((total - 1) / 2) + at(total / 2)))
 }
 
-/// `step` with all but its leading bits replaced by the middle of their range.
+/// Returns `step` with all but its leading bits replaced by the middle of their range.
 fn rounded(step: u64, kept_bits: Option<u32>) -> u64 {
     let length = u64::BITS - step.leading_zeros();
     match kept_bits {

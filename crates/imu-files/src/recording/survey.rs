@@ -22,7 +22,7 @@ use std::path::Path;
 
 /// The decimals of text are a step if the greatest value has no more digits: beyond that they are a double's.
 const DIGITS_MAX: f64 = 1e9;
-/// A step is that of the decimals if it is below this many of theirs.
+/// A step is that of the decimals if it is smaller than this many steps of the decimals.
 const DECIMALS_OWN: f64 = 1.5;
 /// A step that lies this close to a multiple of the decimals' is that multiple.
 const MULTIPLE_WITHIN: f64 = 0.02;
@@ -43,12 +43,12 @@ pub(super) struct Survey {
     /// Steps from stamp to stamp, including those of rejected lines.
     pub(super) steps: StepMedian,
     pairing: Pairing,
-    /// Samples missing by the grid, the gaps that contain them, and the longest gap: its points, and the ns at which it
-    /// begins.
+    /// Number of samples missing by the grid, number of gaps that contain them, and the longest gap: its points, and
+    /// the ns at which it begins.
     missing: u64,
     gaps: u64,
     longest_gap: Option<(u64, i64)>,
-    /// Stamps that are late by half a period or more, and the longest delay, periods.
+    /// Number of stamps that are late by half a period or more, and the longest delay, periods.
     delayed: (u64, f64),
     /// The mean period, ns, and how often stamps left the grid.
     outcome: Option<(f64, u64)>,
@@ -57,24 +57,24 @@ pub(super) struct Survey {
     last_stamp_ns: Option<i64>,
     between: Between,
     frozen: Frozen,
-    /// Stamps before that of the last sample, and the largest distance, ns.
+    /// Number of stamps before that of the last sample, and the largest distance, ns.
     late: (u64, u64),
     first_late_line: Option<u64>,
     present: Present,
-    /// Stamps that lie ahead of those that follow, or are of another clock.
+    /// Number of stamps that lie ahead of those that follow, or are of another clock.
     astray: u64,
     pub(super) rejected: BTreeMap<DiscardCause, u64>,
     pub(super) first_rejected: Vec<Rejected>,
     values: Values,
 }
 
-/// Stamps that repeat the last sample's.
+/// Counts of stamps that repeat the last sample's.
 #[derive(Debug, Default)]
 struct Frozen {
     stamps: u64,
     runs: u64,
     longest: u64,
-    /// In the current run.
+    /// The number in the current run.
     run: u64,
 }
 
@@ -87,11 +87,11 @@ impl Frozen {
     }
 }
 
-/// How many samples have each channel.
+/// The number of samples that have each channel.
 #[derive(Debug, Default)]
 struct Present {
     counts: [u64; Channel::COUNT],
-    /// The channels of the last samples, and how many of them: nearly all have the same.
+    /// The channels of the last samples, and the number of these samples: nearly all have the same channels.
     run: (ChannelSet, u64),
 }
 
@@ -158,12 +158,12 @@ impl Survey {
         self.last_stamps_ns.push_back(stamp_ns);
     }
 
-    /// The mean period of the stamps, ns; `None` if they do not determine one.
+    /// Returns the mean period of the stamps, ns; `None` if they do not determine one.
     pub(super) fn period_ns(&self) -> Option<f64> {
         self.outcome.map(|(period_ns, _)| period_ns)
     }
 
-    /// The grid of the last stamps, if earlier ones left the grid of the first stamps and this one is finer: a
+    /// Returns the grid of the last stamps, if earlier ones left the grid of the first stamps and this one is finer: a
     /// recording whose rate rose.
     pub(super) fn another_grid(&self, first: Option<&StampGrid>) -> Option<StampGrid> {
         let (_, slips) = self.outcome?;
@@ -221,7 +221,7 @@ impl Survey {
         self.pairing.add(step_ns);
     }
 
-    /// The findings, once the rate is known.
+    /// Returns the findings, once the rate is known.
     pub(super) fn findings(
         &self,
         rate_hz: f64,
@@ -271,14 +271,14 @@ impl Survey {
         }
     }
 
-    /// For each of these channels that is absent in some samples, the number of those samples.
+    /// Returns, for each of these channels that is absent in some samples, the number of those samples.
     pub(super) fn absent(&self, of: ChannelSet) -> BTreeMap<Channel, u64> {
         let counts = self.present.counts();
         let absent = of.iter().map(|channel| (channel, self.samples - counts[channel as usize]));
         absent.filter(|(_, count)| *count > 0).collect()
     }
 
-    /// The step of each channel's values, if one is found.
+    /// Returns the step of each channel's values, if one is found.
     fn quantisation(&self, conversions: &[Conversion], decimals: &Decimals) -> BTreeMap<Channel, Quantisation> {
         let of = |channel: Channel| {
             let converted = conversions.iter().find(|conversion| conversion.channel == channel);
@@ -307,7 +307,7 @@ impl Survey {
     }
 }
 
-/// The step of values in the file's own unit: of the values themselves, or their decimals.
+/// Returns the step of values in the file's own unit: of the values themselves, or their decimals.
 fn step_as_written(values: &[f64], decimals: Option<u8>) -> Option<f64> {
     let found = step_of(values);
     let size = values.iter().fold(0.0, |size: f64, value| size.max(value.abs()));

@@ -36,7 +36,7 @@ fn at_rate(rate_hz: f64) -> Options {
     Options { rate_hz: Some(rate_hz), ..Options::default() }
 }
 
-/// A valid `$VNYMR` line whose gyro x is `value`.
+/// Returns a valid `$VNYMR` line whose gyro x is `value`.
 fn line(value: f64) -> String {
     let body = format!(
         "VNYMR,-134.051,-000.443,-000.892,-00.1575,+00.1599,+00.3040,-00.077,+00.164,-09.965,{value:+010.6},+00.001325,+00.000043"
@@ -166,7 +166,8 @@ fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
     assert!((loaded.duration_s() - 600.0).abs() < 0.011, "{}", loaded.duration_s());
 }
 
-/// The rate of a recording whose stamps, s, are written with this many decimals; none of its samples may be lost.
+/// Returns the rate of a recording whose stamps, s, are written with this many decimals; none of its samples may be
+/// lost.
 fn rate_of(stamps_s: impl Iterator<Item = f64>, decimals: usize) -> (f64, u64) {
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
     let mut count = 0;
@@ -564,7 +565,7 @@ fn a_csv_row_without_end_is_refused_before_it_fills_the_memory() {
     }
 }
 
-/// The limits of `expansion` are counted over the whole reading, so that they can be small here.
+/// Returns an input with small limits of `expansion`: they are counted over the whole reading.
 fn small_bounds(bytes: Vec<u8>) -> Input {
     let expansion = meter::Expansion { free_bytes: 100_000, ratio: 20, most_bytes: 1 << 30 };
     Input::memory("bomb", bytes).expanding(expansion)

@@ -26,7 +26,7 @@ fn says_not(remarks: &[String], word: &str) {
     assert!(remarks.iter().all(|remark| !remark.contains(word)), "{word}: {remarks:#?}");
 }
 
-/// Noise that is the same in every run, with a standard deviation near 1.
+/// Returns noise that is the same in every run, with a standard deviation near 1.
 fn noise(state: &mut u64) -> f64 {
     let mut sum = 0.0;
     for _ in 0..12 {
@@ -36,7 +36,7 @@ fn noise(state: &mut u64) -> f64 {
     sum - 6.0
 }
 
-/// A sensor that rests (or rocks about two axes): rate, acceleration and field in its channels' units.
+/// Returns a sensor that rests (or rocks about two axes): rate, acceleration and field in its channels' units.
 fn rows(rocks: bool) -> Vec<[f64; 9]> {
     let (mut state, mut gravity) = (7, [0.0, 0.0, -9.8]);
     (0..6000)
@@ -61,7 +61,7 @@ fn rows(rocks: bool) -> Vec<[f64; 9]> {
         .collect()
 }
 
-/// Those as a CSV whose columns claim the channels' units, with the values multiplied by these factors.
+/// Returns the rows as a CSV whose columns claim the channels' units, with the values multiplied by these factors.
 fn claimed(rocks: bool, [gyro, accel, mag]: [f64; 3]) -> String {
     let mut text = format!(
         "time_s,{},accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,mag_x_gauss,mag_y_gauss,mag_z_gauss\n",

@@ -30,7 +30,7 @@ pub(super) struct Turns {
 }
 
 impl Turns {
-    /// The ratio of the sensor's turning to that of the gyro, and how well directions agree (1: exactly).
+    /// Returns the ratio of the sensor's turning to that of the gyro, and how well directions agree (1: exactly).
     pub(super) fn ratio(&self) -> Option<(f64, f64)> {
         let ratio = self.seen_told / self.told_told;
         let agreement = self.seen_told / (self.seen_seen * self.told_told).sqrt();
@@ -118,7 +118,7 @@ fn cross(one: Vector, other: Vector) -> Vector {
 mod tests {
     use super::*;
 
-    /// A sensor that rocks about two axes, with its gyro in units of which `per_rad` make a radian.
+    /// Returns a sensor that rocks about two axes, with its gyro in units of which `per_rad` make a radian.
     fn rocking(per_rad: f64, stamped: bool) -> Turns {
         let mut turning = Turning::default();
         let (mut gravity, step_s) = ([0.0, 0.0, -9.8], 0.01);

@@ -6,11 +6,11 @@
 use super::turning::Turning;
 use imu_core::sample::{Channel, Sample, Triad};
 
-/// Samples that are kept.
+/// The maximum number of samples that are kept.
 const KEPT: usize = 4096;
 /// A VN-100 cannot measure more than this (its range is 2.5), gauss: a magnetic field whose unit is wrong.
 const MAG_MAX_GAUSS: f64 = 25.0;
-/// Of normal noise, the standard deviation over the median distance from the median.
+/// The standard deviation of normal noise over the median distance from the median.
 pub(super) const STD_OF_SPREAD: f64 = 1.4826;
 /// The channels of a magnetic field.
 const FIELD: [Channel; 3] = [Channel::MagX, Channel::MagY, Channel::MagZ];
@@ -23,9 +23,9 @@ pub(super) struct Values {
     /// One less than the number of samples of which one is kept, which is a power of two.
     mask: u64,
     seen: u64,
-    /// Samples that repeat the one before in every channel.
+    /// Number of samples that repeat the one before in every channel.
     pub(super) repeated: u64,
-    /// Samples with a field of more than [`MAG_MAX_GAUSS`].
+    /// Number of samples with a field of more than [`MAG_MAX_GAUSS`].
     pub(super) strong_fields: u64,
     pub(super) turning: Turning,
     /// The curvature of the gyro's axes at each of the kept samples: the difference between the step to it and the step
@@ -81,13 +81,13 @@ impl Values {
         Some([x?, y?, z?])
     }
 
-    /// The kept values of a channel.
+    /// Returns the kept values of a channel.
     pub(super) fn of(&self, channel: Channel) -> Vec<f64> {
         self.spread.iter().filter_map(|sample| sample.get(channel)).collect()
     }
 }
 
-/// The median of these values, and the median of their distances from it; `None` without values.
+/// Returns the median of these values, and the median of their distances from it; `None` without values.
 pub(super) fn median_and_spread(mut values: Vec<f64>) -> Option<(f64, f64)> {
     let middle = |values: &mut Vec<f64>| {
         let place = values.len() / 2;

@@ -24,7 +24,7 @@ const SHOWN_BYTES: usize = 80;
 /// A clock that goes back by more than this has restarted, ns: frames of one sensor never overtake each other.
 const RESTART_NS: u64 = 500_000_000;
 
-/// Whether the beginning of a file holds binary frames.
+/// Returns whether the beginning of a file holds binary frames.
 pub(super) fn is_binary(head: &[u8]) -> bool {
     let mut frames = 0;
     let mut decoder = decoder();
@@ -66,7 +66,7 @@ struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// The time since the sensor's clock first began.
+    /// Returns the time since the sensor's clock first began.
     fn stamp_ns(&mut self, device_ns: u64) -> i64 {
         let mut now_ns = device_ns.saturating_add(self.offset_ns);
         if let Some(last_ns) = self.last_ns {
@@ -97,7 +97,7 @@ impl BinaryRows {
         })
     }
 
-    /// How often the sensor's clock restarted so far.
+    /// Returns how often the sensor's clock restarted so far.
     pub(super) fn restarts(&self) -> u64 {
         self.clock.restarts
     }

@@ -30,9 +30,9 @@ const UNREAD_PREFIX: &str = "text before $VN";
 pub(super) enum Message {
     /// A measurement with its values.
     Measurement(Sample),
-    /// Something else that is valid.
+    /// Another valid message.
     Other,
-    /// Nothing that can be used.
+    /// No usable message.
     Nothing,
 }
 
@@ -66,7 +66,7 @@ impl VnRows {
         })
     }
 
-    /// The ignored parts of the lines read so far.
+    /// Returns the ignored parts of the lines read so far.
     pub(super) fn ignored(&self) -> &[String] {
         &self.ignored
     }
@@ -80,8 +80,8 @@ impl VnRows {
         Ok(read > 0)
     }
 
-    /// The line's outcome. A line in which a good message follows a spliced one is both rejected and a sample: the sample
-    /// waits.
+    /// Returns the line's outcome. A line in which a good message follows a spliced one is both rejected and a sample:
+    /// the sample waits.
     fn understand(&mut self) -> Row {
         let line = self.bytes.trim_ascii();
         let number = self.line;
@@ -100,7 +100,7 @@ impl VnRows {
                 return Row::Rejected(garbage(DiscardCause::UnexpectedFormat));
             }
             Message::Measurement(sample) => sample,
-            // Nothing but the rejected part belongs to the line's stamps.
+            // Only the rejected part belongs to the line's stamps.
             Message::Other => return bad.map_or(Row::Aside, |bad| Row::Rejected(bad.stamped(stamps))),
             Message::Nothing => {
                 let bad = bad.map(|bad| bad.stamped(stamps));
@@ -141,7 +141,7 @@ impl Rows for VnRows {
     }
 }
 
-/// A decoder of single lines.
+/// Returns a decoder of single lines.
 pub(super) fn line_decoder() -> Decoder {
     Decoder::new(DecoderOptions { binary: BinaryAcceptance::Never })
 }
@@ -173,7 +173,8 @@ pub(super) fn read_message(
     (message, bad)
 }
 
-/// A message without the quotation marks and the written-out line end behind it, which it has if it was a table's cell.
+/// Returns a message without the quotation marks and the written-out line end behind it, which it has if it came from a
+/// table's cell.
 fn unquoted(message: &[u8]) -> &[u8] {
     let bare =
         |message: &'_ [u8]| message.len() - message.iter().rev().take_while(|byte| b"\"'".contains(byte)).count();
@@ -182,7 +183,7 @@ fn unquoted(message: &[u8]) -> &[u8] {
     message.strip_suffix(br"\r").unwrap_or(message)
 }
 
-/// The stamps before a message, and whether there is also something that is no stamp: then none of it is used.
+/// Returns the stamps before a message, and whether there is also something that is no stamp: then none of it is used.
 fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
     let mut stamps = RowStamps::default();
     let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };

@@ -13,7 +13,7 @@ effect! {
     size: f64 = ANY, "U", "by how much, U; signed";
 }
 
-/// 1² + … + n², 0 for n below 1.
+/// Returns 1² + … + n², 0 for n below 1.
 fn squares_up_to(n: i128) -> i128 {
     let n = n.max(0);
     n * (n + 1) * (2 * n + 1) / 6
@@ -27,7 +27,7 @@ impl Effect for BiasStep {
         Some(0.0)
     }
     /// The averages around a step that lies j samples after the first one's start differ by size·j/m up to j = m and by
-    /// size·(2m − j)/m from there to 2m; half the mean square over the record, in closed form.
+    /// size·(2m − j)/m from there to 2m. Returns half the mean square over the record, in closed form.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let last_start = i128::from(record.samples.checked_sub(2 * m).filter(|_| m > 0)?);
         let (step, width) = (i128::from(record.index_at(self.at_s)), i128::from(m));

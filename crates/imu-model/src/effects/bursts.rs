@@ -7,8 +7,9 @@ use super::{Effect, Extent, Moments, Record, Sampler, Stage, Stream, each, sampl
 effect! {
     /// White noise of root mean square `sigma` per sample inside the intervals; overlapping intervals count once.
     ///
-    /// An interval holds the samples from its first instant to before its last. Spectrum: flat, but only inside; averaged over
-    /// a record it is σ²/rate times the share of the samples inside, which is not the parameters' alone (`None`).
+    /// An interval holds the samples from its first instant to before its last. Spectrum: flat, but only inside;
+    /// averaged over a record it is σ²/rate times the share of the samples inside, which depends on more than the
+    /// parameters (`None`).
     #[derive(Debug, Clone, PartialEq)]
     pub struct Bursts: dyn Effect, 11, Stage::Noise, Samples;
     "white noise inside intervals: knocks, handling";
@@ -17,7 +18,7 @@ effect! {
 }
 
 impl Bursts {
-    /// The samples inside as ranges that neither overlap nor touch, in order.
+    /// Returns the samples inside as ranges that neither overlap nor touch, in order.
     pub(super) fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
         let index = |time_s| sampled::index_at(time_s, rate_hz);
         let mut ranges: Vec<_> = self.intervals.iter().map(|(from, to)| (index(*from), index(*to))).collect();
@@ -32,7 +33,7 @@ impl Bursts {
         merged
     }
 
-    /// How many of the record's samples are inside.
+    /// Returns the number of the record's samples that are inside.
     pub(super) fn inside(&self, record: Record) -> u64 {
         let until = |index: u64| index.min(record.samples);
         self.ranges(record.rate_hz).iter().map(|(from, to)| until(*to) - until(*from)).sum()
@@ -46,7 +47,8 @@ impl Effect for Bursts {
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         None
     }
-    /// A sample inside is in as many of the n − 2m + 1 windows of 2m as reach it, and adds σ²/m² to each one's difference.
+    /// A sample inside belongs to as many of the n − 2m + 1 windows of 2m as reach it, and adds σ²/m² to the difference
+    /// of each window.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let last_start = record.samples.checked_sub(2 * m).filter(|_| m > 0)?;
         let windows = |index: u64| index.min(last_start) - (index + 1).saturating_sub(2 * m).min(last_start + 1) + 1;

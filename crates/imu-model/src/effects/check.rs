@@ -1,11 +1,11 @@
-//! Checks that the effects' tests share: simulated spectra, Allan variances and moments against the closed forms, and
-//! values that do not depend on how a stream is cut.
+//! Checks that the effects' tests share: simulated spectra, Allan variances and moments are compared with the closed
+//! forms, and values must not depend on how a stream is cut.
 
 use super::{At, Effect, EffectKind, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
 
 /// Samples per realisation.
 pub(super) const SAMPLES: usize = 1 << 14;
-/// Realisations.
+/// Number of realisations.
 const SEEDS: u64 = 100;
 /// Accepted distance in standard errors of the mean over the realisations: with some 20 comparisons per effect and 30
 /// effects, one in 3000 runs would fail by chance if seeds were not fixed.
@@ -13,38 +13,38 @@ const STANDARD_ERRORS: f64 = 5.0;
 /// Accepted relative deviation of spectra (leakage of the window, flicker's ripple) and of the Allan variance of
 /// flicker and power laws.
 const APPROXIMATE: f64 = 0.01;
-/// And of what is exact.
+/// Accepted relative deviation of quantities with exact closed forms.
 const EXACT: f64 = 1e-6;
 
-/// The same for a quantity that should be 0, in sums over numbers of about 1.
+/// Accepted deviation of a quantity that should be 0, in sums over numbers of about 1.
 const ROUNDING: f64 = 1e-18;
 
-/// A stream for a test.
+/// Returns a stream for a test.
 pub(super) fn stream(seed: u64) -> Stream {
     Stream::new(seed, StreamId { owner: 9, effect: 7, instance: 0 })
 }
 
-/// `count` samples of the effect alone.
+/// Draws `count` samples of the effect alone.
 pub(super) fn draw(effect: &dyn Effect, rate_hz: f64, count: usize, seed: u64) -> Vec<f64> {
     let mut values = vec![0.0; count];
     effect.sampler(rate_hz, count as f64 / rate_hz, stream(seed)).apply(&mut values);
     values
 }
 
-/// `count` normal values of variance 1, from a stream that no effect uses.
+/// Draws `count` normal values of variance 1 from a stream that no effect uses.
 fn white(count: usize, seed: u64) -> Vec<f64> {
     let mut stream = Stream::new(seed, StreamId { owner: 9, effect: 60_000, instance: 0 });
     (0..count).map(|_| stream.normal()).collect()
 }
 
-/// The output of the effect for normal white noise of variance 1 per sample.
+/// Returns the output of the effect for normal white noise of variance 1 per sample.
 pub(super) fn draw_on_white(effect: &dyn Effect, rate_hz: f64, count: usize, seed: u64) -> Vec<f64> {
     let mut values = white(count, seed);
     effect.sampler(rate_hz, count as f64 / rate_hz, stream(seed)).apply(&mut values);
     values
 }
 
-/// Overlapping Allan variance of `values` at averaging factor `m`, from its definition.
+/// Returns the overlapping Allan variance of `values` at averaging factor `m`, from its definition.
 pub(super) fn allan_variance(values: &[f64], m: usize) -> f64 {
     let mut phase = vec![0.0];
     for value in values {
@@ -55,7 +55,7 @@ pub(super) fn allan_variance(values: &[f64], m: usize) -> f64 {
     sum / (2.0 * (m * m) as f64 * differences as f64)
 }
 
-/// How a record is weighted before its spectrum is taken.
+/// The weighting of a record before its spectrum is taken.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Window {
     /// For spectra that are not flat.
@@ -64,7 +64,7 @@ pub(super) enum Window {
     Rectangular,
 }
 
-/// Mean two-sided PSD over the bins `from..to`.
+/// Returns the mean two-sided PSD over the bins `from..to`.
 fn band_powers(values: &[f64], rate_hz: f64, bands: &[(usize, usize)], window: Window) -> Vec<f64> {
     let n = values.len();
     let window = |i: usize| match window {
@@ -85,7 +85,7 @@ fn band_powers(values: &[f64], rate_hz: f64, bands: &[(usize, usize)], window: W
         .collect()
 }
 
-/// Mean and its standard error.
+/// Returns the mean and its standard error.
 pub(super) fn mean_and_error(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -99,12 +99,12 @@ fn agrees(what: &str, found: &[f64], expected: f64, systematic: f64) {
     assert!((mean - expected).abs() < allowed, "{what}: {mean:e} ± {error:e}, expected {expected:e}");
 }
 
-/// The octaves up to half the rate.
+/// Returns the octaves up to half the rate.
 fn octaves() -> Vec<(usize, usize)> {
     (5..13).map(|octave| (1 << octave, 1 << (octave + 1))).collect()
 }
 
-/// Asserts that the mean spectrum over the seeds is `expected` (at frequencies in Hz) in every octave.
+/// Asserts that the mean spectrum over the seeds equals `expected` (a function of the frequency in Hz) in every octave.
 pub(super) fn spectrum_agrees(
     name: &str,
     window: Window,
@@ -122,9 +122,9 @@ pub(super) fn spectrum_agrees(
     }
 }
 
-/// Asserts that the mean Allan variances over the seeds are `expected`, if that is known.
+/// Asserts that the mean Allan variances over the seeds equal `expected`, if that is known.
 fn allan_agrees(name: &str, cases: &[Vec<f64>], systematic: f64, expected: impl Fn(u64) -> Option<f64>) {
-    // Beyond an eighth of the record one difference is left, whose mean square over 100 seeds is far from normal.
+    // Beyond an eighth of the record only one difference remains, whose mean square over 100 seeds is far from normal.
     for m in [1, 2, 4, 16, 64, 256, 2048, 7000].into_iter().filter(|m| *m <= 2048 || cases.len() < SEEDS as usize) {
         let Some(expected) = expected(m as u64) else { continue };
         let found: Vec<f64> = cases.iter().map(|values| allan_variance(values, m)).collect();
@@ -142,7 +142,7 @@ fn moments_agree(name: &str, cases: &[Vec<f64>], moments: super::Moments) {
     }
 }
 
-/// Asserts that a realisation does not depend on how it is cut, and does on the seed if it draws at all.
+/// Asserts that a realisation does not depend on how it is cut, but on the seed if the effect draws random numbers.
 fn cuts_do_not_matter(effect: &dyn Effect, rate_hz: f64) {
     let length_s = 1000.0 / rate_hz;
     let whole = draw_on_white(effect, rate_hz, 1000, 11);
@@ -201,7 +201,7 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
                 let cycles = (0..panels).map(|panel| (f64::from(panel) + 0.5) / f64::from(2 * panels));
                 cycles.map(|cycles| psd(cycles) * sampled::allan_response(m, cycles)).sum::<f64>() / f64::from(panels)
             };
-            // The first values behind a filter are not as those that follow.
+            // The first values behind a filter differ from those that follow.
             allan_agrees(name, &cases, 1e-3, |m| Some(integral(m)));
         }
         _ => {

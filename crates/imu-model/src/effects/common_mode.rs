@@ -1,14 +1,14 @@
-//! Common mode: noise that several channels share, such as a supply's.
+//! Common mode: noise that several channels share, such as that of a supply.
 
 use super::described::effect;
 use super::spec::ANY;
 use super::{Effect, Moments, Record, Sampler, Scope, Stage, Stream, each};
 
 effect! {
-    /// White noise that is the same on all channels that name it, times each one's `sigma`.
+    /// White noise that is the same on all channels that name it, times the `sigma` of each.
     ///
-    /// A negative `sigma` is noise of the opposite sign. A channel's second common mode is the second of every other channel:
-    /// the first, second… of all share one source each.
+    /// A negative `sigma` is noise of the opposite sign. The first common modes of all channels share one source, the
+    /// second ones another, and so on.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct CommonMode: dyn Effect, 12, Stage::Noise, White;
     "white noise shared by the channels that name it";

@@ -1,43 +1,43 @@
-//! Described: what each type of effect states of itself, and the macros that state it once.
+//! Described: the statements of each type of effect, and the macros that define them once.
 
 use super::spec::{Spec, Values, pair_of};
 use super::{EffectKind, Stage};
 use serde_json::{Value, json};
 
-/// What an effect says of itself, on a channel or a triad.
+/// The statements of an effect on a channel or a triad.
 pub trait Described {
-    /// Its name, place in the chain and parameters with their ranges.
+    /// Returns the name, the place in the chain and parameters with their ranges.
     fn spec(&self) -> &'static Spec;
 
-    /// Its parameters as they stand in a model's file.
+    /// Returns the parameters in the form of a model's file.
     fn parameters(&self) -> Vec<(&'static str, Value)>;
 
-    /// Its identity.
+    /// Returns the identity.
     fn kind(&self) -> EffectKind {
         self.spec().kind
     }
 
-    /// The name in files and messages (docs/formats.md).
+    /// Returns the name in files and messages (docs/formats.md).
     fn name(&self) -> &'static str {
         self.kind().name()
     }
 
-    /// The stage of the chain at which it acts.
+    /// Returns the stage of the chain at which the effect acts.
     fn stage(&self) -> Stage {
         self.spec().stage
     }
 
-    /// A parameter as it stands in a model's file; none of another name.
+    /// Returns a parameter in the form of a model's file; `None` for another name.
     fn parameter(&self, name: &str) -> Option<Value> {
         self.parameters().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
     }
 
-    /// A parameter that is a number, in its unit; none of another form or name.
+    /// Returns a parameter that is a number, in its unit; `None` for another form or name.
     fn number(&self, name: &str) -> Option<f64> {
         self.parameter(name)?.as_f64()
     }
 
-    /// The pairs of a parameter that is a list of them.
+    /// Returns the pairs of a parameter that is a list of pairs.
     fn pairs(&self, name: &str) -> Vec<(f64, f64)> {
         self.parameter(name).iter().filter_map(Value::as_array).flatten().filter_map(pair_of).collect()
     }
@@ -45,9 +45,9 @@ pub trait Described {
 
 /// A type of parameter.
 pub(super) trait Field: Sized {
-    /// From an entry's checked values.
+    /// Reads the parameter from an entry's checked values.
     fn read(values: &Values<'_>, name: &str) -> Self;
-    /// As in an entry.
+    /// Returns the parameter in the form of an entry.
     fn write(&self) -> Value;
 }
 
@@ -73,7 +73,7 @@ fields! {
     [[f64; 3]; 3]: matrix, |rows| json!(rows);
 }
 
-/// The parameters that a model writes, of values in the table's order.
+/// Returns the parameters that a model writes, from values in the table's order.
 pub(super) fn written<const N: usize>(spec: &'static Spec, values: [Value; N]) -> Vec<(&'static str, Value)> {
     let pairs = spec.parameters.iter().zip(values).filter(|(parameter, value)| parameter.writes(value));
     pairs.map(|(parameter, value)| (parameter.name, value)).collect()
@@ -88,7 +88,7 @@ macro_rules! described {
         |$values:ident| $make:expr, |$of:ident| $write:expr
     ) => {
         impl $type {
-            /// Its table.
+            /// The table of the effect.
             pub const SPEC: &'static $crate::effects::Spec = &$crate::effects::Spec {
                 kind: $crate::effects::EffectKind::$type,
                 stream: $stream,
@@ -99,7 +99,7 @@ macro_rules! described {
                 meaning: $meaning,
                 phrases: &[$($($phrase),+)?],
             };
-            /// Its table, and how it is made of an entry.
+            /// The table of the effect, and how it is made from an entry.
             pub const DEFINITION: &'static $crate::effects::spec::Definition<$trait> =
                 &$crate::effects::spec::Definition { spec: Self::SPEC, make: |$values| std::sync::Arc::new($make) };
         }

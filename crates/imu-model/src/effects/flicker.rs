@@ -29,16 +29,16 @@ effect! {
     b as "B": f64 = FROM_ZERO, "U", "B in U";
 }
 
-/// Averaging factors up to this one take the Allan variance by integration, those beyond by its expansion (which is off
-/// by less than 1e-6 there).
+/// Up to this averaging factor the Allan variance is integrated; beyond it, the expansion is used (its error is below
+/// 1e-6 there).
 const INTEGRATED_UP_TO: u64 = 32;
 
 impl Effect for Flicker {
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(self.b * self.b / (2.0 * PI * frequency_hz))
     }
-    /// The integral of the spectrum up to Nyquist, B²·(2/πm²)·∫ sin⁴(mx)/(x sin²x) dx over 0…π/2: 0.525 B² at m = 1,
-    /// (2 ln 2/π)·B² = 0.441 B² for large m.
+    /// Returns the integral of the spectrum up to Nyquist, B²·(2/πm²)·∫ sin⁴(mx)/(x sin²x) dx over 0…π/2: 0.525 B² at m
+    /// = 1, (2 ln 2/π)·B² = 0.441 B² for large m.
     fn allan_variance(&self, m: u64, _record: Record) -> Option<f64> {
         Some(self.b * self.b * unit_allan_variance(m.max(1)))
     }
@@ -47,7 +47,7 @@ impl Effect for Flicker {
     }
 }
 
-/// Allan variance of flicker noise with B = 1 at averaging factor `m`.
+/// Returns the Allan variance of flicker noise with B = 1 at averaging factor `m`.
 fn unit_allan_variance(m: u64) -> f64 {
     let averaged = m as f64;
     if m <= INTEGRATED_UP_TO {
@@ -57,12 +57,12 @@ fn unit_allan_variance(m: u64) -> f64 {
         };
         return 2.0 / (PI * averaged * averaged) * simpson(integrand, FRAC_PI_2, 256 * m);
     }
-    // sin⁴(mx)/(x sin²x) = sin⁴(mx)/x³ + sin⁴(mx)·(1/sin²x − 1/x²)/x; for large m only the mean 3/8 of sin⁴ counts in what
-    // is not singular at 0. The constant below comes from integrating the pieces.
+    // sin⁴(mx)/(x sin²x) = sin⁴(mx)/x³ + sin⁴(mx)·(1/sin²x − 1/x²)/x; for large m only the mean 3/8 of sin⁴ counts in
+    // the part that is not singular at 0. The constant below comes from integrating the pieces.
     2.0 / PI * (LN_2 + (expansion_constant() + averaged.ln() / 8.0) / (averaged * averaged))
 }
 
-/// The m-independent part of the expansion of the Allan variance in 1/m².
+/// Returns the m-independent part of the expansion of the Allan variance in 1/m².
 fn expansion_constant() -> f64 {
     const EULER_GAMMA: f64 = 0.577_215_664_901_532_9;
     // (1/sin²x − 1/x² − 1/3)/x, whose series begins with x/15.
@@ -73,20 +73,21 @@ fn expansion_constant() -> f64 {
     3.0 / 8.0 * ((EULER_GAMMA + PI.ln()) / 3.0 + simpson(rest, FRAC_PI_2, 512)) - LN_2 / 24.0 - beyond_nyquist
 }
 
-/// Simpson's rule over 0…`end` with `panels` panels (even).
+/// Integrates over 0…`end` by Simpson's rule with `panels` panels (even).
 fn simpson(integrand: impl Fn(f64) -> f64, end: f64, panels: u64) -> f64 {
     let step = end / panels as f64;
     let inner: f64 = (1..panels).map(|i| if i % 2 == 1 { 4.0 } else { 2.0 } * integrand(i as f64 * step)).sum();
     step / 3.0 * (integrand(0.0) + inner + integrand(end))
 }
 
-/// From one pole of the ladder to the next; its zeros lie at the geometric middle.
+/// Ratio of neighbouring poles of the ladder; its zeros lie at the geometric middle.
 const RATIO: f64 = 4.0;
 /// The lowest pole's frequency times the record's length.
 const LOWEST_POLE: f64 = 1.0 / 16.0;
-/// Pairs a ladder may have: enough for 5e12 samples (200 years at 800 Hz).
+/// Maximum number of pairs in a ladder: enough for 5e12 samples (200 years at 800 Hz).
 const PAIRS_MAX: usize = 22;
-/// First-order sections that a ladder may have: its pairs' poles, the lone pole and the one on the negative axis.
+/// Maximum number of first-order sections in a ladder: its pairs' poles, the lone pole and the one on the negative
+/// axis.
 const SECTIONS_MAX: usize = PAIRS_MAX + 2;
 /// Sections computed side by side; keeps their state in registers.
 const LANES: usize = 8;
@@ -107,23 +108,23 @@ struct Root {
 }
 
 impl Root {
-    /// The root of the factor x + `corner`².
+    /// Returns the root of the factor x + `corner`².
     fn at_corner(corner: f64) -> Self {
         Self { decay: 2.0 * corner.asinh(), negative: false }
     }
-    /// The root of the factor `edge` − x, `edge` above 1.
+    /// Returns the root of the factor `edge` − x, `edge` above 1.
     fn beyond_nyquist(edge: f64) -> Self {
         Self { decay: 2.0 * edge.sqrt().acosh(), negative: true }
     }
     fn place(self) -> f64 {
         if self.negative { -(-self.decay).exp() } else { (-self.decay).exp() }
     }
-    /// 1 − self·other, without cancellation for roots close to 1.
+    /// Returns 1 − self·other, without cancellation for roots close to 1.
     fn one_minus_product(self, other: Self) -> f64 {
         let exponent = -(self.decay + other.decay);
         if self.negative == other.negative { -exponent.exp_m1() } else { 1.0 + exponent.exp() }
     }
-    /// 1 − self/other, likewise.
+    /// Returns 1 − self/other, without cancellation for roots close to 1.
     fn one_minus_quotient(self, other: Self) -> f64 {
         let exponent = other.decay - self.decay;
         if self.negative == other.negative { -exponent.exp_m1() } else { 1.0 + exponent.exp() }
@@ -139,7 +140,7 @@ struct Ladder {
 }
 
 impl Ladder {
-    /// The ladder for a record of `samples` samples (any number; fewer than 2 count as 2).
+    /// Returns the ladder for a record of `samples` samples (any number; fewer than 2 count as 2).
     fn new(samples: f64) -> Self {
         let lowest = PI * LOWEST_POLE / samples.max(2.0);
         let mut poles = vec![Root::at_corner(LONE), Root::beyond_nyquist(NEGATIVE_POLE)];
@@ -157,7 +158,7 @@ impl Ladder {
         let log_gain = GAIN.ln() - zeros.iter().map(|zero| 4_f64.ln() - zero.decay).sum::<f64>()
             + poles.iter().map(|pole| 4_f64.ln() - pole.decay).sum::<f64>();
         let gain = (0.5 * log_gain).exp();
-        // Partial fractions. There is one zero less than there are poles, so that no part of the input passes directly.
+        // Partial fractions. There is one zero fewer than poles, so that no part of the input passes directly.
         let weights = poles
             .iter()
             .enumerate()
@@ -175,7 +176,7 @@ impl Ladder {
         Self { poles, weights }
     }
 
-    /// Lower triangle L with L·Lᵀ = covariance of the sections' stationary states, 1/(1 − φᵢφⱼ).
+    /// Returns the lower triangle L with L·Lᵀ = covariance of the sections' stationary states, 1/(1 − φᵢφⱼ).
     fn stationary_root(&self) -> Vec<Vec<f64>> {
         let n = self.poles.len();
         let mut lower = vec![vec![0.0; n]; n];
@@ -202,7 +203,7 @@ struct FlickerSampler {
     stream: Stream,
 }
 
-/// Samples that pass the sections at a time.
+/// Number of samples that pass the sections at a time.
 const BLOCK: usize = 256;
 
 impl FlickerSampler {
@@ -259,7 +260,7 @@ mod tests {
     use super::super::check;
     use super::*;
 
-    /// Spectrum of the filter as it runs (poles and weights) over what it should be: 1 is right.
+    /// Returns the ratio of the running filter's spectrum (poles and weights) to the intended one.
     fn ratio_to_target(ladder: &Ladder, cycles_per_sample: f64) -> f64 {
         let sine = (2.0 * PI * cycles_per_sample).sin();
         let (mut real, mut imaginary) = (0.0, 0.0);

@@ -17,13 +17,13 @@ effect! {
     tc_s: f64 = above(0.0), "s", "correlation time, s";
 }
 
-/// Two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay` per sample, at
-/// `cycles` per sample; `decay` may be arbitrarily small.
+/// Returns the two-sided spectrum, per Hz, of a sampled first-order process of variance 1 with decay dt/Tc = `decay`
+/// per sample, at `cycles` per sample; `decay` may be arbitrarily small.
 pub(super) fn lorentzian(cycles: f64, decay: f64, rate_hz: f64) -> f64 {
     Lorentzian::new(decay, rate_hz).at((PI * cycles).sin())
 }
 
-/// The same as numbers that do not depend on the frequency.
+/// The frequency-independent numbers of [`lorentzian`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lorentzian {
     least: f64,
@@ -39,13 +39,13 @@ impl Lorentzian {
         Self { least, slope, level: -(-2.0 * decay).exp_m1() / rate_hz, per_hz: 1.0 / rate_hz }
     }
 
-    /// The density, by the sine of half an angle a sample.
+    /// Returns the density, from the sine of half an angle per sample.
     pub(super) fn at(&self, half: f64) -> f64 {
         self.level / (self.least + self.slope * half * half)
     }
 
-    /// The density that e^(−decay·|k|)·sin ω₀|k| has where this one is that of e^(−decay·|k|)·cos ω₀k: the spectrum of
-    /// its odd part, by sine and cosine of half an angle a sample.
+    /// Returns the density of e^(−decay·|k|)·sin ω₀|k|, if this is the density of e^(−decay·|k|)·cos ω₀k: the spectrum
+    /// of its odd part, from sine and cosine of half an angle per sample.
     pub(super) fn odd_at(&self, sine: f64, cosine: f64) -> f64 {
         self.per_hz * self.slope * sine * cosine / (self.least + self.slope * sine * sine)
     }

@@ -6,10 +6,10 @@ use super::{Effect, Moments, Record, Sampler, Stage, Stream, WhiteMoments, each}
 use rand_distr::ChiSquared;
 
 effect! {
-    /// Makes the white part Student t distributed and keeps its variance, and with it spectrum and Allan variance.
+    /// Gives the white part Student's t distribution and keeps its variance, and therefore spectrum and Allan variance.
     ///
-    /// Each white value z becomes z·√((ν − 2)/χ²), χ² drawn with ν degrees of freedom: t with ν degrees of freedom, scaled to
-    /// the variance of z. Kurtosis 3 + 6/(ν − 4) for ν above 4, infinite below.
+    /// Each white value z becomes z·√((ν − 2)/χ²), with χ² drawn with ν degrees of freedom: t with ν degrees of
+    /// freedom, scaled to the variance of z. Kurtosis 3 + 6/(ν − 4) for ν above 4, infinite below.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct HeavyTails: dyn Effect, 10, Stage::WhitePart, Samples;
     "the white part is Student t distributed, its variance kept";

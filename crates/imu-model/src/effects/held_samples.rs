@@ -6,10 +6,11 @@ use super::{Effect, Record, Sampler, Scope, Stage, Stream, each};
 use std::f64::consts::TAU;
 
 effect! {
-    /// With this probability a sample is the one before it again; all channels of the triad repeat together.
+    /// With this probability a sample repeats the one before it; all channels of the triad repeat together.
     ///
-    /// One channel that names it is enough. White noise keeps its variance and has the power gain of [`HeldSamples::white_gain`]. For
-    /// any other input, the outcome depends on its spectrum: psd and Allan variance are `None`.
+    /// One channel that names it is enough. White noise keeps its variance and has the power gain of
+    /// [`HeldSamples::white_gain`]. For any other input, the outcome depends on its spectrum: psd and Allan variance
+    /// are `None`.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct HeldSamples: dyn Effect, 13, Stage::Hold, Samples;
     "the sensor sends its last sample again; all channels of the triad repeat together"
@@ -18,8 +19,8 @@ effect! {
 }
 
 impl HeldSamples {
-    /// The power gain for a white spectrum: a held sample equals the one k earlier with probability pᵏ, which gives (1
-    /// − p²)/(1 + p² − 2p cos 2πf·dt).
+    /// Returns the power gain for a white spectrum: a held sample equals the one k earlier with probability pᵏ, which
+    /// gives (1 − p²)/(1 + p² − 2p cos 2πf·dt).
     pub fn white_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let p = self.probability;
         (1.0 - p * p) / (1.0 + p * p - 2.0 * p * (TAU * frequency_hz / rate_hz).cos())

@@ -11,8 +11,8 @@ use serde_json::{Map, Value, json};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// A tone, a resonance or white noise that is present only at times. The underlying process goes on meanwhile, so that a tone
-/// keeps its phase.
+/// A tone, a resonance or white noise that is present only at times. The underlying process continues meanwhile, so
+/// that a tone keeps its phase.
 ///
 /// At random times with exponential stays (a random telegraph g of 0 and 1, stationary from the start): with p the share of
 /// the time it is on and λ = 1/on + 1/off, E g₀g_t = p² + p(1 − p)·e^(−λt). The product's autocovariance is that times the
@@ -22,7 +22,7 @@ use std::sync::Arc;
 pub struct Intermittent {
     /// The effect that comes and goes.
     pub of: Gated,
-    /// When.
+    /// When the effect is present.
     pub times: Times,
 }
 
@@ -37,17 +37,17 @@ pub enum Gated {
     White(White),
 }
 
-/// When an effect is there.
+/// When an effect is present.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Times {
-    /// Mean lengths of its stays and of the pauses between them, s.
+    /// Mean lengths of the effect's stays and of the pauses between them, s.
     Random {
-        /// Of a stay.
+        /// Mean length of a stay, s.
         on_s: f64,
-        /// Of a pause.
+        /// Mean length of a pause, s.
         off_s: f64,
     },
-    /// From, to in s after the start; overlapping ones count once.
+    /// Begin and end in s after the start; overlapping intervals count once.
     Intervals(Vec<(f64, f64)>),
 }
 
@@ -118,7 +118,7 @@ impl Gated {
         }
     }
 
-    /// As it stands in a file.
+    /// Returns the effect in the form of a file.
     fn value(&self) -> Value {
         let mut entry: Map<String, Value> =
             std::iter::once(("effect".to_owned(), json!(self.effect().name()))).collect();
@@ -130,7 +130,7 @@ impl Gated {
         entry.into()
     }
 
-    /// Its autocovariance over `k` samples (from 1), U².
+    /// Returns the autocovariance over `k` samples (from 1), U².
     fn covariance(&self, k: u64, rate_hz: f64) -> f64 {
         let lag_s = k as f64 / rate_hz;
         match self {
@@ -144,7 +144,7 @@ impl Gated {
     }
 }
 
-/// Share of the time it is on, and how fast its being on is forgotten, 1/s.
+/// Returns the share of the time for which it is on, and the rate at which its state is forgotten, 1/s.
 fn telegraph(on_s: f64, off_s: f64) -> (f64, f64) {
     (on_s / (on_s + off_s), 1.0 / on_s + 1.0 / off_s)
 }
@@ -154,7 +154,8 @@ impl Effect for Intermittent {
         let refused = self.of.effect().check_at(rate_hz).err();
         refused.map_or(Ok(()), |of| Err(Self::SPEC.refuse(format!("of.{}", of.parameter), of.found, of.allowed)))
     }
-    /// `None` inside intervals: over a record it is the effect's own times the share of them, smeared by their lengths.
+    /// `None` inside intervals: over a record it is the effect's own times the share of the intervals, smeared by their
+    /// lengths.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let Times::Random { on_s, off_s } = self.times else { return None };
         let (share, forgotten) = telegraph(on_s, off_s);
@@ -173,7 +174,7 @@ impl Effect for Intermittent {
             }
         })
     }
-    /// Inside intervals, about: a tone is broadened by 1/π over the length of its stays.
+    /// Approximate for intervals: a tone is broadened by 1/π over the length of its stays.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         let Times::Intervals(intervals) = &self.times else { return None };
         let variance = self.moments(record)?.variance;
@@ -197,7 +198,7 @@ impl Effect for Intermittent {
             _ => Vec::new(),
         }
     }
-    /// Inside intervals that of white noise alone is known, which is that of [`Bursts`].
+    /// For intervals, only that of white noise is known; it is that of [`Bursts`].
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         match (&self.times, self.of) {
             (Times::Random { on_s, off_s }, of) => {
@@ -216,7 +217,7 @@ impl Effect for Intermittent {
             _ => None,
         }
     }
-    /// The moments of the effect, diluted by the share of the time.
+    /// Returns the moments of the effect, diluted by the share of the time.
     fn moments(&self, record: Record) -> Option<Moments> {
         let share = match &self.times {
             Times::Random { on_s, off_s } => telegraph(*on_s, *off_s).0,
@@ -253,12 +254,12 @@ impl Effect for Intermittent {
     }
 }
 
-/// Whether the effect is there, sample by sample.
+/// Whether the effect is present, sample by sample.
 #[derive(Debug)]
 enum Gate {
-    /// With the probabilities to change from one sample to the next.
+    /// With the probabilities of a change from one sample to the next.
     Random { is_on: bool, leaves: f64, comes: f64, stream: Box<Stream> },
-    /// The ranges still to come, the next one last, and the next sample's index.
+    /// The remaining ranges, the next one last, and the next sample's index.
     Ranges { ranges: Vec<(u64, u64)>, index: u64 },
 }
 
@@ -316,7 +317,7 @@ mod tests {
 
     #[test]
     fn a_tones_foot_is_the_telegraphs() {
-        // The line itself is below the octaves that are compared.
+        // The line itself is below the compared octaves.
         let tone = Tone { frequency_hz: 8.0 * 40.0 / check::SAMPLES as f64, amplitude: 1.0 };
         let of = Intermittent { of: Gated::Tone(tone), times: Times::Random { on_s: 0.4, off_s: 1.0 } };
         let draw = |seed| check::draw(&of, 40.0, check::SAMPLES, seed);
@@ -333,7 +334,7 @@ mod tests {
             stays += if pair[1] && !pair[0] { 1.0 } else { 0.0 };
             inside += if pair[1] { 1.0 } else { 0.0 };
         }
-        // Some 3800 stays, each as long as it takes: 1/√3800 of the mean length.
+        // Some 3800 stays, each of random length: 1/√3800 of the mean length.
         assert!((inside / stays / 160.0 - 1.0).abs() < 5.0 / 3800.0_f64.sqrt(), "{inside} in {stays}");
         // Eight samples per period: samples a period apart are equal if the tone is present at both.
         let same = |i: usize| !(on[i] && on[i + 8]) || (values[i] - values[i + 8]).abs() < 1e-9;

@@ -7,10 +7,10 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 effect! {
-    /// A Butterworth filter of the sum of all stages before it in the chain, motion and noise alike.
+    /// A Butterworth filter on the sum of all stages before it in the chain, motion and noise alike.
     ///
-    /// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had been
-    /// there for ever. Noise of the electronics behind it is not filtered: `white_behind`.
+    /// Power gain 1/(1 + (tan(πf·dt)/tan(πf_c·dt))^(2·order)), half at the cutoff. It starts as if its first input had
+    /// lasted forever. Noise of the electronics behind it is not filtered: `white_behind`.
     ///
     /// Source: the bilinear transform of Butterworth's filter, prewarped to its cutoff, in sections of first and second order.
     #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,20 +26,20 @@ impl LowPass {
     /// The highest order.
     pub const ORDER_MAX: u64 = 8;
 
-    /// A filter without noise behind it.
+    /// Creates a filter without noise behind it.
     pub fn new(cutoff_hz: f64, order: u64) -> Self {
         Self { cutoff_hz, order, white_behind: 0.0 }
     }
 }
 
 impl LowPass {
-    /// Power gain at a warped frequency over that of the cutoff.
+    /// Returns the power gain at the ratio of a warped frequency to that of the cutoff.
     fn gain_at(&self, ratio: f64) -> f64 {
         1.0 / (1.0 + ratio.powi(2).powi(self.order as i32))
     }
 }
 
-/// The bilinear transform's image of a frequency.
+/// Returns the bilinear transform's image of a frequency.
 fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
     (PI * frequency_hz / rate_hz).tan()
 }

@@ -8,12 +8,13 @@
 //! Every effect samples from a separate stream ([`stream`]), so that adding one never changes another's values. A
 //! sampler works on blocks in place and its values do not depend on how the stream is cut into blocks.
 //!
-//! [`Stage`] is the order in which effects act, for any order in a file. [`EffectKind`] is the identity of an effect, listed once
-//! below; [`Spec`] has its parameters, their ranges and units, and its words. The refusals, the JSON Schema, a report's phrases and
-//! the tables in `docs/effects.md` follow from it. Effects on a triad, driven by a motion, are in [`triad`].
+//! [`Stage`] is the order in which effects act, for any order in a file. [`EffectKind`] is the identity of an effect,
+//! listed once below; [`Spec`] has its parameters, with their ranges and units, and its words. The refusals, the JSON
+//! Schema, a report's phrases and the tables in `docs/effects.md` follow from [`Spec`]. Effects on a triad, driven by a
+//! motion, are in [`triad`].
 //!
-//! Refused, with parameter, the value found and the values allowed ([`Refusal`]): values outside their range, frequencies from
-//! half the rate up, intervals that end before they begin.
+//! Refused, with the parameter, the value found and the values allowed ([`Refusal`]): values outside their range,
+//! frequencies from half the rate up, intervals that end before they begin.
 //!
 //! Validation: each effect's tests compare simulated spectra, Allan variances and moments over 100 seeds with its closed
 //! forms.
@@ -129,7 +130,7 @@ registry::registry! {
     on both: Saturation;
 }
 
-/// Temperature if none is given, °C: that of a laboratory, and of the reference in most data sheets.
+/// Temperature if none is given, °C: that of a laboratory, and the reference of most data sheets.
 pub const USUAL_TEMPERATURE_C: f64 = 25.0;
 
 /// The chain of a sensor, in the order in which its parts act. The order of a file's list has no meaning.
@@ -141,7 +142,7 @@ pub const USUAL_TEMPERATURE_C: f64 = 25.0;
 pub enum Stage {
     /// The motion arrives late.
     Latency,
-    /// Axes see one another: misalignment, cross-axis sensitivity.
+    /// Coupling between axes: misalignment, cross-axis sensitivity.
     CrossAxis,
     /// Scale factor and its nonlinearity.
     Scale,
@@ -151,7 +152,7 @@ pub enum Stage {
     WhitePart,
     /// Additive noise: N, B, K and the others.
     Noise,
-    /// The sensor's bandwidth: filters of the sum of all stages so far.
+    /// The sensor's bandwidth: filters on the sum of all stages so far.
     Bandwidth,
     /// The converter's limits.
     Saturation,
@@ -159,45 +160,46 @@ pub enum Stage {
     Sampling,
     /// Rounding of the sent values.
     Resolution,
-    /// Samples sent twice.
+    /// Samples that are sent twice.
     Hold,
-    /// Stamps, and samples lost on the way.
+    /// Stamps, and samples that are lost on the way.
     Timing,
 }
 
 impl Stage {
-    /// Whether the stage runs at the sensor's internal rate, before its boxcar and decimation (if the model has them).
+    /// Returns whether the stage runs at the sensor's internal rate, before its boxcar and decimation, if the model has
+    /// them.
     pub fn is_internal(self) -> bool {
         self < Self::Sampling
     }
 }
 
-/// How far an effect that a channel names reaches; it decides whose random stream it draws from.
+/// The reach of an effect that a channel names; it decides whose random stream the effect draws from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scope {
     /// The channel alone.
     Channel,
     /// All channels of the triad alike.
     Triad,
-    /// The sensor: one stream for all.
+    /// The whole sensor: one stream for all channels.
     Sensor,
 }
 
-/// The record that an expectation is taken over.
+/// The record over which an expectation is taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Record {
     /// Samples per second.
     pub rate_hz: f64,
-    /// How many there are.
+    /// The number of samples.
     pub samples: u64,
 }
 
 impl Record {
-    /// Its length in s.
+    /// Returns the length in s.
     pub fn length_s(self) -> f64 {
         self.samples as f64 / self.rate_hz
     }
-    /// The index of the first sample at or after `time_s`, at most [`Record::samples`].
+    /// Returns the index of the first sample at or after `time_s`, at most [`Record::samples`].
     pub fn index_at(self, time_s: f64) -> u64 {
         sampled::index_at(time_s, self.rate_hz).min(self.samples)
     }
@@ -206,7 +208,7 @@ impl Record {
 /// An instant, as far as effects depend on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct At {
-    /// Since the start, s.
+    /// Time since the start, s.
     pub time_s: f64,
     /// The sensor's temperature, °C.
     pub temperature_c: f64,
@@ -215,14 +217,14 @@ pub struct At {
 /// The sensor's temperature over a block of samples, °C.
 #[derive(Debug, Clone, Copy)]
 pub enum Temperature<'a> {
-    /// The same throughout.
+    /// A constant temperature.
     Constant(f64),
     /// One value per sample, at least as many as the block has.
     Series(&'a [f64]),
 }
 
 impl Temperature<'_> {
-    /// At the block's sample `index`; the last one known beyond a series' end.
+    /// Returns the temperature at the block's sample `index`; beyond a series' end, its last value.
     pub fn at(&self, index: usize) -> f64 {
         match self {
             Self::Constant(value) => *value,
@@ -231,7 +233,7 @@ impl Temperature<'_> {
     }
 }
 
-/// Moments of single samples of the effect's output.
+/// Moments of single samples of an effect's output.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moments {
     /// Mean square about the mean, U².
@@ -240,15 +242,15 @@ pub struct Moments {
     pub kurtosis: Option<f64>,
 }
 
-/// The effect of [`Stage::WhitePart`] on normal white noise of variance 1.
+/// The moments of the output of an effect of [`Stage::WhitePart`] for normal white noise of variance 1.
 pub type WhiteMoments = Moments;
 
 /// A line in a spectrum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
-    /// Its frequency, Hz.
+    /// The line's frequency, Hz.
     pub frequency_hz: f64,
-    /// The mean square that it carries, U².
+    /// The line's mean square, U².
     pub power: f64,
 }
 
@@ -257,153 +259,156 @@ pub struct Line {
 pub struct Extent {
     /// Middle and half width of its band, Hz; none for all frequencies.
     pub band_hz: Option<[f64; 2]>,
-    /// Begin and end, s; none for all the time.
+    /// Begin and end, s; none for the whole time.
     pub time_s: Option<[f64; 2]>,
-    /// Its part of the effect, in any unit.
+    /// The part's share of the effect, in any unit.
     pub weight: f64,
 }
 
 impl Extent {
-    /// A band about a frequency.
+    /// Creates a band about a frequency.
     pub fn band(frequency_hz: f64, half_width_hz: f64, weight: f64) -> Self {
         Self { band_hz: Some([frequency_hz, half_width_hz]), time_s: None, weight }
     }
 
-    /// A stretch of time, of a weight.
+    /// Creates a stretch of time with a weight.
     pub fn time(from_s: f64, to_s: f64, weight: f64) -> Self {
         Self { band_hz: None, time_s: Some([from_s, to_s]), weight }
     }
 }
 
-/// One error source of a channel. U is the unit of the channel it acts on.
+/// One error source of a channel. U is the unit of the channel on which it acts.
 ///
-/// Making an effect with other parameters is cheap: fits make new ones again and again.
+/// Creating an effect with other parameters is cheap, because fits do this repeatedly.
 pub trait Effect: Described + std::fmt::Debug + Send + Sync {
-    /// How far it reaches.
+    /// Returns the reach of the effect.
     fn scope(&self) -> Scope {
         Scope::Channel
     }
 
-    /// Whether the parameters are in their ranges and make sense at `rate_hz`, the rate at which the effect acts (a
-    /// model's internal rate, if it has one, for effects before sampling).
+    /// Checks whether the parameters are in their ranges and make sense at `rate_hz`, the rate at which the effect acts
+    /// (a model's internal rate, if it has one, for effects before sampling).
     ///
     /// # Errors
-    /// [`Refusal`] with the parameter, what was found and what is allowed.
+    /// [`Refusal`] with the parameter, the value found and the values allowed.
     fn check(&self, rate_hz: f64) -> Result<(), Refusal> {
         self.spec().check(&self.parameters())?;
         self.check_at(rate_hz)
     }
 
-    /// The part of [`Effect::check`] that a table of ranges cannot express.
+    /// Checks the part of [`Effect::check`] that a table of ranges cannot express.
     ///
     /// # Errors
-    /// [`Refusal`], likewise.
+    /// [`Refusal`], as for [`Effect::check`].
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         let _ = rate_hz;
         Ok(())
     }
 
-    /// Two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of the noise that the effect
-    /// adds, sampled at `rate_hz`: its continuous part ([`Effect::lines`] has the others). 0 for an effect that adds none; `None`
-    /// if it depends on more than the parameters: on the other noise, the temperature's course or the record.
+    /// Returns the two-sided power spectral density in U²/Hz at `frequency_hz` (above 0, up to `rate_hz`/2) of the
+    /// noise that the effect adds, sampled at `rate_hz`: its continuous part ([`Effect::lines`] has the rest). 0 for an
+    /// effect that adds no noise; `None` if it depends on more than the parameters: on the other noise, the
+    /// temperature's course or the record.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
 
-    /// [`Effect::psd`] at many frequencies, 0 if it is `None`.
+    /// Returns [`Effect::psd`] at many frequencies, with 0 in place of `None`.
     fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         frequencies_hz.iter().map(|frequency_hz| self.psd(*frequency_hz, rate_hz).unwrap_or(0.0)).collect()
     }
 
-    /// For an effect that varies over time: the stationary effect that has its mean density over `record`, exactly or
-    /// approximately. `None` for all effects whose [`Effect::psd`] gives the density.
+    /// Returns, for an effect that varies over time, the stationary effect that has its mean density over `record`,
+    /// exactly or approximately. `None` for all effects whose [`Effect::psd`] gives the density.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         let _ = record;
         None
     }
 
-    /// Lines in the spectrum of the effect's output.
+    /// Returns the lines in the spectrum of the effect's output.
     fn lines(&self) -> Vec<Line> {
         Vec::new()
     }
 
-    /// The parts of a record in which it acts, as far as its parameters determine them; none for an effect without a place.
+    /// Returns the parts of a record in which the effect acts, as far as its parameters determine them; none for an
+    /// effect without a place.
     fn extents(&self) -> Vec<Extent> {
         Vec::new()
     }
 
-    /// Expected overlapping Allan variance in U², at the averaging time `m`/rate (`m` from 1), of the effect's contribution to
-    /// `record`. 0 for an effect that adds no noise. `None` if it depends on more than the parameters and the record, and if the
-    /// record is shorter than 2 `m` for an effect that varies over time.
+    /// Returns the expected overlapping Allan variance in U², at the averaging time `m`/rate (`m` from 1), of the
+    /// effect's contribution to `record`. 0 for an effect that adds no noise. `None` if it depends on more than the
+    /// parameters and the record, and if the record is shorter than 2 `m` for an effect that varies over time.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64>;
 
-    /// Power gain |H|² of a filter at `frequency_hz`, running at `rate_hz`; 1 for all other effects.
+    /// Returns the power gain |H|² at `frequency_hz` of a filter that runs at `rate_hz`; 1 for all other effects.
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         let _ = (frequency_hz, rate_hz);
         1.0
     }
 
-    /// [`Effect::power_gain`] at many frequencies.
+    /// Returns [`Effect::power_gain`] at many frequencies.
     fn power_gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
         frequencies_hz.iter().map(|frequency_hz| self.power_gain(*frequency_hz, rate_hz)).collect()
     }
 
-    /// A filter without the noise behind it; `None` for all other effects.
+    /// Returns a filter without the noise behind it; `None` for all other effects.
     fn noiseless(&self) -> Option<Arc<dyn Effect>> {
         None
     }
 
-    /// The mean output of the channel, if it would show `input` (U, constant) without the effect.
+    /// Returns the mean output of a channel whose output would be `input` (U, constant) without the effect.
     fn mean_response(&self, input: f64, at: At) -> f64 {
         let _ = at;
         input
     }
 
-    /// Moments of its contribution to single samples, over `record`. `None` if the effect adds no signal, if they depend on more
-    /// than the parameters, and for noise without a level (flicker, random walk).
+    /// Returns the moments of the effect's contribution to single samples over `record`. `None` if the effect adds no
+    /// signal, if the moments depend on more than the parameters, and for noise without a level (flicker, random walk).
     fn moments(&self, record: Record) -> Option<Moments> {
         let _ = record;
         None
     }
 
-    /// For effects of [`Stage::WhitePart`]: the moments over `record` of the output for normal white noise of variance 1; `None`
-    /// for all others, and if they depend on the temperature's course.
+    /// For effects of [`Stage::WhitePart`]: returns the moments over `record` of the output for normal white noise of
+    /// variance 1; `None` for all others, and if the moments depend on the temperature's course.
     fn white_moments(&self, record: Record) -> Option<WhiteMoments> {
         let _ = record;
         None
     }
 
-    /// How many functions of time and temperature the effect's deterministic part is linear in; 0 if it has none.
+    /// Returns the number of functions of time and temperature in which the effect's deterministic part is linear; 0 if
+    /// it has none.
     fn regressors(&self) -> usize {
         0
     }
 
-    /// Those functions at an instant, for coefficients of 1 (a ramp's is the time; a tone's are cosine and sine, its phase
-    /// being unknown). `row` has [`Effect::regressors`] places.
+    /// Writes those functions at an instant to `row`, for coefficients of 1 (for a ramp, the time; for a tone, cosine
+    /// and sine, since its phase is unknown). `row` has [`Effect::regressors`] places.
     fn regress(&self, at: At, row: &mut [f64]) {
         let _ = (at, row);
     }
 
-    /// The stamps' side of the effect, if it has one.
+    /// Returns the effect's influence on stamps, if it has one.
     fn timing(&self) -> Option<Timing> {
         None
     }
 
-    /// A sampler at `rate_hz` that draws from `stream`. Spectra hold down to 1/`record_length_s`; a longer record may be
-    /// drawn, its lowest frequencies are then not promised.
+    /// Returns a sampler at `rate_hz` that draws from `stream`. Spectra hold down to 1/`record_length_s`; a longer
+    /// record may be drawn, but its lowest frequencies are then not guaranteed.
     fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler>;
 }
 
-/// A realisation of an effect: memory is bounded however long it runs.
+/// A realisation of an effect, in bounded memory.
 pub trait Sampler: std::fmt::Debug + Send {
     /// Lets the effect act on the next `values.len()` samples of its channel (U), in place.
     fn act(&mut self, values: &mut [f64], temperature: Temperature<'_>);
 
-    /// The same at the usual temperature.
+    /// Acts at the usual temperature.
     fn apply(&mut self, values: &mut [f64]) {
         self.act(values, Temperature::Constant(USUAL_TEMPERATURE_C));
     }
 }
 
-/// A sampler that lets `act` change one sample after the other, at any temperature.
+/// Returns a sampler that calls `act` on one sample after the other, at any temperature.
 pub(crate) fn each(act: impl FnMut(&mut f64) + Send + 'static) -> Box<dyn Sampler> {
     Box::new(Each(act))
 }
@@ -429,7 +434,7 @@ impl PartialEq for dyn Effect {
     }
 }
 
-/// Likewise.
+/// Two effects are the same if they have the same name and parameters.
 impl PartialEq for dyn TriadEffect {
     fn eq(&self, other: &Self) -> bool {
         self.kind() == other.kind() && self.parameters() == other.parameters()

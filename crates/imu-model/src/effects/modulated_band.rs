@@ -5,10 +5,10 @@ use super::spec::{FROM_ZERO, Form, Parameter, above};
 use super::{Effect, Extent, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, profile};
 use std::sync::Arc;
 
-/// Narrow-band noise as that of [`Resonance`], times a factor that follows a profile.
+/// The narrow-band noise of a [`Resonance`], times a factor that follows a profile.
 ///
-/// Spectrum and Allan variance vary over time, and over a record depend on the profile's position in it: `None`. While the factor
-/// is constant they are the resonance's times its square.
+/// Spectrum and Allan variance vary over time, and depend on the profile's position in the record: `None`. While the
+/// factor is constant, they are those of the resonance times its square.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModulatedBand {
     /// The resonance at times at which the factor is 1.

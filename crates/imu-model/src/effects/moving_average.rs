@@ -1,4 +1,4 @@
-//! Moving average: the mean of the last samples, as a sensor's filter computes it.
+//! Moving average: the mean of the last samples, as computed by a sensor's filter.
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, Form, Need};
@@ -9,8 +9,8 @@ use std::sync::Arc;
 effect! {
     /// The mean of the last `window` samples of the sum of all stages before it in the chain, at the rate at which it acts.
     ///
-    /// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples it is the mean of those there are. Noise of the
-    /// electronics behind it is not averaged: `white_behind`.
+    /// Power gain (sin(πfW·dt)/(W·sin(πf·dt)))². Until there are `window` samples, it is the mean of the existing ones.
+    /// Noise of the electronics behind it is not averaged: `white_behind`.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct MovingAverage: dyn Effect, 17, Stage::Bandwidth, White;
     "the mean of the last samples of motion and noise";
@@ -24,13 +24,13 @@ impl MovingAverage {
     /// The longest window: more than a minute of the VN-100's internal samples.
     pub const WINDOW_MAX: u64 = 65_536;
 
-    /// A mean without noise behind it.
+    /// Creates a mean without noise behind it.
     pub fn new(window: u64) -> Self {
         Self { window, white_behind: 0.0 }
     }
 }
 
-/// |H|² of the mean over `window` samples at `cycles` per sample.
+/// Returns |H|² of the mean over `window` samples at `cycles` per sample.
 pub fn boxcar_gain(window: u64, cycles: f64) -> f64 {
     let (window, x) = (window as f64, PI * cycles);
     if x.sin().abs() < 1e-12 { 1.0 } else { ((window * x).sin() / (window * x.sin())).powi(2) }
@@ -66,7 +66,7 @@ pub struct RunningMean {
 }
 
 impl RunningMean {
-    /// Over `window` values (0 counts as 1).
+    /// Creates a mean over `window` values (0 counts as 1).
     pub fn new(window: u64) -> Self {
         let window = usize::try_from(window).unwrap_or(usize::MAX).max(1);
         Self { window, last: Vec::new(), place: 0, sum: 0.0 }

@@ -1,14 +1,15 @@
 //! Power law: noise whose density falls as a power of the frequency, between and beyond white, flicker and random walk.
 //!
-//! White noise passes one rational filter whose poles and zeros lie on a logarithmic scale, two octaves from pole to pole
-//! ([`RATIO`]). Each zero lies so far above its pole as the slope asks, so that the power falls as sin(πf·dt)^−α; for slopes of 2
-//! and more one pole at the ladder's foot takes 2 of them. Behind it a symmetric filter of [`TAPS`] taps turns the sine into its
-//! argument: the samples' density is f^−α itself up to half the rate, with a kink there as flicker noise has it. The filter runs
-//! as a sum of first-order sections and starts in its stationary state.
+//! White noise passes one rational filter whose poles and zeros lie on a logarithmic scale, two octaves from pole to
+//! pole ([`RATIO`]). The distance of each zero above its pole follows from the slope, so that the power falls as
+//! sin(πf·dt)^−α. For slopes of 2 and more, one pole at the ladder's foot provides 2 of the slope. Behind the ladder, a
+//! symmetric filter of [`TAPS`] taps turns the sine into its argument: the samples' density is f^−α itself up to half
+//! the rate, with a kink there as flicker noise has it. The filter runs as a sum of first-order sections and starts in
+//! its stationary state.
 //!
-//! It holds from 1/T, T the record's length, up to half the rate:
-//! `the_density_is_the_power_law_from_one_over_the_record_to_half_the_rate`: within 2 % for 1000 samples, 5 h at 40 Hz and
-//! 24 h at 800 Hz, the most close to half the rate.
+//! The law holds from 1/T, with T the record's length, up to half the rate:
+//! `the_density_is_the_power_law_from_one_over_the_record_to_half_the_rate`: within 2 % for 1000 samples, 5 h at 40 Hz
+//! and 24 h at 800 Hz, with the largest deviation close to half the rate.
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, Form, Range, above};
@@ -18,10 +19,10 @@ use std::f64::consts::PI;
 effect! {
     /// Noise with two-sided PSD `density`·(f/`at_hz`)^−`alpha` up to half the rate.
     ///
-    /// From a slope of 1 on it has no level: its variance grows with the record. Slopes steeper than 1 begin at 0, as a random walk
-    /// does. Slopes are below 2.5. The part of an Allan variance that comes from below a frequency goes with it to the power of 3 −
-    /// α. From 3 on there is therefore no Allan variance, and for slopes close to 3 most of it comes from far below one over the
-    /// record's length.
+    /// From a slope of 1 on, the noise has no level: its variance grows with the record. Noise steeper than 1 begins at
+    /// 0, as a random walk does. Slopes are below 2.5. The part of an Allan variance that comes from below a frequency
+    /// is proportional to the frequency to the power of 3 − α. From 3 on there is therefore no Allan variance, and for
+    /// slopes close to 3 most of it comes from frequencies far below one over the record's length.
     ///
     /// Source of the law: Kasdin 1995, Discrete simulation of colored noise (Proc. IEEE 83); of the ladder: as in flicker noise.
     #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,14 +40,14 @@ impl Effect for PowerLaw {
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(self.density * (frequency_hz / self.at_hz).powf(-self.alpha))
     }
-    /// The integral of the density up to half the rate.
+    /// Integrates the density up to half the rate.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         Some(self.at_rate(record.rate_hz) * record.rate_hz * unit_allan_variance(self.alpha, m.max(1)))
     }
-    /// For slopes below 1: 2·∫ density up to half the rate.
+    /// The variance for slopes below 1 is 2·∫ density up to half the rate.
     fn moments(&self, record: Record) -> Option<Moments> {
         let level = |slope: f64| 2.0 * 0.5_f64.powf(slope) / slope;
-        // A record determines its mean badly: for steeper slopes too much power lies below one over its length.
+        // A record determines its mean badly: for steeper slopes, too much power lies below one over its length.
         (self.alpha < STEEPEST_WITH_A_LEVEL).then(|| Moments {
             variance: self.at_rate(record.rate_hz) * record.rate_hz * level(1.0 - self.alpha),
             kurtosis: Some(3.0),
@@ -60,19 +61,20 @@ impl Effect for PowerLaw {
 }
 
 /// Slopes below this have a level that the ladder's foot does not change by more than a hundredth in any record of 1000
-/// samples: the part missing below it goes as (16 000)^−(1 − α).
+/// samples: the missing part below it is proportional to (16 000)^−(1 − α).
 const STEEPEST_WITH_A_LEVEL: f64 = 0.5;
 
 impl PowerLaw {
-    /// The density at the rate itself, U²/Hz.
+    /// Returns the density at the rate itself, U²/Hz.
     fn at_rate(&self, rate_hz: f64) -> f64 {
         self.density * (rate_hz / self.at_hz).powf(-self.alpha)
     }
 }
 
-/// Allan variance at averaging factor `m` of noise of density ν^−`alpha` at ν = f·dt below ½: 2·∫ ν^−α·response dν.
+/// Returns the Allan variance at averaging factor `m` of noise of density ν^−`alpha` at ν = f·dt below ½: 2·∫
+/// ν^−α·response dν.
 fn unit_allan_variance(alpha: f64, m: u64) -> f64 {
-    /// Half periods of sin⁴(πmν) that are integrated; beyond them its mean counts.
+    /// Number of half periods of sin⁴(πmν) that are integrated; beyond them its mean counts.
     const LOBES: u64 = 256;
     const PANELS: u64 = 32;
     let averaged = m as f64;
@@ -80,7 +82,7 @@ fn unit_allan_variance(alpha: f64, m: u64) -> f64 {
         let (top, bottom) = ((averaged * PI * cycles).sin(), (PI * cycles).sin());
         2.0 * top.powi(4) / (averaged * bottom).powi(2)
     };
-    // Up to the first zero with ν = first·s^8, which smooths what is singular at 0.
+    // Up to the first zero with ν = first·s^8, which smooths the singularity at 0.
     let first = (1.0 / averaged).min(0.5);
     let below = |s: f64| {
         let cycles = first * s.powi(8);
@@ -104,7 +106,7 @@ fn unit_allan_variance(alpha: f64, m: u64) -> f64 {
     2.0 * sum
 }
 
-/// Simpson's rule with `panels` panels (even).
+/// Integrates by Simpson's rule with `panels` panels (even).
 fn simpson(integrand: impl Fn(f64) -> f64, from: f64, to: f64, panels: u64) -> f64 {
     let step = (to - from) / panels as f64;
     let weight = |i: u64| if i % 2 == 1 { 4.0 } else { 2.0 };
@@ -112,19 +114,20 @@ fn simpson(integrand: impl Fn(f64) -> f64, from: f64, to: f64, panels: u64) -> f
     step / 3.0 * (integrand(from) + inner + integrand(to))
 }
 
-/// From one pole of the ladder to the next.
+/// Ratio of neighbouring poles of the ladder.
 const RATIO: f64 = 4.0;
 /// The highest pole's place in sin πf·dt: the part left out above it changes the density by less than 0.1 %.
 const HIGHEST_POLE: f64 = 32.0;
-/// Pairs a ladder may have: enough for 1e13 samples at any slope.
+/// Maximum number of pairs in a ladder: enough for 1e13 samples at any slope.
 const PAIRS_MAX: usize = 40;
-/// Taps to each side of the middle one.
+/// Taps on each side of the middle one.
 const REACH: usize = 32;
 /// Taps behind the ladder.
 const TAPS: usize = 2 * REACH + 1;
 
-/// The lowest pole's frequency times the record's length: the part missing below it costs the density at one over the length less
-/// than half a hundredth. For steep slopes it is lower: the Allan variance depends on frequencies far below.
+/// Returns the lowest pole's frequency times the record's length: the missing part below it reduces the density at one
+/// over the length by less than half a hundredth. For steep slopes the pole is lower, because the Allan variance
+/// depends on frequencies far below.
 fn lowest_pole(alpha: f64) -> f64 {
     let below = 1.0 / 16.0;
     if alpha <= 1.0 { below } else { below * 1e-2_f64.powf(2.0 * (alpha - 1.0)) }
@@ -181,7 +184,7 @@ impl Ladder {
         Self { decays: poles, weights, direct, taps: taps(alpha) }
     }
 
-    /// Lower triangle L with L·Lᵀ = covariance of the sections' stationary states, 1/(1 − φᵢφⱼ).
+    /// Returns the lower triangle L with L·Lᵀ = covariance of the sections' stationary states, 1/(1 − φᵢφⱼ).
     fn stationary_root(&self) -> Vec<Vec<f64>> {
         let n = self.decays.len();
         let mut lower = vec![vec![0.0; n]; n];
@@ -200,8 +203,8 @@ impl Ladder {
     }
 }
 
-/// Mean over two octaves of the frequency, where the ladder ripples evenly about the law, of ln x^(−α/2) less ln of the
-/// ladder's power without gain.
+/// Returns the mean of ln x^(−α/2) less ln of the ladder's power without gain, over two octaves of the frequency in
+/// which the ladder ripples evenly about the law.
 fn mean_log_excess(alpha: f64, corners: &[f64], slope: f64, foot: f64) -> f64 {
     const POINTS: u32 = 64;
     let spread = RATIO.powf(slope);
@@ -216,7 +219,7 @@ fn mean_log_excess(alpha: f64, corners: &[f64], slope: f64, foot: f64) -> f64 {
     (0..POINTS).map(at).sum::<f64>() / f64::from(POINTS)
 }
 
-/// The taps whose gain is (sin πν/πν)^(α/2): exact at multiples of 1/64 of the rate.
+/// Returns the taps whose gain is (sin πν/πν)^(α/2): exact at multiples of 1/64 of the rate.
 fn taps(alpha: f64) -> Vec<f64> {
     let gain = |place: usize| {
         let x = PI * place as f64 / (2 * REACH) as f64;
@@ -234,7 +237,7 @@ fn taps(alpha: f64) -> Vec<f64> {
     one_side.iter().rev().chain(&one_side[1..]).copied().collect()
 }
 
-/// Samples that pass the sections at a time.
+/// Number of samples that pass the sections at a time.
 const BLOCK: usize = 256;
 
 /// The sections' states, and their last outputs.
@@ -246,7 +249,7 @@ struct PowerSampler {
     states: Vec<f64>,
     direct: f64,
     taps: Vec<f64>,
-    /// The input that the taps reach back to, then the present block.
+    /// The input that the taps reach back to, followed by the present block.
     passed: Vec<f64>,
     input: Vec<f64>,
     /// The value that is subtracted, so that a slope without a level begins at 0; `None` before the first sample.
@@ -314,7 +317,7 @@ mod tests {
     use super::super::check;
     use super::*;
 
-    /// Density of the filter as it runs over that of the law.
+    /// Returns the ratio of the running filter's density to that of the law.
     fn ratio(ladder: &Ladder, alpha: f64, cycles: f64) -> f64 {
         let (mut real, mut imaginary) = (ladder.direct, 0.0);
         let (sine, half) = ((2.0 * PI * cycles).sin(), (PI * cycles).sin());
@@ -357,7 +360,7 @@ mod tests {
         check::agrees_with_its_closed_forms(&PowerLaw { alpha: 0.3, at_hz: 100.0, density: 2.0 }, 40.0);
     }
 
-    /// Of steep slopes the Allan variance of one record is so far from normal that a hundred records do not do.
+    /// For steep slopes the Allan variance of one record is so far from normal that a hundred records do not suffice.
     #[test]
     fn steep_slopes_have_their_allan_variance_over_many_records() {
         let law = PowerLaw { alpha: 2.4, at_hz: 2.0, density: 0.3 };
@@ -377,13 +380,13 @@ mod tests {
     fn known_slopes_have_their_allan_variances() {
         for m in [1, 2, 3, 17, 511, 512, 513, 5000, 1_000_001] {
             let averaged = m as f64;
-            // Towards white noise, and flicker noise with B²/2π = 1.
+            // The limits of white noise, and of flicker noise with B²/2π = 1.
             assert!((unit_allan_variance(1e-9, m) * averaged - 1.0).abs() < 1e-5, "m = {m}");
             let flicker = super::super::Flicker { b: (2.0 * PI).sqrt() };
             let exact = flicker.allan_variance(m, Record { rate_hz: 1.0, samples: 1 }).unwrap();
             assert!((unit_allan_variance(1.0, m) / exact - 1.0).abs() < 1e-5, "m = {m}");
         }
-        // A random walk without folding: (2π)²·m/3 far out.
+        // A random walk without folding approaches (2π)²·m/3.
         assert!((unit_allan_variance(2.0, 100_000) / (2.0 * PI).powi(2) / 100_000.0 * 3.0 - 1.0).abs() < 1e-4);
     }
 

@@ -4,7 +4,7 @@
 use super::{Moments, Sampler, Temperature};
 use serde_json::{Value, json};
 
-/// The factor at `time_s` of points [s, factor] whose times rise; 1 if there is no point.
+/// Returns the factor at `time_s` from points [s, factor] with increasing times; 1 without points.
 pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
     let after = points.partition_point(|point| point.0 <= time_s);
     match (after.checked_sub(1).and_then(|before| points.get(before)), points.get(after)) {
@@ -14,10 +14,11 @@ pub fn factor(points: &[(f64, f64)], time_s: f64) -> f64 {
     }
 }
 
-/// Mean over 0…`length_s` of the `power`th power of a `factor` of time that is a straight line between any two of `cuts`
-/// (rising, in s); each piece by Gauss's three points, which is exact up to the fifth power.
+/// Returns the mean over 0…`length_s` of the `power`th power of a `factor` of time that is linear between any two
+/// neighbouring `cuts` (increasing, in s). Each piece is integrated by Gauss's three points, which is exact up to the
+/// fifth power.
 pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: impl Fn(f64) -> f64) -> f64 {
-    // Of no time at all that of its first instant.
+    // For a length of 0, the mean is that of the first instant.
     let length_s = length_s.max(f64::MIN_POSITIVE);
     cuts.retain(|cut| *cut > 0.0 && *cut < length_s);
     cuts.insert(0, 0.0);
@@ -31,22 +32,22 @@ pub(super) fn mean_power(mut cuts: Vec<f64>, length_s: f64, power: i32, factor: 
     cuts.windows(2).map(|cut| piece(cut[0], cut[1])).sum::<f64>() / length_s
 }
 
-/// [`mean_power`] of a profile's points.
+/// Returns the [`mean_power`] of a profile's points.
 pub fn mean_power_of(points: &[(f64, f64)], length_s: f64, power: i32) -> f64 {
     mean_power(points.iter().map(|point| point.0).collect(), length_s, power, |time_s| factor(points, time_s))
 }
 
-/// As it stands in a file.
+/// Returns the points in the form of a file.
 pub(super) fn value(points: &[(f64, f64)]) -> Value {
     points.iter().map(|(time_s, factor)| json!([time_s, factor])).collect::<Vec<_>>().into()
 }
 
-/// Samples that are made at a time.
+/// Number of samples that are made at a time.
 const BLOCK: usize = 256;
 
 /// A factor, sample by sample.
 pub(super) trait Factor: std::fmt::Debug + Send {
-    /// Gives that of the next sample.
+    /// Returns the factor of the next sample.
     fn next(&mut self) -> f64;
 }
 
@@ -59,7 +60,7 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// Of points [s, factor] at a rate.
+    /// Creates the course of points [s, factor] at a rate.
     pub(super) fn new(level: &[(f64, f64)], rate_hz: f64) -> Self {
         Self { level: level.to_vec(), rate_hz, index: 0 }
     }
@@ -82,7 +83,7 @@ pub(super) struct Weighted<F> {
 }
 
 impl<F: Factor> Weighted<F> {
-    /// `inner` times the factor of each sample.
+    /// Multiplies `inner` by the factor of each sample.
     pub(super) fn new(inner: Box<dyn Sampler>, factor: F) -> Self {
         Self { inner, factor, added: Vec::with_capacity(BLOCK) }
     }
@@ -101,7 +102,7 @@ impl<F: Factor> Sampler for Weighted<F> {
     }
 }
 
-/// Moments of normal noise of this variance times a profile's factor.
+/// Returns the moments of normal noise of this variance times a profile's factor.
 pub(super) fn moments(variance: f64, level: &[(f64, f64)], length_s: f64) -> Moments {
     let [square, fourth] = [2, 4].map(|power| mean_power_of(level, length_s, power));
     let kurtosis = (square > 0.0).then(|| 3.0 * fourth / (square * square));

@@ -8,7 +8,8 @@ use std::f64::consts::PI;
 effect! {
     /// White angle noise of standard deviation Q per sample.
     ///
-    /// The rate is its difference over one period dt: two-sided PSD 4Q² sin²(πf·dt)/dt, Allan variance 3Q²/τ² exactly.
+    /// The rate is the difference of this noise over one period dt: two-sided PSD 4Q² sin²(πf·dt)/dt, Allan variance
+    /// 3Q²/τ² exactly.
     ///
     /// Source: IEEE Std 952-1997, annex C (quantization noise), in sampled form.
     #[derive(Debug, Clone, Copy, PartialEq)]

@@ -23,7 +23,7 @@ impl Effect for RandomWalk {
         let half_step = 2.0 * rate_hz * (PI * frequency_hz / rate_hz).sin();
         Some((self.k / half_step).powi(2))
     }
-    /// K²·dt·(2m² + 1)/(6m), exact for the sampled walk; K²τ/3 for large m.
+    /// Returns K²·dt·(2m² + 1)/(6m), exact for the sampled walk; K²τ/3 for large m.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let m = m as f64;
         Some(self.k * self.k / record.rate_hz * (2.0 * m * m + 1.0) / (6.0 * m))

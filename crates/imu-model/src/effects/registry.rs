@@ -1,10 +1,10 @@
-//! Every effect under its name: the one list that files are read by and that messages, schema and tables are made of.
+//! Every effect under its name: the one list from which files are read, and messages, schema and tables are made.
 
 use super::EffectKind;
 use super::spec::Definition;
 
-/// Makes the list: every effect's identity with its name, and the definitions on channels and on triads in the documented order.
-/// N, B and K stand beside the list.
+/// Makes the list: every effect's identity with its name, and the definitions on channels and on triads in the
+/// documented order. N, B and K are listed separately.
 macro_rules! registry {
     (
         beside: $($own:ident = $own_name:literal),+;
@@ -21,10 +21,10 @@ macro_rules! registry {
         }
 
         impl EffectKind {
-            /// All: N, B and K, those on a channel, and those that are on a triad alone.
+            /// All effects: N, B and K, those on a channel, and those on a triad alone.
             pub const ALL: &[Self] = &[$(Self::$own,)+ $(Self::$channel,)+ $(Self::$triad),+];
 
-            /// The name in files and messages (docs/formats.md).
+            /// Returns the name in files and messages (docs/formats.md).
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$own => $own_name,)+
@@ -33,7 +33,7 @@ macro_rules! registry {
                 }
             }
 
-            /// Its table; that on a channel for one that is on triads too.
+            /// Returns the table; for an effect on channels and triads, that on a channel.
             pub fn spec(self) -> &'static Spec {
                 match self {
                     $(Self::$own => $own::SPEC,)+
@@ -54,7 +54,7 @@ macro_rules! registry {
 pub(super) use registry;
 
 impl EffectKind {
-    /// The effect of that name.
+    /// Returns the effect of that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
     }
@@ -79,12 +79,12 @@ impl<'de> serde::Deserialize<'de> for EffectKind {
     }
 }
 
-/// The definition of that name.
+/// Returns the definition of that name.
 pub fn find<E: ?Sized>(all: &'static [&'static Definition<E>], name: &str) -> Option<&'static Definition<E>> {
     all.iter().find(|of| of.spec.name() == name).copied()
 }
 
-/// The names of definitions, in order.
+/// Returns the names of definitions, in order.
 pub fn names<E: ?Sized>(all: &[&Definition<E>]) -> Vec<&'static str> {
     all.iter().map(|of| of.spec.name()).collect()
 }
@@ -138,7 +138,8 @@ mod tests {
             for parameter in spec.parameters {
                 let is_plain = matches!(parameter.form, Form::Choice(_) | Form::Effect(_)) || parameter.unit.is_empty();
                 assert!(!parameter.meaning.is_empty(), "{name}: {}", parameter.name);
-                // Times and frequencies state a unit. Only instants have the form of a time: a length of time has another.
+                // Times and frequencies state a unit. Only instants have the form of a time; durations have another
+                // form.
                 assert!(!(is_plain && parameter.name.ends_with("_s")), "{name}: {}", parameter.name);
                 let is_instant = ["at_s", "from_s", "to_s"].contains(&parameter.name);
                 assert_eq!(parameter.form == Form::Time, is_instant, "{name}: {}", parameter.name);

@@ -1,17 +1,18 @@
-//! Resolution: sent values are rounded.
+//! Resolution: rounding of sent values.
 
 use super::described::effect;
 use super::spec::above;
 use super::{At, Effect, Moments, Record, Sampler, Stage, Stream, each};
 
 effect! {
-    /// Each value sent is the nearest multiple of `step`.
+    /// Each sent value is the nearest multiple of `step`.
     ///
-    /// The error is white with variance step²/12, evenly spread, if the values' own noise exceeds about half a step per
-    /// sample. At half a step that variance is off by 0.9 %, at one step by 3e-9. If the values hardly move, rounding keeps
-    /// them at one multiple and the closed forms do not hold.
+    /// If the values' own noise exceeds about half a step per sample, the error is white and uniformly distributed,
+    /// with variance step²/12. At half a step that variance is off by 0.9 %, at one step by 3e-9. If the values hardly
+    /// move, rounding keeps them at one multiple and the closed forms do not hold.
     ///
-    /// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter 5.
+    /// Source: Bennett, Bell System Technical Journal 27 (1948); Widrow and Kollár, Quantization Noise (2008), chapter
+    /// 5.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Resolution: dyn Effect, 0, Stage::Resolution, White;
     "output rounded to the nearest multiple" => "values in steps of {step:.3e}";

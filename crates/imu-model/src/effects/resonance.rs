@@ -9,11 +9,12 @@ use std::f64::consts::{PI, TAU};
 effect! {
     /// Narrow-band noise whose spectrum has a Lorentzian line at ± its frequency.
     ///
-    /// A damped oscillation that white noise drives: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin 2πf₀|t|) with w the
-    /// full width at half power and a its asymmetry (within ± [`Resonance::most_asymmetric`]), exact at the samples, stationary
-    /// from the start. Its frequency and damping hold at any rate. The line is the same for any a; the spectrum far from it
-    /// differs. The displacement of a mass on a damped spring that a white force drives has a = 1, its velocity a = −1 (Wang and
-    /// Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); both quadratures driven alike have 0.
+    /// It is a damped oscillation driven by white noise: autocovariance σ²·exp(−πw|t|)·(cos 2πf₀t + a·w/(2f₀)·sin
+    /// 2πf₀|t|) with w the full width at half power and a its asymmetry (within ± [`Resonance::most_asymmetric`]),
+    /// exact at the samples, stationary from the start. Its frequency and damping hold at any rate. The line is the
+    /// same for any a; the spectrum far from it differs. The displacement of a mass on a damped spring that a white
+    /// force drives has a = 1, its velocity a = −1 (Wang and Uhlenbeck 1945, Rev. Mod. Phys. 17, equation 57); if both
+    /// quadratures are driven alike, a = 0.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Resonance: dyn Effect, 7, Stage::Noise, White;
     "noise in a narrow band, with a Lorentzian line"
@@ -26,24 +27,24 @@ effect! {
 }
 
 impl Resonance {
-    /// A symmetric line.
+    /// Creates a symmetric line.
     pub fn new(frequency_hz: f64, bandwidth_hz: f64, sigma: f64) -> Self {
         Self { frequency_hz, bandwidth_hz, sigma, asymmetry: 0.0 }
     }
 
-    /// The largest asymmetry of a line at `rate_hz`: with a larger one no noise has the autocovariance, whose spectrum would be
-    /// negative at 0 or at half the rate.
+    /// Returns the largest asymmetry of a line at `rate_hz`: with a larger one, the spectrum would be negative at 0 or
+    /// at half the rate.
     pub fn most_asymmetric(&self, rate_hz: f64) -> f64 {
         let (decay, angle) = (self.decay(rate_hz), TAU * self.frequency_hz / rate_hz);
         angle / decay * decay.sinh() / angle.sin().abs()
     }
 
-    /// The factor of the sine in the autocovariance.
+    /// Returns the factor of the sine in the autocovariance.
     fn odd(&self) -> f64 {
         0.5 * self.asymmetry * self.bandwidth_hz / self.frequency_hz
     }
 
-    /// Decay of the amplitude per sample.
+    /// Returns the decay of the amplitude per sample.
     fn decay(&self, rate_hz: f64) -> f64 {
         PI * self.bandwidth_hz / rate_hz
     }
@@ -102,16 +103,16 @@ impl Effect for Resonance {
         let (sine, cosine) = (TAU * self.frequency_hz / rate_hz).sin_cos();
         let odd = self.odd();
         let (one, other) = (self.sigma * stream.normal(), self.sigma * stream.normal());
-        // The quadratures' covariance is σ²·[1, −o; −o, 1 + 2o²]. The covariance of the first is as required, and the driving
-        // noise exists for every asymmetry that a spectrum allows. The rotation and the decay keep a part of the covariance, and
-        // the driving noise restores the rest.
+        // The quadratures' covariance is σ²·[1, −o; −o, 1 + 2o²]. The covariance of the first one is as required, and
+        // the driving noise exists for every asymmetry that a spectrum allows. The rotation and the decay keep a part
+        // of the covariance, and the driving noise restores the rest.
         let (twice_sine, twice_cosine) = (2.0 * sine * cosine, cosine * cosine - sine * sine);
         let kept = (-2.0 * decay).exp();
         let fresh = -(-2.0 * decay).exp_m1();
         let first = fresh - kept * odd * (twice_sine + 2.0 * odd * sine * sine);
         let second = fresh + kept * odd * twice_sine + 2.0 * odd * odd * (fresh + kept * sine * sine);
         let both = -odd * (1.0 - kept * twice_cosine) + kept * odd * odd * twice_sine;
-        // From the larger one on: the other may be almost 0.
+        // Starts from the larger one: the other may be almost 0.
         let root = |square: f64| square.max(0.0).sqrt();
         let drive = if second >= first {
             let own = root(second);

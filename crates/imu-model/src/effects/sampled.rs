@@ -1,13 +1,13 @@
 //! Sums that the closed forms of sampled processes share.
 
-/// The index of the first sample at or after `time_s`. A time within a millionth of a period after a sample counts as that
-/// sample's, so that decimal times meet the samples they mean.
+/// Returns the index of the first sample at or after `time_s`. A time within a millionth of a period after a sample
+/// counts as that sample's, so that decimal times match the intended samples.
 pub fn index_at(time_s: f64, rate_hz: f64) -> u64 {
     (time_s * rate_hz - 1e-6).ceil().max(0.0) as u64
 }
 
-/// Allan variance at averaging factor `m` (from 1) of a process whose structure function is known: `structure(k)` =
-/// R(0) − R(k), half the mean square of differences over k samples. Takes 2 `m` steps.
+/// Returns the Allan variance at averaging factor `m` (from 1) of a process whose structure function is known:
+/// `structure(k)` = R(0) − R(k), half the mean square of differences over k samples. Takes 2 `m` steps.
 ///
 /// From σ²(m) = ½·E(ȳ₂ − ȳ₁)² with the weights' autocorrelation 2m − 3k up to k = m, k − 2m beyond; exact, and without
 /// cancellation if the process hardly decorrelates within 2 `m`.
@@ -17,7 +17,7 @@ pub fn allan_variance(m: u64, structure: impl Fn(u64) -> f64) -> f64 {
     (1..2 * m).map(|k| weight(k) * structure(k)).sum::<f64>() / (averaged * averaged)
 }
 
-/// Two-sided response of the sampled Allan variance at f·dt = `cycles`: σ²(m) = ∫ S·response df.
+/// Returns the two-sided response of the sampled Allan variance at f·dt = `cycles`: σ²(m) = ∫ S·response df.
 pub fn allan_response(m: u64, cycles: f64) -> f64 {
     let (m, x) = (m as f64, std::f64::consts::PI * cycles);
     if x.sin() == 0.0 { 0.0 } else { 2.0 * (m * x).sin().powi(4) / (m * x.sin()).powi(2) }

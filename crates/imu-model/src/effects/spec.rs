@@ -1,7 +1,8 @@
 //! The specification of an effect's entry in a model's file: names, ranges and meanings in one table per effect.
 //!
 //! In: the parameters as JSON. Out: checked values, or a [`Refusal`] with the parameter, the value found and the values
-//! allowed. Messages, the JSON Schema, a report's phrases and the documentation's tables are made of the same entries.
+//! allowed. Messages, the JSON Schema, a report's phrases and the documentation's tables are made from the same
+//! entries.
 
 use super::{EffectKind, Stage};
 use serde_json::{Map, Value, json};
@@ -53,14 +54,15 @@ impl Range {
                 Self::Between(low, high) => low < number && number < high,
             }
     }
-    /// In words for a caller that gave this number: the limit of all ranges is stated if the number passed it.
+    /// Returns a description for a caller that gave this number. It states the limit of all ranges if the number
+    /// exceeds that.
     fn words_for(self, number: Option<f64>) -> String {
         match number.filter(|number| number.abs() > LARGEST) {
             Some(_) => format!("{} of {LARGEST:e} at most in size", self.words()),
             None => self.words(),
         }
     }
-    /// In words: "a number above 0".
+    /// Returns a description such as "a number above 0".
     pub fn words(self) -> String {
         match self {
             Self::Any => "a finite number".to_owned(),
@@ -88,17 +90,17 @@ impl Range {
 pub enum Form {
     /// One number.
     Number(Range),
-    /// An instant, s from the record's begin on: 0 or more.
+    /// An instant, s from the record's begin: 0 or more.
     Time,
-    /// A whole number between the two, both included.
+    /// A whole number between the two, inclusive.
     Whole(u64, u64),
     /// One or more numbers.
     Numbers(Range),
     /// One or more pairs [from, to] in s, from 0 on, each ending after it begins.
     Intervals,
-    /// Two or more pairs [time in s, factor of 0 or more], the times rising.
+    /// Two or more pairs [time in s, factor of 0 or more], with increasing times.
     Profile,
-    /// Two or more pairs [frequency in Hz, density of 0 or more], the frequencies rising from 0 or above.
+    /// Two or more pairs [frequency in Hz, density of 0 or more], with frequencies increasing from 0 or above.
     Density,
     /// One of these effects: an object as in a list of effects.
     Effect(&'static [&'static Spec]),
@@ -108,33 +110,33 @@ pub enum Form {
     Choice(&'static [&'static str]),
 }
 
-/// Whether a parameter has to stand there.
+/// Whether a parameter has to be given.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Need {
-    /// Always.
+    /// The parameter is required.
     Always,
-    /// No; this is the default.
+    /// The parameter may be absent; this is the default.
     Default(f64),
-    /// No; this is the default, and a model that has it does not write it.
+    /// The parameter may be absent; this is the default, which a model does not write.
     Unwritten(f64),
-    /// No; without it the effect omits the feature.
+    /// The parameter may be absent; without it the effect omits the feature.
     Optional,
-    /// Required in the form to which it belongs, if that is chosen ([`Spec::forms`]).
+    /// The parameter is required in the form to which it belongs, if that form is chosen ([`Spec::forms`]).
     InItsForm,
 }
 
 /// One parameter of an effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Parameter {
-    /// Its key.
+    /// The key of the parameter.
     pub name: &'static str,
-    /// The values that are allowed.
+    /// The allowed values.
     pub form: Form,
-    /// Whether it has to.
+    /// Whether the parameter has to be given.
     pub need: Need,
-    /// Its unit (U: the channel's); empty for a number without one.
+    /// The unit (U: the channel's unit); empty for a number without a unit.
     pub unit: &'static str,
-    /// Its meaning.
+    /// The meaning of the parameter.
     pub meaning: &'static str,
 }
 
@@ -144,13 +146,13 @@ pub(super) const ANY: Form = Form::Number(Range::Any);
 pub(super) const FROM_ZERO: Form = Form::Number(Range::FromZero);
 /// A probability below 1.
 pub(super) const PROBABILITY: Form = Form::Number(Range::Probability);
-/// A number above this one.
+/// Returns the form of a number above this one.
 pub(super) const fn above(least: f64) -> Form {
     Form::Number(Range::Above(least))
 }
 
 impl Parameter {
-    /// A parameter that has to be there.
+    /// Creates a required parameter.
     pub(super) const fn new(name: &'static str, form: Form, unit: &'static str, meaning: &'static str) -> Self {
         Self { name, form, need: Need::Always, unit, meaning }
     }
@@ -159,7 +161,7 @@ impl Parameter {
         Self { need, ..self }
     }
 
-    /// The value that it has if it is not given.
+    /// Returns the value of a parameter that is not given.
     pub fn default(&self) -> Option<f64> {
         match self.need {
             Need::Default(value) | Need::Unwritten(value) => Some(value),
@@ -167,7 +169,7 @@ impl Parameter {
         }
     }
 
-    /// Whether a model writes the value.
+    /// Returns whether a model writes the value.
     pub(super) fn writes(&self, value: &Value) -> bool {
         match self.need {
             Need::Unwritten(default) => value.as_f64() != Some(default),
@@ -186,37 +188,37 @@ pub enum Nature {
     Coloured,
     /// The distribution of single samples.
     Samples,
-    /// Otherwise: a course, a line, a density that changes with time.
+    /// Any other: a course, a line, a density that changes with time.
     Other,
 }
 
 /// One kind of effect.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spec {
-    /// Its identity.
+    /// The identity of the effect.
     pub kind: EffectKind,
     /// The number of its random stream ([`super::stream`]); 0 if it does not use random draws.
     pub stream: u16,
     /// The stage of the chain at which it acts.
     pub stage: Stage,
-    /// How it shows in a record.
+    /// How the effect shows in a record.
     pub nature: Nature,
-    /// Its parameters.
+    /// The parameters of the effect.
     pub parameters: &'static [Parameter],
     /// Sets of parameters of which exactly one is given; empty if there is no choice.
     pub forms: &'static [&'static [&'static str]],
-    /// Its meaning, in a sentence.
+    /// The meaning of the effect, in one sentence.
     pub meaning: &'static str,
-    /// A few words with its main numbers, as `{size:.3e}`; `{more}` is the place for further effects of the kind. The first
-    /// phrase counts whose numbers are not 0, else the last one; without a phrase the name.
+    /// A few words with the main numbers, as `{size:.3e}`; `{more}` is the place for further effects of the kind. The
+    /// first phrase whose numbers are not 0 is used, else the last one; without phrases, the name.
     pub phrases: &'static [&'static str],
 }
 
-/// An effect's table and how one is made of a file's entry; `E` is the trait object.
+/// An effect's table, and how an effect is made from a file's entry; `E` is the trait object.
 pub struct Definition<E: ?Sized> {
-    /// Its table.
+    /// The table of the effect.
     pub spec: &'static Spec,
-    /// Makes one of values that were checked.
+    /// Makes an effect from checked values.
     pub make: fn(&Values<'_>) -> Arc<E>,
 }
 
@@ -232,22 +234,24 @@ impl<E: ?Sized> Definition<E> {
 }
 
 impl Spec {
-    /// The name in files and messages.
+    /// Returns the name in files and messages.
     pub fn name(&self) -> &'static str {
         self.kind.name()
     }
 
-    /// Whether it has the same density throughout a record.
+    /// Returns whether the effect has the same density throughout a record.
     pub fn is_lasting(&self) -> bool {
         matches!(self.nature, Nature::White | Nature::Coloured)
     }
 
-    /// Whether the values and stamps of a record show it without inference; it is noise or a level otherwise.
+    /// Returns whether the values and stamps of a record show the effect without inference; otherwise it is noise or a
+    /// level.
     pub fn is_fact(&self) -> bool {
         matches!(self.stage, Stage::Saturation | Stage::Resolution | Stage::Hold | Stage::Timing)
     }
 
-    /// The effect in a few words, with the main numbers of an entry; `more`: words about further effects of the kind.
+    /// Returns the effect in a few words, with the main numbers of an entry; `more` are words about further effects of
+    /// the kind.
     pub fn phrase(&self, entry: Option<&Value>, more: &str) -> String {
         let number = |name: &str| entry.and_then(|of| of.get(name)).and_then(Value::as_f64).unwrap_or_default();
         let holes =
@@ -264,7 +268,7 @@ impl Spec {
         filled.replace("{more}", more)
     }
 
-    /// Moves the times among an entry's parameters, among those of a list of entries, or among their intervals.
+    /// Moves the times among an entry's parameters, of a list of entries, or of intervals in them.
     pub fn move_times(&self, entry: &mut Value, by_s: f64) {
         if let Value::Array(list) = entry {
             list.iter_mut().for_each(|of| self.move_times(of, by_s));
@@ -284,17 +288,17 @@ impl Spec {
         }
     }
 
-    /// Whether the table allows `parameters`.
+    /// Checks whether the table allows `parameters`.
     pub(super) fn check(&self, parameters: &[(&'static str, Value)]) -> Result<(), Refusal> {
         self.check_map(&parameters.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect())
     }
 
-    /// The parameters' names.
+    /// Returns the parameters' names.
     pub fn names(&self) -> Vec<&'static str> {
         self.parameters.iter().map(|parameter| parameter.name).collect()
     }
 
-    /// A refusal of one of its parameters.
+    /// Creates a refusal of one of the parameters.
     pub(super) fn refuse(
         &self,
         parameter: impl Into<String>,
@@ -348,7 +352,7 @@ impl Spec {
         ))
     }
 
-    /// The parameters that a form cannot do without.
+    /// Returns the parameters that a form requires.
     fn needed(&self, form: &[&'static str]) -> Vec<&'static str> {
         let optional = |name: &str| {
             let parameter = self.parameters.iter().find(|parameter| parameter.name == name);
@@ -376,7 +380,7 @@ impl Spec {
         self.forms.iter().map(words).collect::<Vec<_>>().join("; or ")
     }
 
-    /// The JSON Schema of an entry.
+    /// Returns the JSON Schema of an entry.
     pub fn schema(&self) -> Value {
         let mut properties = Map::new();
         properties.insert("effect".to_owned(), json!({"const": self.name()}));
@@ -480,7 +484,7 @@ impl Parameter {
 }
 
 impl Form {
-    /// In words, for messages and tables.
+    /// Returns a description for messages and tables.
     pub fn words(self) -> String {
         match self {
             Self::Number(range) => range.words(),
@@ -563,7 +567,7 @@ pub struct Values<'a> {
 const EFFECT: &str = "effect";
 
 impl Values<'_> {
-    /// The values of a parameter that is an effect.
+    /// Returns the values of a parameter that is an effect.
     pub(super) fn effect(&self, name: &str) -> Option<Values<'_>> {
         let form = self.spec.parameters.iter().find(|parameter| parameter.name == name)?.form;
         let Form::Effect(specs) = form else { return None };
@@ -571,11 +575,11 @@ impl Values<'_> {
         let spec = specs.iter().find(|spec| map.get(EFFECT).is_some_and(|name| name == spec.name()))?;
         Some(Values { spec, map })
     }
-    /// The effect whose values these are.
+    /// Returns the effect whose values these are.
     pub(super) fn kind(&self) -> EffectKind {
         self.spec.kind
     }
-    /// The number, or its default.
+    /// Returns the number, or its default.
     pub(super) fn number(&self, name: &str) -> f64 {
         self.optional(name).unwrap_or_else(|| {
             let parameter = self.spec.parameters.iter().find(|parameter| parameter.name == name);

@@ -1,9 +1,10 @@
 //! Spectrum: noise of a given density, for effects without a name.
 //!
-//! White noise passes a symmetric filter whose gain is the root of the density. The gain is sampled in frequency and its response
-//! windowed (Hann). The filter has as many taps as the closest points need, [`TAPS_MAX`] at most: features narrower than 1/500 of
-//! the rate are smoothed. The filter runs by overlap-save in blocks of its own length, for any blocks that are requested. All
-//! input that it reaches back to is drawn first, so that the noise is stationary from the start.
+//! White noise passes a symmetric filter whose gain is the root of the density. The gain is sampled in frequency and
+//! its response windowed (Hann). The filter has as many taps as the closest points need, at most [`TAPS_MAX`]: features
+//! narrower than 1/500 of the rate are smoothed. The filter runs by overlap-save in blocks of its own length, for
+//! requested blocks of any size. All input that the filter reaches back to is drawn first, so that the noise is
+//! stationary from the start.
 
 use super::described::effect;
 use super::spec::{Form, Need};
@@ -14,7 +15,7 @@ use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 effect! {
-    /// Noise whose two-sided density is given at points, straight lines in between (density over frequency) and constant beyond
+    /// Noise whose two-sided density is given at points, linear in between (density over frequency) and constant beyond
     /// them, times the square of a factor that may follow a profile.
     ///
     /// Autocovariance without a profile: 2·Σ b·(cos ωf₁ − cos ωf₀)/ω² over the lines of slope b from f₀ to f₁, ω = 2πk·dt.
@@ -27,33 +28,33 @@ effect! {
         "[t_s, factor on the amplitude], linear in between; 1 where it is not given", Need::Optional;
 }
 
-/// Taps at most.
+/// Maximum number of taps.
 pub const TAPS_MAX: usize = 4096;
-/// And at least.
+/// Minimum number of taps.
 const TAPS_MIN: usize = 64;
 /// Taps per period of the distance between the closest points.
 const TAPS_PER_DISTANCE: f64 = 16.0;
 
 impl SpectralNoise {
-    /// The density at a frequency without the level's factor, U²/Hz.
+    /// Returns the density at a frequency without the level's factor, U²/Hz.
     fn at(&self, frequency_hz: f64) -> f64 {
-        // Linear in between and constant beyond, as a profile is.
+        // Linear in between and constant beyond, as a profile.
         profile::factor(&self.density, frequency_hz)
     }
 
-    /// The points from 0 to half the rate, both included.
+    /// Returns the points from 0 to half the rate, both included.
     fn knots(&self, rate_hz: f64) -> Vec<(f64, f64)> {
         let half_hz = 0.5 * rate_hz;
         let inner = self.density.iter().copied().filter(|(f, _)| *f > 0.0 && *f < half_hz);
         std::iter::once((0.0, self.at(0.0))).chain(inner).chain([(half_hz, self.at(half_hz))]).collect()
     }
 
-    /// Mean square without the level's factor: the density's integral over both sides.
+    /// Returns the mean square without the level's factor: the density's integral over both sides.
     fn variance(&self, rate_hz: f64) -> f64 {
         self.knots(rate_hz).windows(2).map(|two| (two[1].0 - two[0].0) * (two[0].1 + two[1].1)).sum()
     }
 
-    /// How many taps resolve the points, a power of two.
+    /// Returns the number of taps that resolves the points, a power of two.
     fn taps(&self, rate_hz: f64) -> usize {
         let closest_hz = self.density.windows(2).map(|two| two[1].0 - two[0].0).fold(rate_hz, f64::min);
         let wanted = (TAPS_PER_DISTANCE * rate_hz / closest_hz).min(TAPS_MAX as f64);
@@ -68,7 +69,7 @@ impl Effect for SpectralNoise {
         let allowed = format!("frequencies up to {half_hz} Hz, half the rate at which it acts");
         Err(Self::SPEC.refuse(format!("density[{place}]"), format!("{} Hz", self.density[place].0), allowed))
     }
-    /// `None` with a level, which makes it another one at any time.
+    /// `None` with a level, which changes the density with time.
     fn psd(&self, frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         self.level.is_empty().then(|| self.at(frequency_hz))
     }
@@ -77,7 +78,7 @@ impl Effect for SpectralNoise {
         let density = self.density.iter().map(|(hz, density)| (*hz, density * square)).collect();
         (!self.level.is_empty()).then(|| Arc::new(Self { density, level: Vec::new() }) as Arc<dyn Effect>)
     }
-    /// `None` with a level, likewise.
+    /// `None` with a level, which changes the variance with time.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         if !self.level.is_empty() {
             return None;
@@ -101,7 +102,7 @@ impl Effect for SpectralNoise {
     }
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
         let mut taps = taps(self.taps(rate_hz), |cycles| (self.at(cycles * rate_hz) * rate_hz).sqrt());
-        // Smoothing an amplitude loses power.
+        // Smoothing an amplitude reduces its power.
         let power = taps.iter().map(|tap| tap * tap).sum::<f64>();
         let scale = (self.variance(rate_hz) / power.max(f64::MIN_POSITIVE)).sqrt();
         taps.iter_mut().for_each(|tap| *tap *= scale);
@@ -114,7 +115,8 @@ impl Effect for SpectralNoise {
     }
 }
 
-/// `count` taps (a power of two) whose gain is `gain` of cycles per sample, smoothed by a Hann window's transform.
+/// Returns `count` taps (a power of two) whose gain is `gain` of cycles per sample, smoothed by a Hann window's
+/// transform.
 fn taps(count: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {
     let grid = 4 * count;
     let inverse = RealFftPlanner::<f64>::new().plan_fft_inverse(grid);
@@ -131,7 +133,7 @@ fn taps(count: usize, gain: impl Fn(f64) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// An inverse transform; its lengths are its own, and the imaginary parts at 0 and half the rate are 0.
+/// Applies an inverse transform; its lengths are its own, and the imaginary parts at 0 and half the rate are 0.
 fn transform_back(inverse: &dyn ComplexToReal<f64>, from: &mut [Complex<f64>], to: &mut [f64]) {
     if let (Some(first), true) = (from.first_mut(), inverse.len() > 0) {
         first.im = 0.0;
@@ -147,15 +149,15 @@ fn transform_back(inverse: &dyn ComplexToReal<f64>, from: &mut [Complex<f64>], t
 struct FilteredSampler {
     forward: Arc<dyn RealToComplex<f64>>,
     inverse: Arc<dyn ComplexToReal<f64>>,
-    /// The taps' transform over its length.
+    /// The transform of the taps over its length.
     gains: Vec<Complex<f64>>,
     /// The number of past samples that the filter uses.
     reach: usize,
-    /// The input, its first `reach` numbers being the last ones of the block before.
+    /// The input; its first `reach` numbers are the last ones of the block before.
     input: Vec<f64>,
     scratch: Vec<f64>,
     bins: Vec<Complex<f64>>,
-    /// The present block's values, and how many were given out.
+    /// The present block's values, and the number of those already returned.
     output: Vec<f64>,
     given: usize,
     stream: Stream,
@@ -198,7 +200,7 @@ impl FilteredSampler {
         }
     }
 
-    /// The next block.
+    /// Computes the next block.
     fn filter(&mut self) {
         let length = self.input.len();
         self.input.copy_within(length - self.reach.., 0);
@@ -256,7 +258,7 @@ mod tests {
         let of = SpectralNoise { level, ..noise(&[(1.0, 4.0), (3.0, 0.5)]) };
         assert_eq!((of.psd(1.0, 40.0), of.allan_variance(3, Record { rate_hz: 40.0, samples: 100 })), (None, None));
         check::agrees_with_its_closed_forms(&of, 40.0);
-        // With a factor of 0 no noise is left.
+        // With a factor of 0 there is no noise.
         let values = check::draw(&of, 40.0, check::SAMPLES, 3);
         assert!(values[12_000..].iter().all(|value| *value == 0.0) && values[7_999] != 0.0);
     }

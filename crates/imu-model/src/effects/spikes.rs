@@ -1,4 +1,4 @@
-//! Spikes: single samples far off.
+//! Spikes: single samples that are far off.
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, Form, Need, Range};
@@ -7,13 +7,14 @@ use super::{Effect, Moments, Record, Refusal, Sampler, Stage, Stream, each};
 effect! {
     /// Single samples that are off by about `amplitude`, at random times.
     ///
-    /// Each sample has one with probability `rate_hz`/rate, of random sign, its size evenly spread over half to one and a half
-    /// times `amplitude` (mean and median are `amplitude`). The spectrum is white.
+    /// Each sample has a spike with probability `rate_hz`/rate, with random sign and a size spread evenly over half to
+    /// one and a half times `amplitude` (mean and median are `amplitude`). The spectrum is white.
     ///
-    /// With `cluster` above 1 they come on neighbouring samples. At every sample a cluster begins with the same probability s, and a
-    /// cluster continues with probability q = 1 − 1/`cluster`. The number of spikes in a cluster is therefore geometric with that
-    /// mean (but for clusters that touch). `rate_hz` stays the mean number of spikes, not of clusters: s = π(1 − q)/(1 − πq) with π =
-    /// `rate_hz`/rate. Sizes and signs are independent, so that the spectrum stays white.
+    /// With `cluster` above 1, spikes come on neighbouring samples. At every sample a cluster begins with the same
+    /// probability s, and a cluster continues with probability q = 1 − 1/`cluster`. The number of spikes in a cluster
+    /// is therefore geometric with that mean (except for clusters that touch). `rate_hz` stays the mean number of
+    /// spikes, not of clusters: s = π(1 − q)/(1 − πq) with π = `rate_hz`/rate. Sizes and signs are independent, so that
+    /// the spectrum stays white.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Spikes: dyn Effect, 9, Stage::Noise, Samples;
     "single samples far off, at random times and with random sign";
@@ -28,12 +29,12 @@ const SQUARE: f64 = 13.0 / 12.0;
 const FOURTH: f64 = 1.5125;
 
 impl Spikes {
-    /// Spikes that come one by one, `rate_hz` per second and of typical size `amplitude` in U.
+    /// Creates spikes that come one by one, `rate_hz` per second and of typical size `amplitude` in U.
     pub const fn new(rate_hz: f64, amplitude: f64) -> Self {
         Self { rate_hz, amplitude, cluster: 1.0 }
     }
 
-    /// Variance of a sample at `rate_hz`.
+    /// Returns the variance of a sample at `rate_hz`.
     fn variance(&self, rate_hz: f64) -> f64 {
         SQUARE * self.amplitude * self.amplitude * self.rate_hz / rate_hz
     }
@@ -60,7 +61,7 @@ impl Effect for Spikes {
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let share = self.rate_hz / rate_hz;
         let goes_on = 1.0 - 1.0 / self.cluster;
-        // With one each time all three are `share`, to the last bit.
+        // With single spikes, all three are `share`, to the last bit.
         let begins = share * (1.0 - goes_on) / (1.0 - share * goes_on);
         let again = if goes_on > 0.0 { goes_on + (1.0 - goes_on) * begins } else { begins };
         // The probability of a spike on the next sample is `again` after a sample with one, else `begins`.
@@ -115,7 +116,7 @@ mod tests {
         assert!((count / clusters / 4.0 - 1.0).abs() < 5.0 * 0.025, "{clusters}");
     }
 
-    /// As they were before there were clusters.
+    /// Single spikes have the same values as before clusters were added.
     #[test]
     fn single_spikes_are_value_stable() {
         let values = check::draw(&Spikes::new(2.0, 1.0), 40.0, 400, 1);

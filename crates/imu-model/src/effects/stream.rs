@@ -1,5 +1,5 @@
-//! Random streams: a seed and a stream's identity in, normal and uniform numbers out, the same on every machine and in
-//! every version.
+//! Random streams: from a seed and a stream's identity, normal and uniform numbers that are the same on every machine
+//! and in every version.
 //!
 //! Each stream is ChaCha8 under the key `seed (8 bytes, little endian) ‖ "vn100d-simulator-1" ‖ zeros` with the 64-bit
 //! stream number
@@ -23,7 +23,7 @@ use rand_distr::{Distribution, StandardNormal};
 /// Separates these streams from any other use of the same seed; a new scheme gets a new number.
 const DOMAIN: &[u8; 18] = b"vn100d-simulator-1";
 
-/// Owner of a triad's streams.
+/// Returns the owner of a triad's streams.
 pub fn triad_owner(triad: Triad) -> u32 {
     256 + match triad {
         Triad::Attitude => 0,
@@ -36,14 +36,14 @@ pub fn triad_owner(triad: Triad) -> u32 {
 /// Owner of the streams that the whole sensor shares.
 pub const SENSOR_OWNER: u32 = 260;
 
-/// Which stream: see the module's table.
+/// The identity of a stream: see the module's table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct StreamId {
     /// Column number of the channel, or 256 + n.
     pub owner: u32,
     /// Number of the effect's kind.
     pub effect: u16,
-    /// Which of several of that kind.
+    /// Index among several effects of that kind.
     pub instance: u16,
 }
 
@@ -52,7 +52,7 @@ pub struct StreamId {
 pub struct Stream(ChaCha8Rng);
 
 impl Stream {
-    /// The stream `id` of `seed`, at its beginning.
+    /// Returns the stream `id` of `seed`, at its beginning.
     pub fn new(seed: u64, id: StreamId) -> Self {
         let mut key = [0_u8; 32];
         key[..8].copy_from_slice(&seed.to_le_bytes());
@@ -62,19 +62,19 @@ impl Stream {
         Self(generator)
     }
 
-    /// The next number: mean 0, variance 1.
+    /// Returns the next normal number of mean 0 and variance 1.
     #[inline]
     pub fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.0)
     }
 
-    /// The next number from 0 to below 1, all multiples of 2⁻⁵³ equally likely.
+    /// Returns the next number from 0 to below 1, all multiples of 2⁻⁵³ equally likely.
     #[inline]
     pub fn uniform(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64)
     }
 
-    /// A separate stream whose key is drawn from this one, for a sampler that draws beside it.
+    /// Returns a separate stream whose key is drawn from this one, for a sampler that draws in addition.
     pub(super) fn branch(&mut self) -> Self {
         let mut key = [0_u8; 32];
         for eight in key.chunks_exact_mut(8) {
@@ -83,7 +83,7 @@ impl Stream {
         Self(ChaCha8Rng::from_seed(key))
     }
 
-    /// The next number of a distribution.
+    /// Returns the next number of a distribution.
     pub(super) fn draw(&mut self, distribution: &impl Distribution<f64>) -> f64 {
         distribution.sample(&mut self.0)
     }
@@ -155,7 +155,7 @@ mod tests {
             fourth += value.powi(4);
         }
         let n = f64::from(n);
-        // Five standard errors: sd of the estimates are 1/√n, √(2/n), √(96/n).
+        // Five standard errors: those of the estimates are 1/√n, √(2/n), √(96/n).
         assert!((mean / n).abs() < 5.0 / n.sqrt());
         assert!((square / n - 1.0).abs() < 5.0 * (2.0 / n).sqrt());
         assert!((fourth / n - 3.0).abs() < 5.0 * (96.0 / n).sqrt());

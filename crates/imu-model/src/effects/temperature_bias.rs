@@ -8,14 +8,16 @@ effect! {
     /// A bias that follows the sensor's temperature T: `per_c`·(P − `reference_c`) + `per_c2`·(P − `reference_c`)² +
     /// `per_c_per_s`·D.
     ///
-    /// P is T behind a play of full width `play_c`: it stays while T is within half of that from it, and else follows half the
-    /// width behind; so that the level of a way up differs from that of the way down by `per_c`·`play_c`. It begins in the middle,
-    /// P = T. Without play P is T. (Play, or backlash: Visintin, Differential Models of Hysteresis, 1994.)
+    /// P is T behind a play of full width `play_c`: P stays while T is within half the width of P, and otherwise
+    /// follows half the width behind. The level on the way up therefore differs from that on the way down by
+    /// `per_c`·`play_c`. P begins in the middle, P = T. Without play, P is T. (Play, or backlash: Visintin,
+    /// Differential Models of Hysteresis, 1994.)
     ///
-    /// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that lag.
-    /// It is causal and begins at 0.
+    /// D is dT/dt behind a lag of first order with time constant [`RATE_LAG_S`]: (T − L)/τ, where L follows T with that
+    /// lag. D is causal and begins at 0.
     ///
-    /// Its Allan variance is that of the temperature's course times `per_c`², and the course is not a parameter: `None`.
+    /// The Allan variance is that of the temperature's course times `per_c`², and the course is not a parameter:
+    /// `None`.
     #[derive(Debug, Clone, Copy, PartialEq, Default)]
     pub struct TemperatureBias: dyn Effect, 0, Stage::Bias;
     "a bias that follows the sensor's temperature"
@@ -29,17 +31,17 @@ effect! {
         "what a temperature that changes adds, U per °C/s; dT/dt behind a lag of 10 s", Need::Unwritten(0.0);
 }
 
-/// Time constant of the lag behind which [`TemperatureBias::per_c_per_s`] sees dT/dt, s: short beside the warming of a sensor,
-/// long beside the noise and the steps of a thermometer.
+/// Time constant of the lag of dT/dt for [`TemperatureBias::per_c_per_s`], s: short compared with the warming of a
+/// sensor, long compared with the noise and the steps of a thermometer.
 pub const RATE_LAG_S: f64 = 10.0;
 
 impl TemperatureBias {
-    /// One of a slope alone, in U/°C, that vanishes at `reference_c`.
+    /// Creates a bias with a slope alone, in U/°C, that vanishes at `reference_c`.
     pub const fn linear(per_c: f64, reference_c: f64) -> Self {
         Self { per_c, reference_c, per_c2: 0.0, play_c: 0.0, per_c_per_s: 0.0 }
     }
 
-    /// The level behind the play at `temperature_c`, U.
+    /// Returns the level behind the play at `temperature_c`, U.
     fn level(&self, temperature_c: f64) -> f64 {
         let off = temperature_c - self.reference_c;
         if self.per_c2 == 0.0 { self.per_c * off } else { self.per_c * off + self.per_c2 * off * off }
@@ -53,11 +55,13 @@ impl Effect for TemperatureBias {
     fn allan_variance(&self, _m: u64, _record: Record) -> Option<f64> {
         None
     }
-    /// At a temperature that has not changed: in the middle of the play. What came before is in no instant.
+    /// Assumes that the temperature has not changed, so that it is in the middle of the play: an instant has no
+    /// history.
     fn mean_response(&self, input: f64, at: At) -> f64 {
         input + self.level(at.temperature_c)
     }
-    /// T − `reference_c`, and its square if there is curvature. Play and dT/dt are not functions of the instant.
+    /// The columns are T − `reference_c`, and its square if there is curvature. Play and dT/dt are not functions of the
+    /// instant.
     fn regressors(&self) -> usize {
         if self.per_c2 == 0.0 { 1 } else { 2 }
     }
@@ -76,9 +80,9 @@ impl Effect for TemperatureBias {
 #[derive(Debug)]
 struct TemperatureSampler {
     bias: TemperatureBias,
-    /// How much of its distance to the temperature the lag covers in a sample.
+    /// The part of its distance to the temperature that the lag covers in a sample.
     share: f64,
-    /// The temperatures behind the play and behind the lag, once there was one, °C.
+    /// The temperatures behind the play and behind the lag, once a temperature was given, °C.
     behind: Option<[f64; 2]>,
 }
 
@@ -120,7 +124,7 @@ mod tests {
         assert!((values[0] - 1.1).abs() < 1e-14);
     }
 
-    /// The effect's output for a course of temperatures at `rate_hz`.
+    /// Returns the effect's output for a course of temperatures at `rate_hz`.
     fn follow(effect: TemperatureBias, rate_hz: f64, temperatures: &[f64]) -> Vec<f64> {
         let mut values = vec![0.0; temperatures.len()];
         effect.sampler(rate_hz, 1.0, check::stream(1)).act(&mut values, Temperature::Series(temperatures));
@@ -133,7 +137,7 @@ mod tests {
         let temperatures: Vec<f64> = up.clone().chain(up.rev()).collect();
         let effect = TemperatureBias { play_c: 3.0, ..TemperatureBias::linear(0.5, 20.0) };
         let values = follow(effect, 1.0, &temperatures);
-        // The level does not move before half the play is used up; from then on it follows half the play behind.
+        // The level does not move before half the play is used up; then it follows half the play behind.
         assert!(values[..=15].iter().all(|value| *value == 0.0));
         assert!((values[100] - 0.5 * (10.0 - 1.5)).abs() < 1e-12);
         assert!((values[201 + 100] - 0.5 * (10.0 + 1.5)).abs() < 1e-12);

@@ -1,14 +1,14 @@
-//! Timing: stamps that scatter, samples that get lost.
+//! Timing: stamps that scatter, and samples that are lost.
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, Need, PROBABILITY};
 use super::{Effect, Record, Refusal, Sampler, Scope, Stage, Stream, each};
 
 effect! {
-    /// Stamps with jitter, and samples lost on the way; the values are left alone. It concerns the whole sensor: one channel
-    /// that names it is enough.
+    /// Stamps with jitter, and samples lost on the way; the values stay unchanged. The effect concerns the whole
+    /// sensor: one channel that names it is enough.
     ///
-    /// Deviations of stamps end at 0.49 periods, so that stamps keep their order.
+    /// Deviations of stamps are limited to 0.49 periods, so that stamps keep their order.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Timing: dyn Effect, 14, Stage::Timing;
     "stamps that scatter and samples that get lost; concerns the whole sensor";
@@ -17,16 +17,16 @@ effect! {
     drop_probability: f64 = PROBABILITY, "", "that a sample is lost", Need::Default(0.0);
 }
 
-/// Stamps may deviate by this part of a period at most.
+/// The largest deviation of a stamp, as a part of a period.
 pub(crate) const DEVIATION_MAX: f64 = 0.49;
-/// And their standard deviation may be this part of a period at most, so that deviations are seldom cut.
+/// The largest standard deviation of stamps, as a part of a period, so that deviations are seldom limited.
 pub const JITTER_MAX: f64 = 0.2;
 
 /// The random stream of the lost samples.
 pub const LOSS_STREAM: u16 = 15;
 
 impl Timing {
-    /// The stamp's deviation in s, from a standard normal number.
+    /// Returns the stamp's deviation in s, from a standard normal number.
     pub fn deviation_s(&self, normal: f64, rate_hz: f64) -> f64 {
         let most = DEVIATION_MAX / rate_hz;
         (self.jitter_s * normal).clamp(-most, most)

@@ -6,10 +6,10 @@ use super::{At, Effect, Extent, Line, Moments, Record, Refusal, Sampler, Stage, 
 use std::f64::consts::{PI, TAU};
 
 effect! {
-    /// A sine of one frequency; its phase is drawn from the stream, all phases equally likely.
+    /// A sine of one frequency. Its phase is drawn from the stream, with all phases equally likely.
     ///
     /// Expected Allan variance over the phases: A²·sin⁴(πfm·dt)/(m·sin(πf·dt))². Its spectrum is a line of power A²/2.
-    /// Before a decimation its frequency may lie above half the output's rate: it then shows folded.
+    /// Before a decimation its frequency may lie above half the output's rate; it then appears folded.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Tone: dyn Effect, 5, Stage::Noise;
     "a sine of one frequency and unknown phase" => "a {frequency_hz:.3} Hz tone of {amplitude:.2e}{more}";
@@ -26,13 +26,13 @@ effect! {
     amplitudes: Vec<f64> = Form::Numbers(Range::FromZero), "U", "peaks of the first, second… harmonic, U";
 }
 
-/// Expected Allan variance of a sine of amplitude 1.
+/// Returns the expected Allan variance of a sine of amplitude 1.
 fn allan_variance(frequency_hz: f64, m: u64, rate_hz: f64) -> f64 {
     let (m, x) = (m as f64, PI * frequency_hz / rate_hz);
     (m * x).sin().powi(4) / (m * x.sin()).powi(2)
 }
 
-/// Cosine and sine at a time.
+/// Returns cosine and sine at a time.
 fn quadratures(frequency_hz: f64, time_s: f64) -> [f64; 2] {
     let (sine, cosine) = (TAU * (frequency_hz * time_s).fract()).sin_cos();
     [cosine, sine]
@@ -69,7 +69,7 @@ impl Effect for Tone {
 }
 
 impl Comb {
-    /// Frequency and peak of each harmonic.
+    /// Returns frequency and peak of each harmonic.
     fn harmonics(&self) -> impl Iterator<Item = (f64, f64)> {
         (1_u32..).zip(&self.amplitudes).map(|(order, amplitude)| (f64::from(order) * self.fundamental_hz, *amplitude))
     }
@@ -101,7 +101,7 @@ impl Effect for Comb {
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         Some(self.harmonics().map(|(f, peak)| peak * peak * allan_variance(f, m, record.rate_hz)).sum())
     }
-    /// The phases are independent, so that of the fourth moment only Σ 3A⁴/8 and the pairs' 6·A²B²/4 remain.
+    /// The phases are independent, so that only Σ 3A⁴/8 and the pairs' 6·A²B²/4 remain of the fourth moment.
     fn moments(&self, _record: Record) -> Option<Moments> {
         let variance: f64 = self.amplitudes.iter().map(|peak| peak * peak / 2.0).sum();
         let fourths: f64 = self.amplitudes.iter().map(|peak| peak.powi(4)).sum();
@@ -136,7 +136,7 @@ impl Sine {
     }
 }
 
-/// Adds the sines.
+/// Creates a sampler that adds the sines.
 fn sum(sines: Vec<Sine>) -> Box<dyn Sampler> {
     let mut index = 0_u64;
     each(move |value| {

@@ -6,26 +6,26 @@ use super::{
     Effect, Extent, Moments, Record, Sampler, Stage, Stream, Temperature, USUAL_TEMPERATURE_C, WhiteMoments, profile,
 };
 
-/// A factor on the amplitude of the white part; the other noise is left alone.
+/// A factor on the amplitude of the white part; the other noise stays unchanged.
 ///
-/// Its contribution to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's
+/// The contribution to spectrum and Allan variance depends on N: `None`. [`Effect::white_moments`] has the factor's
 /// mean square over a record, by which the white density grows.
 #[derive(Debug, Clone, PartialEq)]
 pub enum VarianceChange {
     /// A factor inside an interval, 1 outside.
     Interval {
-        /// First instant, s after the start.
+        /// First instant inside, s after the start.
         from_s: f64,
-        /// First instant after it, s.
+        /// First instant after the interval, s.
         to_s: f64,
-        /// On the amplitude.
+        /// Factor on the amplitude.
         factor: f64,
     },
     /// Factors at instants, linear between them and constant before the first and after the last.
     Profile(Vec<(f64, f64)>),
     /// exp(`per_c`·(T − `reference_c`)): for small changes, `per_c` is the relative growth per °C.
     PerDegree {
-        /// 1/°C.
+        /// Logarithmic growth per degree, 1/°C.
         per_c: f64,
         /// The temperature at which the factor is 1, °C.
         reference_c: f64,
@@ -68,7 +68,7 @@ described! {
 }
 
 impl VarianceChange {
-    /// The factor at an instant.
+    /// Returns the factor at an instant.
     pub fn factor(&self, time_s: f64, temperature_c: f64) -> f64 {
         match self {
             Self::Interval { from_s, to_s, factor } => {
@@ -83,7 +83,7 @@ impl VarianceChange {
         }
     }
 
-    /// Mean of the factor's `power`th power over `length_s`, without temperature.
+    /// Returns the mean of the factor's `power`th power over `length_s`, without temperature.
     fn mean_power(&self, length_s: f64, power: i32) -> Option<f64> {
         let cuts = match self {
             Self::Interval { from_s, to_s, .. } => vec![*from_s, *to_s],
@@ -104,7 +104,7 @@ impl Effect for VarianceChange {
         }
     }
     fn extents(&self) -> Vec<Extent> {
-        // A profile acts where its factor is further from 1 than half of what it is at most.
+        // A profile acts where its factor differs from 1 by more than half of its largest deviation.
         let [from_s, to_s] = match self {
             Self::Interval { from_s, to_s, .. } => [*from_s, *to_s],
             Self::Profile(points) => {

@@ -8,12 +8,13 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 effect! {
-    /// A·exp(u − s²)·cos θ: θ' = 2π(f₀ + d), its first value drawn uniformly; d and u are Gauss–Markov processes of rms
-    /// `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 for any s.
+    /// A·exp(u − s²)·cos θ with θ' = 2π(f₀ + d); the first θ is drawn uniformly. d and u are Gauss–Markov processes of
+    /// rms `frequency_sigma_hz` and s = `amplitude_sigma` with their correlation times. The mean square is A²/2 for any
+    /// s.
     ///
-    /// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), V = 2β(t/T_f − 1 + e^(−t/T_f)) the phase's variance about its
-    /// mean course, β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan 9. The phase is integrated exactly
-    /// between samples, so that it holds at any rate.
+    /// Autocovariance (A²/2)·cos ω₀t·exp(−V/2 − s²(1 − e^(−t/T_a))), with V = 2β(t/T_f − 1 + e^(−t/T_f)), the phase's
+    /// variance about its mean course, and β = (2π·`frequency_sigma_hz`·T_f)². Source: Kubo 1954, J. Phys. Soc. Japan
+    /// 9. The phase is integrated exactly between samples, so that it holds at any rate.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct WanderingLine: dyn Effect, 22, Stage::Noise;
     "a line whose frequency and amplitude wander";
@@ -25,28 +26,29 @@ effect! {
     amplitude_tc_s: f64 = above(0.0), "s", "correlation time of the amplitude's logarithm, s";
 }
 
-/// β above which the sum over Lorentzian lines cancels too far: its terms grow as e^β and alternate.
+/// Above this β, the sum over Lorentzian lines cancels too far: its terms grow as e^β and alternate.
 const SUMMED_UP_TO: f64 = 8.0;
 
-/// The largest `amplitude_sigma`: two standard deviations are a factor of 400 then, and no record shows the mean square.
+/// The largest `amplitude_sigma`: two standard deviations are then a factor of 400, and no record shows the mean
+/// square.
 const AMPLITUDE_SIGMA_MAX: f64 = 3.0;
 
 impl WanderingLine {
-    /// (2πσT)²: the mean square of the phase that one stay at a frequency gathers.
+    /// Returns (2πσT)²: the mean square of the phase accumulated in one stay at a frequency.
     fn beta(&self) -> f64 {
         (TAU * self.frequency_sigma_hz * self.frequency_tc_s).powi(2)
     }
 
-    /// Minus the logarithm of the factor that the wander applies to the autocovariance after `lag_s`.
+    /// Returns minus the logarithm of the factor that the wander applies to the autocovariance after `lag_s`.
     fn forgotten(&self, lag_s: f64) -> f64 {
         let x = lag_s / self.frequency_tc_s;
         let s2 = self.amplitude_sigma * self.amplitude_sigma;
-        // x − 1 + e^−x, which for small x is lost in rounding.
+        // x − 1 + e^−x, which rounding destroys for small x.
         let gathered = if x < 1e-3 { x * x * (0.5 - x / 6.0 + x * x / 24.0) } else { x + (-x).exp_m1() };
         self.beta() * gathered - s2 * (-lag_s / self.amplitude_tc_s).exp_m1()
     }
 
-    /// Whether it keeps a line: its phase never wanders off.
+    /// Returns whether a line remains: its phase never wanders off.
     fn keeps_a_line(&self) -> bool {
         self.frequency_sigma_hz == 0.0
     }
@@ -61,11 +63,11 @@ impl Effect for WanderingLine {
         }
         Self::SPEC.below_nyquist("frequency_hz", self.frequency_hz, rate_hz)
     }
-    /// The sum over Lorentzian lines into which the autocovariance expands, in powers of e^(−t/T_f) and e^(−t/T_a). `None` for a
-    /// frequency that wanders slowly (β above 8, a frequency held for more than some 0.45 turns): the terms alternate, and
-    /// doubles cannot hold their sum.
+    /// Sums the Lorentzian lines into which the autocovariance expands, in powers of e^(−t/T_f) and e^(−t/T_a). `None`
+    /// for a frequency that wanders slowly (β above 8, a frequency held for more than some 0.45 turns): the terms
+    /// alternate, and doubles cannot hold their sum.
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
-        /// The least size of a term that counts, relative to the first.
+        /// The smallest relevant size of a term, relative to the first.
         const LEAST: f64 = 1e-14;
         let (beta, s2) = (self.beta(), self.amplitude_sigma * self.amplitude_sigma);
         if beta > SUMMED_UP_TO {
@@ -80,7 +82,7 @@ impl Effect for WanderingLine {
             for m in 0..200_u32 {
                 let decay =
                     ((beta + f64::from(n)) / self.frequency_tc_s + f64::from(m) / self.amplitude_tc_s) / rate_hz;
-                // What does not decay is a line.
+                // A part without decay is a line.
                 if decay > 0.0 {
                     sum += weight * (lorentzian(below, decay, rate_hz) + lorentzian(above, decay, rate_hz));
                 }
@@ -110,7 +112,7 @@ impl Effect for WanderingLine {
         };
         Some(0.5 * self.amplitude * self.amplitude * sampled::allan_variance(m, structure))
     }
-    /// If the frequency wanders slowly: a band as wide as the distribution of the frequency, at half its height.
+    /// For a slowly wandering frequency: a band as wide as the distribution of the frequency, at half its height.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
         const HALF_HEIGHT: f64 = 2.354_820_045;
         self.psd(self.frequency_hz, record.rate_hz).is_none().then(|| {
@@ -127,10 +129,10 @@ impl Effect for WanderingLine {
     fn sampler(&self, rate_hz: f64, _record_length_s: f64, mut stream: Stream) -> Box<dyn Sampler> {
         let (x, y) = (1.0 / (rate_hz * self.frequency_tc_s), 1.0 / (rate_hz * self.amplitude_tc_s));
         let wanders = [-(-x).exp_m1(), -(-2.0 * x).exp_m1()];
-        // Cycles per sample of d = 1 rms, held.
+        // Cycles per sample for a constant d of 1 rms.
         let turn = self.frequency_sigma_hz * self.frequency_tc_s;
         let drive = wanders[1].sqrt();
-        // Covariance of what d and its integral gather in a sample, (1 − e^−x)²; the integral's own variance is
+        // Covariance of the increments of d and its integral in a sample, (1 − e^−x)²; the integral's own variance is
         // integral_variance(x).
         let shared = wanders[0] * wanders[0] / drive;
         let own = (integral_variance(x) - shared * shared).max(0.0).sqrt();
@@ -139,7 +141,8 @@ impl Effect for WanderingLine {
         let mut cycles = stream.uniform();
         let (step, amplitude_sigma) = (self.frequency_hz / rate_hz, self.amplitude_sigma);
         let (pole, drive) = ([(-x).exp(), (-y).exp()], [drive, (-(-2.0 * y).exp_m1()).sqrt()]);
-        // Cycles that the frequency's state turns in a sample, and the cycles that its drive and an independent number add.
+        // Cycles that the frequency's state adds in a sample, and the cycles that its drive and an independent number
+        // add.
         let (carried, gathered) = (turn * wanders[0], [turn * shared, turn * own]);
         let peak = self.amplitude * (-self.amplitude_sigma * self.amplitude_sigma).exp();
         each(move |value| {
@@ -153,8 +156,8 @@ impl Effect for WanderingLine {
     }
 }
 
-/// 2x − 3 + 4e^−x − e^−2x: the variance that the integral of a Gauss–Markov process of variance 1 gathers over x of its
-/// correlation times, its state at the start being known, in squares of that time.
+/// Returns 2x − 3 + 4e^−x − e^−2x: the variance of the integral of a Gauss–Markov process of variance 1 over x of its
+/// correlation times, given its state at the start, in squares of that time.
 fn integral_variance(x: f64) -> f64 {
     if x > 0.5 {
         return 2.0 * x - 3.0 + 4.0 * (-x).exp() - (-2.0 * x).exp();
@@ -187,7 +190,7 @@ mod tests {
     fn spectrum_allan_variance_and_moments_are_those_of_the_line() {
         for line in [
             LINE,
-            // Quick: the line is as narrow as its mean frequency lets it be.
+            // Quick: the line is as narrow as its mean frequency permits.
             WanderingLine { frequency_sigma_hz: 2.0, frequency_tc_s: 0.02, amplitude_sigma: 0.0, ..LINE },
             // Slow: no spectrum.
             WanderingLine { frequency_sigma_hz: 0.1, frequency_tc_s: 20.0, ..LINE },

@@ -5,7 +5,7 @@ use super::spec::{ANY, above};
 use super::{At, Effect, Extent, Record, Sampler, Stage, Stream, each};
 
 effect! {
-    /// A bias of A·exp(−t/τ), A at the start.
+    /// A bias of A·exp(−t/τ): A at the start.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct WarmUp: dyn Effect, 0, Stage::Bias;
     "a bias that dies away exponentially from the start" => "a warm-up of {amplitude:.3e} in {tau_s:.3e} s";
@@ -20,8 +20,8 @@ impl Effect for WarmUp {
     fn psd(&self, _frequency_hz: f64, _rate_hz: f64) -> Option<f64> {
         Some(0.0)
     }
-    /// With r = exp(−dt/τ) the averages from sample i on differ by A·rⁱ(1 − rᵐ)²/(m(1 − r)); half its mean square over the
-    /// record, in closed form.
+    /// With r = exp(−dt/τ), the averages from sample i on differ by A·rⁱ(1 − rᵐ)²/(m(1 − r)). Returns half the mean
+    /// square of that over the record, in closed form.
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let starts = record.samples.checked_sub(2 * m).filter(|_| m > 0)? as f64 + 1.0;
         let decay = 1.0 / (record.rate_hz * self.tau_s);

@@ -31,7 +31,7 @@ impl Effect for White {
 }
 
 impl White {
-    /// A filter's sampler that adds this noise to what it passes.
+    /// Returns a filter's sampler that adds this noise to the filter's output.
     pub(super) fn after(
         self,
         filter: Box<dyn Sampler>,
@@ -43,7 +43,7 @@ impl White {
     }
 }
 
-/// One sampler after the other.
+/// Samplers that act one after the other.
 #[derive(Debug)]
 struct InTurn([Box<dyn Sampler>; 2]);
 

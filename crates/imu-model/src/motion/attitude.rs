@@ -2,28 +2,29 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// A turn about one of the sensor's axes whose rate changes evenly from one value to another. No turn is a rest.
+/// A turn about one of the sensor's axes whose rate changes evenly from one value to another. A turn at rate 0 is a
+/// rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Turn {
-    /// 0, 1 or 2: x, y or z.
+    /// The axis: 0, 1 or 2 for x, y or z.
     pub(super) axis: usize,
     pub(super) duration_s: f64,
-    /// Rate at its beginning and end, rad/s.
+    /// Rate at the beginning and the end, rad/s.
     pub(super) rate_rad_s: [f64; 2],
 }
 
 impl Turn {
-    /// A rest.
+    /// Returns a rest.
     pub(super) fn rest(duration_s: f64) -> Self {
         Self::steady(0, 0.0, duration_s)
     }
 
-    /// A turn at one rate.
+    /// Returns a turn at one rate.
     pub(super) fn steady(axis: usize, rate_rad_s: f64, duration_s: f64) -> Self {
         Self { axis, duration_s, rate_rad_s: [rate_rad_s; 2] }
     }
 
-    /// From one rate to another.
+    /// Returns a turn whose rate changes from one value to another.
     pub(super) fn change(axis: usize, from_rad_s: f64, to_rad_s: f64, duration_s: f64) -> Self {
         Self { axis, duration_s, rate_rad_s: [from_rad_s, to_rad_s] }
     }
@@ -32,7 +33,7 @@ impl Turn {
         Vector3::ith(self.axis, 1.0)
     }
 
-    /// Rate and angle `time_s` after its beginning.
+    /// Returns rate and angle `time_s` after the beginning.
     fn at(&self, time_s: f64) -> (f64, f64) {
         let [from, to] = self.rate_rad_s;
         if self.duration_s <= 0.0 {
@@ -43,16 +44,16 @@ impl Turn {
     }
 }
 
-/// The attitude and rate of the sensor, turn after turn; after the last one it rests.
+/// The attitude and rate of the sensor, turn after turn; after the last turn the sensor rests.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Sequence {
-    /// Each with its beginning and the attitude then (sensor to north-east-down).
+    /// Each turn with its beginning and the attitude then (sensor to north-east-down).
     turns: Vec<(f64, UnitQuaternion<f64>, Turn)>,
     end: (f64, UnitQuaternion<f64>),
 }
 
 impl Sequence {
-    /// Level, facing north at time 0.
+    /// Creates a sequence that begins level and facing north at time 0.
     pub(super) fn new(turns: impl IntoIterator<Item = Turn>) -> Self {
         let mut end = (0.0, UnitQuaternion::identity());
         let begun = |turn: Turn| {
@@ -65,7 +66,8 @@ impl Sequence {
         Self { turns, end }
     }
 
-    /// Attitude (sensor to north-east-down) and rate in the sensor's axes (rad/s, against the Earth) at a time.
+    /// Returns the attitude (sensor to north-east-down) and the rate in the sensor's axes (rad/s, relative to the
+    /// Earth) at a time.
     pub(super) fn at(&self, time_s: f64) -> (UnitQuaternion<f64>, Vector3<f64>) {
         if time_s >= self.end.0 {
             return (self.end.1, Vector3::zeros());
@@ -76,7 +78,7 @@ impl Sequence {
         (attitude * UnitQuaternion::from_scaled_axis(turn.unit() * angle), turn.unit() * rate)
     }
 
-    /// When the last turn ends, s.
+    /// Returns the end of the last turn, s.
     pub(super) fn duration_s(&self) -> f64 {
         self.end.0
     }

@@ -5,20 +5,20 @@ use crate::simulator::Motion;
 use imu_core::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use nalgebra::Vector3;
 
-/// Rotation of the Earth against the stars, rad/s (WGS 84).
+/// Rotation of the Earth relative to the stars, rad/s (WGS 84).
 const EARTH_RATE_RAD_S: f64 = 7.292_115e-5;
-/// How long a quarter turn between two positions takes, s.
+/// Duration of a quarter turn between two positions, s.
 const QUARTER_TURN_S: f64 = 3.0;
-/// Shortest rest in a position, s: half a minute, over which white noise has averaged out.
+/// Shortest rest in a position, s.
 const SHORTEST_REST_S: f64 = 10.0;
-/// The staircase's rates, °/s, in the order they are driven.
+/// The staircase's rates, °/s, in their order.
 const STAIRS_DEG_S: [f64; 13] = [0.0, 25.0, 50.0, 100.0, 200.0, 100.0, 0.0, -25.0, -50.0, -100.0, -200.0, -100.0, 0.0];
-/// How fast the table changes its rate, °/s².
+/// Rate of change of the table's rate, °/s².
 const TABLE_DEG_S2: f64 = 100.0;
-/// Shortest time at one of its rates, s.
+/// Shortest time at one of the staircase's rates, s.
 const SHORTEST_STAIR_S: f64 = 2.0;
 
-/// Which motion.
+/// The kind of motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Level, at rest: gravity and Earth rate.
@@ -30,10 +30,10 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All.
+    /// All kinds.
     pub const ALL: [Self; 3] = [Self::Still, Self::Tumble, Self::RateTable];
 
-    /// The name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Still => "still",
@@ -42,7 +42,7 @@ impl Kind {
         }
     }
 
-    /// The kind of that name.
+    /// Returns the kind of that name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
@@ -58,7 +58,7 @@ pub struct Site {
 }
 
 impl Default for Site {
-    /// 45° north with standard gravity, which is that of 45°.
+    /// Returns 45° north with standard gravity, which is that of 45°.
     fn default() -> Self {
         Self { latitude_deg: 45.0, gravity_m_s2: STANDARD_GRAVITY_M_S2 }
     }
@@ -67,14 +67,14 @@ impl Default for Site {
 /// The reason why a motion cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CourseError {
-    /// There is not enough time for all of it.
+    /// There is not enough time for the whole motion.
     #[error(
         "the motion `{kind}` needs {needed_s:.0} s or more, and {found_s} s are asked for: take a longer --duration"
     )]
     TooShort {
         /// The motion.
         kind: &'static str,
-        /// The least it needs, s.
+        /// The time that it needs, s.
         needed_s: f64,
         /// The available time, s.
         found_s: f64,
@@ -91,10 +91,10 @@ pub struct Course {
 }
 
 impl Course {
-    /// The motion that fills `duration_s`.
+    /// Returns the motion that fills `duration_s`.
     ///
     /// # Errors
-    /// [`CourseError::TooShort`].
+    /// [`CourseError::TooShort`] if `duration_s` does not suffice.
     pub fn new(kind: Kind, duration_s: f64, site: Site) -> Result<Self, CourseError> {
         let sequence = match kind {
             Kind::Still => Sequence::new([]),
@@ -109,7 +109,7 @@ impl Course {
         })
     }
 
-    /// Angular rate and specific force at a time after the start, s.
+    /// Returns angular rate and specific force at a time after the start, s.
     pub fn at(&self, time_s: f64) -> Motion {
         let (attitude, rate) = self.sequence.at(time_s);
         let into_sensor = attitude.inverse();
@@ -117,25 +117,25 @@ impl Course {
         Motion { gyro_rad_s: gyro.into(), accel_m_s2: accel.into(), temperature_c: None }
     }
 
-    /// The motion at `rate_hz` from its beginning on, without end.
+    /// Returns the motion at `rate_hz` from its beginning on, endlessly.
     pub fn sampled(self, rate_hz: f64) -> impl Iterator<Item = Motion> + Send {
         (0_u64..).map(move |index| self.at(index as f64 / rate_hz))
     }
 
-    /// When its last turn ends, s.
+    /// Returns the end of the last turn, s.
     pub fn moves_until_s(&self) -> f64 {
         self.sequence.duration_s()
     }
 }
 
-/// Turns by quarters, at a rate that rises and falls evenly.
+/// Returns turns by quarters, at a rate that rises and falls evenly.
 fn quarters(axis: usize, count: f64) -> [Turn; 2] {
     let half_s = 0.5 * QUARTER_TURN_S * count;
     let peak = 0.5 * std::f64::consts::PI * count / half_s;
     [Turn::change(axis, 0.0, peak, half_s), Turn::change(axis, peak, 0.0, half_s)]
 }
 
-/// z down, y down, z up, y up, x up, x down.
+/// Returns the turns through z down, y down, z up, y up, x up, x down.
 fn tumble(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
     let turns = [quarters(0, 1.0), quarters(0, 1.0), quarters(0, 1.0), quarters(2, 1.0), quarters(2, 2.0)];
     let rest_s = rest(kind, duration_s, turns.as_flattened(), 6, SHORTEST_REST_S)?;
@@ -147,9 +147,9 @@ fn tumble(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
     Ok(course)
 }
 
-/// z down, y down, x down; in each the whole staircase about it.
+/// Returns the turns with z, y and x down; in each, the whole staircase about that axis.
 fn rate_table(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
-    // Which axis points down, and the quarter turn that brings the next one there.
+    // The axis that points down, and the quarter turn that brings the next one there.
     let mounts = [(2, Some(0)), (1, Some(2)), (0, None)];
     let mut moves: Vec<Vec<Turn>> = Vec::new();
     for (axis, mount) in mounts {
@@ -172,7 +172,7 @@ fn rate_table(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
     Ok(course)
 }
 
-/// The time for each of `count` rests.
+/// Returns the time for each of `count` rests.
 fn rest(kind: Kind, duration_s: f64, turns: &[Turn], count: usize, shortest_s: f64) -> Result<f64, CourseError> {
     let turning_s: f64 = turns.iter().map(|turn| turn.duration_s).sum();
     let rest_s = (duration_s - turning_s) / count as f64;

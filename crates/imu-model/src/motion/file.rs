@@ -1,9 +1,9 @@
 //! Files: motions as CSV (docs/formats.md), read row by row and written row by row.
 //!
-//! A motion has `time_s`, `ref_gyro_{x,y,z}_rad_s`, `ref_accel_{x,y,z}_m_s2` (specific force in the sensor's axes) and, if known,
-//! `temperature_c`, in any order of columns; others are ignored. Refused, with the file, the line and the values allowed: a
-//! missing column, a cell that is not a number, rows at another rate than asked for, and gaps. Memory does not grow with the
-//! file.
+//! A motion has `time_s`, `ref_gyro_{x,y,z}_rad_s`, `ref_accel_{x,y,z}_m_s2` (specific force in the sensor's axes) and,
+//! if known, `temperature_c`, in any order of columns; other columns are ignored. Refused, with the file, the line and
+//! the values allowed: a missing column, a cell that is not a number, rows at another rate than requested, and gaps.
+//! Memory does not grow with the file.
 
 use crate::simulator::Motion;
 use std::io::{Read, Write};
@@ -18,17 +18,17 @@ const COLUMNS: [&str; 7] = [
     "ref_accel_y_m_s2",
     "ref_accel_z_m_s2",
 ];
-/// The column that it may have.
+/// The optional column.
 const TEMPERATURE: &str = "temperature_c";
-/// How far a file's rate may lie from the one it stands for: its stamps are another clock's.
+/// How far a file's rate may differ from the rate that it stands for: its stamps come from another clock.
 const RATE_TOLERANCE: f64 = 1e-3;
-/// How far a step may be from the period, in periods: from one and a half on a row is missing (docs/formats.md).
+/// How far a step may differ from the period, in periods: from one and a half on, a row is missing (docs/formats.md).
 const STRAY_PERIODS: f64 = 0.5;
-/// Rows that determine the rate. Stamps are often rounded to a millisecond, so that one step alone does not determine
-/// it.
+/// Number of rows that determine the rate. Stamps are often rounded to a millisecond, so that one step alone does not
+/// determine it.
 const TELLING: usize = 1000;
 
-/// Why a motion was refused.
+/// The reasons why a motion was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum MotionError {
     /// The file could not be read, or is not CSV.
@@ -39,7 +39,7 @@ pub enum MotionError {
         /// The reader's error, with the line.
         source: csv::Error,
     },
-    /// A column is missing or there twice.
+    /// A column is missing or occurs twice.
     #[error("{file}, line 1: {found} column `{column}`; a motion has once each {}, and `temperature_c` if it is known", COLUMNS.join(", "))]
     Column {
         /// The file.
@@ -49,19 +49,19 @@ pub enum MotionError {
         /// `no` or `more than one`.
         found: &'static str,
     },
-    /// A cell is no finite number.
+    /// A cell is not a finite number.
     #[error("{file}, line {line}, column `{column}`: found `{found}`; expected a finite number")]
     Cell {
         /// The file.
         file: String,
-        /// The line, the header being 1.
+        /// The line; the header is line 1.
         line: u64,
         /// The column.
         column: &'static str,
         /// The value that was found.
         found: String,
     },
-    /// A row does not lie one period after the one before.
+    /// A row is not one period after the one before.
     #[error(
         "{file}, line {line}: {step_s:.6} s after the row before; a motion at {} Hz has a row every {period_s:.6} s and no gaps",
         rounded(*rate_hz)
@@ -71,19 +71,19 @@ pub enum MotionError {
         file: String,
         /// The line.
         line: u64,
-        /// From the row before to this one, s.
+        /// Time from the row before to this one, s.
         step_s: f64,
         /// The rate that was expected, Hz.
         rate_hz: f64,
-        /// Its period, s.
+        /// The period of that rate, s.
         period_s: f64,
     },
-    /// A motion at a rate that is neither the sensor's own nor that of its output.
+    /// The rate of a motion is neither the sensor's own nor that of its output.
     #[error("{file} has {} rows per second; a motion for this simulation has {}", rounded(*found_hz), allowed(*output_hz, *internal_hz))]
     Rate {
         /// The file.
         file: String,
-        /// Its rows per second.
+        /// The motion's rows per second.
         found_hz: f64,
         /// The output's rate, Hz.
         output_hz: f64,
@@ -98,23 +98,23 @@ pub enum MotionError {
         /// The column.
         column: &'static str,
     },
-    /// Times do not rise.
+    /// Times do not increase.
     #[error("{file}, line {line}: {time_s} s; each row has to be later than the one before")]
     Backwards {
         /// The file.
         file: String,
         /// The line.
         line: u64,
-        /// The time there.
+        /// The time in that line.
         time_s: f64,
     },
-    /// One row has no rate.
+    /// A single row has no rate.
     #[error("{file} has a single row; a motion has two or more, a period apart")]
     Single {
         /// The file.
         file: String,
     },
-    /// There is no row.
+    /// There are no rows.
     #[error("{file} has no row below its header")]
     Empty {
         /// The file.
@@ -122,7 +122,7 @@ pub enum MotionError {
     },
 }
 
-/// A rate as a person would write it: that of a file comes out of its stamps, with their rounding.
+/// Rounds a rate for display: that of a file comes from its stamps, with their rounding.
 fn rounded(rate_hz: f64) -> f64 {
     format!("{rate_hz:.6}").parse().unwrap_or(rate_hz)
 }
@@ -142,7 +142,7 @@ pub struct Rows<R> {
     /// The column number of each of [`COLUMNS`].
     places: [usize; COLUMNS.len()],
     temperature: Option<usize>,
-    /// None before the rate is known.
+    /// The expected rate; `None` before it is known.
     rate_hz: Option<f64>,
     last_s: Option<f64>,
     failed: bool,
@@ -155,7 +155,8 @@ impl<R> std::fmt::Debug for Rows<R> {
 }
 
 impl<R: Read> Rows<R> {
-    /// Reads the header; `file` names the text in messages. Rows are expected at `rate_hz`, or at any times if it is None.
+    /// Reads the header; `file` names the text in messages. Rows are expected at `rate_hz`, or at any times if it is
+    /// `None`.
     ///
     /// # Errors
     /// [`MotionError::Csv`] and [`MotionError::Column`].
@@ -202,7 +203,7 @@ impl<R: Read> Rows<R> {
         if rows < 2 {
             return Err(MotionError::Single { file: self.file });
         }
-        // Over the whole file: single steps carry the stamps' rounding.
+        // Over the whole file: single steps have the stamps' rounding.
         let rate_hz = (rows - 1) as f64 / (last_s - first_s);
         Ok(Survey { rows, rate_hz, has_temperature: self.temperature.is_some() })
     }
@@ -224,7 +225,7 @@ impl<R: Read> Rows<R> {
         }
         let [time_s, gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z] = values;
         let temperature_c = match self.temperature {
-            // Thermometers are often read more seldom than the rest.
+            // Thermometers are often read less often than the rest.
             Some(place) if record.get(place).is_some_and(|cell| !cell.is_empty()) => {
                 Some(self.cell(record, place, TEMPERATURE)?)
             }
@@ -246,7 +247,8 @@ impl<R: Read> Rows<R> {
     }
 }
 
-/// The rate of a text's first rows, Hz: the mean of those steps that are about as long as most. None with fewer than two rows.
+/// Returns the rate of a text's first rows, Hz: the mean of those steps that are about as long as most. `None` with
+/// fewer than two rows.
 ///
 /// # Errors
 /// The errors of any of these rows.
@@ -263,10 +265,7 @@ pub fn rate_of(text: impl Read, file: &str) -> Result<Option<f64>, MotionError> 
     Ok(Some(count / sum))
 }
 
-/// How many samples of the sensor's own rate a row of the file stands for.
-///
-/// # Errors
-/// [`MotionError::Rate`] if the file has neither the output's rate nor the sensor's own.
+/// Returns the number of samples at the sensor's own rate that a row of the file stands for.
 pub fn samples_per_row(file: &str, found_hz: f64, output_hz: f64, internal_hz: f64) -> Result<u32, MotionError> {
     let is = |rate_hz: f64| (found_hz / rate_hz - 1.0).abs() < RATE_TOLERANCE;
     if is(internal_hz) {
@@ -297,7 +296,7 @@ impl<R: Read> Iterator for Rows<R> {
 /// The contents of a motion's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Survey {
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
     /// Rows per second.
     pub rate_hz: f64,
@@ -309,8 +308,7 @@ fn line(record: &csv::StringRecord) -> u64 {
     record.position().map_or(0, csv::Position::line)
 }
 
-/// Motions at a lower rate seen at a `ratio` times higher one: on the straight line between two of them. The last one holds for
-/// a period.
+/// Converts motions to a `ratio` times higher rate, by linear interpolation. The last motion holds for a period.
 pub fn between(motions: impl Iterator<Item = Motion> + Send, ratio: u32) -> impl Iterator<Item = Motion> + Send {
     let mut motions = motions.peekable();
     std::iter::from_fn(move || {
@@ -466,7 +464,7 @@ mod tests {
         let rate_hz = rate_of(text.as_bytes(), "table.csv").unwrap().unwrap();
         assert!((rate_hz / 400.0 - 1.0).abs() < 1e-3, "{rate_hz}");
         assert_eq!(read(&text, Some(rate_hz)).unwrap().len(), 2000);
-        // One long step does not move it.
+        // One long step does not change the rate.
         let gap = format!("{HEADER}\n{}{}", row(0), (100..600).map(row).collect::<String>());
         assert!((rate_of(gap.as_bytes(), "table.csv").unwrap().unwrap() / 400.0 - 1.0).abs() < 1e-2);
         assert_eq!(rate_of(rows(1, 0.1).as_bytes(), "table.csv").unwrap(), None);

@@ -1,13 +1,14 @@
-//! Gravity in a model's level: a model of a sensor at rest holds it as bias, and a motion brings its own.
+//! Gravity in a model's level: a model of a sensor at rest has it as bias, whereas a motion includes gravity.
 
 use crate::simulator::SensorModel;
 use imu_core::sample::{Channel, Triad};
 
-/// From which length on the accelerometer's bias is more than a bias, m/s².
+/// If the accelerometer's bias is at least this long, m/s², it includes gravity.
 const AT_REST_M_S2: f64 = 5.0;
 
-/// Removes gravity from the accelerometer's biases. The remaining biases are the excess over `gravity_m_s2` along their own
-/// direction, which is all that one position determines. Returns the biases as they were; None if they hold no gravity.
+/// Removes gravity from the accelerometer's biases. The remaining biases are the excess over `gravity_m_s2` along their
+/// own direction, which is all that one position determines. Returns the original biases; `None` if they do not include
+/// gravity.
 pub fn take_out(model: &mut SensorModel, gravity_m_s2: f64) -> Option<[f64; 3]> {
     let axes = Triad::Accel.channels();
     let level = axes.map(|axis: Channel| model.channels.get(&axis).and_then(|of| of.bias).unwrap_or(0.0));

@@ -1,4 +1,4 @@
-//! Motion: the motion of a sensor, as a reference for the simulator and for diagnosis. Pure.
+//! Motion of a sensor, as a reference for the simulator and for diagnosis. Pure.
 //!
 //! [`Course`] gives the motions that need no file: lying still, a tumble through six positions, a rate table's staircase in each
 //! axis. [`file`] reads and writes motions as CSV (docs/formats.md). Both are angular rate and specific force in the sensor's

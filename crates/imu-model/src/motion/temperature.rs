@@ -3,7 +3,7 @@
 use super::file::MotionError;
 use std::io::Read;
 
-/// A temperature over time: straight lines between the rows, the first and last value before and after them.
+/// A temperature over time: linear between the rows, constant before the first and after the last.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Temperatures {
     rows: Vec<(f64, f64)>,
@@ -45,12 +45,12 @@ impl Temperatures {
         Ok(Self { rows })
     }
 
-    /// One that does not change.
+    /// Creates a constant temperature.
     pub fn constant(temperature_c: f64) -> Self {
         Self { rows: vec![(0.0, temperature_c)] }
     }
 
-    /// The temperature at a time, °C.
+    /// Returns the temperature at a time, °C.
     pub fn at(&self, time_s: f64) -> f64 {
         let next = self.rows.partition_point(|(at_s, _)| *at_s <= time_s);
         let before = next.checked_sub(1).and_then(|last| self.rows.get(last));

@@ -1,4 +1,4 @@
-//! One channel's chain: from its response to a motion (or its level at rest) to the values that are sent.
+//! One channel's chain: from its response to a motion (or its level at rest) to the sent values.
 
 use super::model::SensorModel;
 use crate::effects::moving_average::RunningMean;
@@ -10,7 +10,7 @@ use imu_core::sample::Channel;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// An effect, and which of several of its kind it is.
+/// An effect, and its index among several of its kind.
 pub(super) type Numbered = (Arc<dyn Effect>, u16);
 
 /// The subject of a simulation.
@@ -19,7 +19,7 @@ pub(super) struct Terms {
     pub(super) seed: u64,
     pub(super) rate_hz: f64,
     pub(super) internal_rate_hz: f64,
-    /// Internal samples per sample sent.
+    /// Internal samples per sent sample.
     pub(super) ratio: usize,
     pub(super) record_length_s: f64,
 }
@@ -27,11 +27,11 @@ pub(super) struct Terms {
 /// The level of a channel before its own effects, over a block of internal samples.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Level<'a> {
-    /// The level is 0: the bias is the level.
+    /// The level is 0, so that the bias is the level.
     Rest,
-    /// Its response to the motion; the bias comes on top.
+    /// The response to the motion; the bias is added.
     Response(&'a [f64]),
-    /// The temperature itself, instead of the bias.
+    /// The temperature itself, in place of the bias.
     Course(&'a [f64]),
 }
 
@@ -52,11 +52,11 @@ pub(super) struct Chain {
     sent: Vec<Box<dyn Sampler>>,
     internal: Vec<f64>,
     white_block: Vec<f64>,
-    /// The values that were sent in the last block.
+    /// The values sent in the last block.
     pub(super) output: Vec<f64>,
 }
 
-/// A channel's own effects in the chain's order, each with its number among those of its kind.
+/// Returns a channel's own effects in the chain's order, each with its index among those of its kind.
 pub(super) fn in_order(effects: &[Arc<dyn Effect>]) -> Vec<Numbered> {
     let mut counts: BTreeMap<EffectKind, u16> = BTreeMap::new();
     let mut numbered: Vec<Numbered> = effects
@@ -71,7 +71,7 @@ pub(super) fn in_order(effects: &[Arc<dyn Effect>]) -> Vec<Numbered> {
     numbered
 }
 
-/// All effects that act on `channel`: its own, and those that another channel of its triad names for all of them.
+/// Returns all effects that act on `channel`: its own, and those that another channel names for the whole triad.
 pub(super) fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered> {
     let own = model.channels.get(&channel).map(|parameters| in_order(&parameters.effects)).unwrap_or_default();
     let of_triad =
@@ -135,7 +135,7 @@ impl Chain {
         }
     }
 
-    /// Makes the next `count` internal samples (whole multiples of the ratio) and the samples that are sent of them.
+    /// Computes the next `count` internal samples (a multiple of the ratio) and the samples sent from them.
     pub(super) fn run(&mut self, count: usize, level: Level<'_>, temperature: Temperature<'_>) {
         self.internal.clear();
         match level {
@@ -166,7 +166,7 @@ impl Chain {
         }
         self.output.clear();
         for period in self.internal.chunks_exact(self.ratio) {
-            // A sample goes out at the first internal sample of its period, and is the mean of the last ones up to that.
+            // A sample is sent at the first internal sample of its period; it is the mean of the last ones up to that.
             for (place, value) in period.iter().enumerate() {
                 let mean = self.boxcar.next(*value);
                 if place == 0 {

@@ -1,9 +1,9 @@
-//! The emulator's sensor when no model is given: a VN-100 on a desk.
+//! The emulator's sensor if no model is given: a VN-100 on a desk.
 
 use super::{ChannelModel, SensorModel};
 use imu_core::sample::Channel;
 
-/// "VN-100 (emulated)" at 40 Hz: level, still, all fourteen channels.
+/// Returns "VN-100 (emulated)" at 40 Hz: level and still, with all fourteen channels.
 ///
 /// The accelerometer's N, B and K are those of a measured unit (a desk capture of five hours). The gyroscope's N and B are
 /// those of VN-100 recordings at rest; its K, and the magnetometer's parameters, are such that five hours identify each

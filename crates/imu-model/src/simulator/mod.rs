@@ -1,4 +1,4 @@
-//! The simulator: a sensor model, a seed and a rate in, endless samples out. Pure.
+//! The simulator: turns a sensor model, a seed and a rate into endless samples. Pure.
 //!
 //! The chain follows the physical order ([`crate::effects::Stage`]): reference motion → latency → misalignment and cross-axis
 //! sensitivity → scale factor and nonlinearity → bias, temperature, g-sensitivity → noise → bandwidth → saturation → sampling
@@ -10,7 +10,7 @@
 //!
 //! **Temperature.** The sensor's temperature is that of [`Simulator::with_temperature`], else that of the motion, else
 //! constant: the temperature channel's bias, or 25 °C if the model has none. If it is not constant, the temperature
-//! channel shows it, in place of the channel's bias, and its noise.
+//! channel shows it in place of the channel's bias, plus the channel's noise.
 //!
 //! Memory is bounded for any length: a block of [`BLOCK`] internal samples per channel ([`THREADED_BLOCK`] on several threads),
 //! at least one sample sent.
@@ -39,9 +39,10 @@ use chain::{Chain, Level, Terms};
 use imu_core::sample::{Channel, ChannelSet, Triad};
 use response::Response;
 
-/// Internal samples per channel that are made at a time.
+/// Number of internal samples per channel that are computed at a time.
 pub const BLOCK: usize = 512;
-/// Likewise on several threads: enough work for each to outweigh its start.
+/// The number of internal samples per channel that several threads compute at a time: enough work for each to outweigh
+/// its start.
 pub const THREADED_BLOCK: usize = 16_384;
 
 /// The reason why a simulation was refused.
@@ -50,23 +51,23 @@ pub enum SimulatorError {
     /// The rate is not a number above 0.
     #[error("cannot simulate at {found} Hz: the rate must be a finite number above 0")]
     Rate {
-        /// The rate as it was given.
+        /// The given rate.
         found: f64,
     },
     /// The record's length is not a number above 0.
     #[error("cannot simulate {found} s: the record's length must be a finite number above 0")]
     RecordLength {
-        /// The length as it was given.
+        /// The given length.
         found: f64,
     },
-    /// The model has an entry that is not valid, at all or at this rate.
+    /// An entry of the model is not valid, at all or at this rate.
     #[error("cannot simulate `{model}` at {rate_hz} Hz: {fault}")]
     Model {
         /// The model's name.
         model: String,
         /// The output's rate.
         rate_hz: f64,
-        /// What and where.
+        /// The fault and its place.
         fault: Fault,
     },
 }
@@ -74,11 +75,11 @@ pub enum SimulatorError {
 /// One sample as it would be recorded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulatedSample {
-    /// Its number from 0, lost ones counted.
+    /// The sample's number from 0, including lost samples.
     pub index: u64,
-    /// Its stamp, s: index/rate and jitter.
+    /// The sample's stamp, s: index/rate plus jitter.
     pub time_s: f64,
-    /// Whether it was lost on the way: a recording does not have it.
+    /// Whether the sample was lost on the way: a recording does not have it.
     pub lost: bool,
     /// One value per channel in column order and the channel's unit, 0 if the model has none.
     pub values: [f64; Channel::COUNT],
@@ -91,26 +92,26 @@ pub struct Block<'a> {
     pub first_index: u64,
     /// The samples' stamps, s.
     pub time_s: &'a [f64],
-    /// Whether each was lost.
+    /// Whether each sample was lost.
     pub lost: &'a [bool],
     chains: &'a [Chain],
 }
 
 impl<'a> Block<'a> {
-    /// How many samples there are.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
-    /// Whether there is none.
+    /// Returns whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
-    /// A channel's values in its unit; `None` if the model does not have it.
+    /// Returns a channel's values in its unit; `None` if the model does not have it.
     pub fn values(&self, channel: Channel) -> Option<&'a [f64]> {
         let chain = self.chains.iter().find(|chain| chain.channel == channel)?;
         chain.output.get(..self.time_s.len())
     }
-    /// The sample at a place from 0, below [`Block::len`].
+    /// Returns the sample at a place from 0, below [`Block::len`].
     pub fn sample(&self, place: usize) -> SimulatedSample {
         let mut values = [0.0; Channel::COUNT];
         for chain in self.chains {
@@ -138,7 +139,7 @@ pub struct Simulator {
     temperatures: Vec<f64>,
     time_s: Vec<f64>,
     lost: Vec<bool>,
-    /// Samples made before the present block, and how many of it were given out.
+    /// Number of samples before the present block, and number of samples already returned from the block.
     before: u64,
     given: usize,
     ended: bool,
@@ -158,8 +159,8 @@ impl std::fmt::Debug for Simulator {
 }
 
 impl Simulator {
-    /// A simulation of `model` at `rate_hz` from its first sample, at rest. Spectra hold down to 1/`record_length_s`; the
-    /// simulation may run longer.
+    /// Creates a simulation of `model` at `rate_hz` from its first sample, at rest. Spectra hold down to
+    /// 1/`record_length_s`; the simulation may run longer.
     ///
     /// # Errors
     /// [`SimulatorError`] for a rate or length that is not a finite number above 0, and for a model that cannot be
@@ -228,33 +229,33 @@ impl Simulator {
         self
     }
 
-    /// The channels that the model gives.
+    /// Returns the channels that the model gives.
     pub fn channels(&self) -> ChannelSet {
         self.channels
     }
 
-    /// Samples sent per second.
+    /// Returns the number of samples sent per second.
     pub fn rate_hz(&self) -> f64 {
         self.terms.rate_hz
     }
 
-    /// Whether stamps deviate from their places.
+    /// Returns whether stamps deviate from their nominal times.
     pub fn has_jitter(&self) -> bool {
         self.timing.iter().any(|(timing, ..)| timing.jitter_s > 0.0)
     }
 
-    /// The rate at which the chain runs before sampling, and at which a motion is given.
+    /// Returns the rate at which the chain runs before sampling, and at which a motion is given.
     pub fn internal_rate_hz(&self) -> f64 {
         self.terms.internal_rate_hz
     }
 
-    /// The next sample's values: one per channel in column order and the channel's unit, 0 if the model has none. After a
-    /// motion's end, its last values again.
+    /// Returns the next sample's values: one per channel in column order and the channel's unit, 0 if the model has
+    /// none. After a motion's end, it repeats the last values.
     pub fn next_values(&mut self) -> [f64; Channel::COUNT] {
         self.next_sample().map_or(self.last, |sample| sample.values)
     }
 
-    /// The next sample; `None` after the motion's end.
+    /// Returns the next sample; `None` after the motion's end.
     pub fn next_sample(&mut self) -> Option<SimulatedSample> {
         if self.given == self.time_s.len() && !self.make_block() {
             return None;
@@ -265,7 +266,7 @@ impl Simulator {
         Some(sample)
     }
 
-    /// The samples up to the present block's end, at least one; `None` after the motion's end.
+    /// Returns the samples up to the present block's end, at least one; `None` after the motion's end.
     pub fn next_block(&mut self) -> Option<Block<'_>> {
         if self.given != 0 && self.given < self.time_s.len() {
             // Samples of this block were taken one by one: the rest is returned as a separate block.
@@ -291,7 +292,7 @@ impl Simulator {
         Block { first_index: self.before, time_s: &self.time_s, lost: &self.lost, chains: &self.chains }
     }
 
-    /// Makes the next block; `false` if there is none.
+    /// Computes the next block; returns `false` if there is none.
     fn make_block(&mut self) -> bool {
         self.before += self.time_s.len() as u64;
         self.given = 0;
@@ -305,7 +306,7 @@ impl Simulator {
         let sent = (wanted / ratio).max(1);
         let internal = sent * ratio;
         let felt = self.feel(internal);
-        // A sample goes out at the first internal sample of its period.
+        // A sample is sent at the first internal sample of its period.
         let sent = felt.div_ceil(ratio);
         if sent == 0 {
             return false;
@@ -319,7 +320,7 @@ impl Simulator {
         true
     }
 
-    /// Takes the next motions and temperatures; returns how many internal samples there are before the motion's end.
+    /// Takes the next motions and temperatures. Returns the number of internal samples before the motion's end.
     fn feel(&mut self, internal: usize) -> usize {
         let mut felt = internal;
         if let Some(motion) = &mut self.motion {
@@ -390,7 +391,7 @@ impl Simulator {
         });
     }
 
-    /// The stamp of a sample, and whether it is lost.
+    /// Returns the stamp of a sample, and whether it is lost.
     fn stamp(&mut self, index: u64) -> (f64, bool) {
         let rate_hz = self.terms.rate_hz;
         let (mut time_s, mut lost) = (index as f64 / rate_hz, false);
@@ -398,17 +399,17 @@ impl Simulator {
             time_s += timing.deviation_s(jitter.normal(), rate_hz);
             lost |= loss.uniform() < timing.drop_probability;
         }
-        // Several together must not let a stamp run back either.
+        // Several deviations together must not let a stamp run back either.
         let (place_s, most_s) = (index as f64 / rate_hz, crate::effects::timing::DEVIATION_MAX / rate_hz);
         (time_s.clamp(place_s - most_s, place_s + most_s), lost)
     }
 }
 
-/// The model's `timing`, from the first channel that names it (others agree), with its streams.
+/// Returns the model's `timing`, from the first channel that names it (the others agree), with its streams.
 fn timing(model: &SensorModel, seed: u64) -> Vec<(Timing, Stream, Stream)> {
     let of =
         |parameters: &ChannelModel| parameters.effects.iter().filter_map(|effect| effect.timing()).collect::<Vec<_>>();
-    // Several on one channel: the longest list of any channel, of which the others' are beginnings.
+    // If channels have several, the longest list counts; the other lists are beginnings of it.
     let timings = model.channels.values().map(of).max_by_key(Vec::len).unwrap_or_default();
     let stream = |effect, instance| Stream::new(seed, StreamId { owner: SENSOR_OWNER, effect, instance });
     let own = EffectKind::Timing.spec().stream;

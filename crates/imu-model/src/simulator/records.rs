@@ -1,9 +1,9 @@
-//! Records: simulated samples in the form of a capture, with a gap at every place at which samples were lost.
+//! Records: simulated samples in the form of a capture, with a gap wherever samples were lost.
 
 use super::SimulatedSample;
 use imu_core::sample::{ChannelSet, Gap, GapCause, Record, Sample, Segment, Timebase};
 
-/// The sensor's clock at the first sample, ns: a stamp that jitters stays above 0.
+/// The sensor's clock at the first sample, ns: a stamp with jitter stays above 0.
 const FIRST_NS: u64 = 1_000_000_000;
 
 /// Turns samples into records, one after the other.
@@ -11,20 +11,21 @@ const FIRST_NS: u64 = 1_000_000_000;
 pub struct Records {
     rate_hz: f64,
     channels: ChannelSet,
-    /// The sensor's own ticks, or stamps where these deviate from them.
+    /// The sensor's own ticks, or stamps if these deviate from the ticks.
     timebase: Timebase,
     started_utc_ns: i64,
     segment: u32,
-    /// Samples that were not lost.
+    /// Number of samples that were not lost.
     received: u64,
-    /// Stamp of the last of them, and how many were lost since.
+    /// Stamp of the last sample that was not lost, and number of samples lost since.
     last_ns: Option<u64>,
     lost: u64,
     missing: u64,
 }
 
 impl Records {
-    /// A converter without samples; `has_jitter`: stamps are not the sensor's ticks. The first sample stands at `started_utc_ns`.
+    /// Creates a converter without samples. With `has_jitter`, stamps are not the sensor's ticks. The first sample is
+    /// at `started_utc_ns`.
     pub fn new(rate_hz: f64, channels: ChannelSet, has_jitter: bool, started_utc_ns: i64) -> Self {
         let timebase = if has_jitter { Timebase::Stamps } else { Timebase::Device };
         Self {
@@ -40,10 +41,10 @@ impl Records {
         }
     }
 
-    /// Hands the records of a sample to `push`, in order.
+    /// Passes the records of a sample to `push`, in order.
     ///
     /// # Errors
-    /// Those of `push`.
+    /// The errors of `push`.
     pub fn take<E>(&mut self, of: &SimulatedSample, mut push: impl FnMut(Record) -> Result<(), E>) -> Result<(), E> {
         if of.lost {
             self.lost += 1;
@@ -54,7 +55,7 @@ impl Records {
         let device_ns = ((FIRST_NS as f64 + 1e9 * of.time_s).round().max(0.0) as u64).max(earliest_ns);
         let utc_ns = |device_ns: u64| self.started_utc_ns + device_ns as i64 - FIRST_NS as i64;
         let begins = self.last_ns.is_none() || self.lost > 0;
-        // Samples that are lost before the first one do not count.
+        // Samples lost before the first one do not count.
         if let Some(last_ns) = self.last_ns.filter(|_| self.lost > 0) {
             self.missing += self.lost;
             push(Record::Gap(Gap {
@@ -91,7 +92,7 @@ impl Records {
         Ok(())
     }
 
-    /// Samples that were not lost, and those lost between them.
+    /// Returns the number of samples that were not lost, and of those lost between them.
     pub fn counts(&self) -> (u64, u64) {
         (self.received, self.missing)
     }

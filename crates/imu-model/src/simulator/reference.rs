@@ -15,7 +15,7 @@ pub struct Motion {
 
 /// A reference motion at the sensor's internal rate ([`super::Simulator::internal_rate_hz`]), from the first sample on.
 ///
-/// Every iterator over [`Motion`] is one.
+/// Every iterator over [`Motion`] is a reference.
 pub trait Reference: Send {
     /// Writes the next motions and returns how many there were: fewer than `motions.len()` only at the end.
     fn fill(&mut self, motions: &mut [Motion]) -> usize;
@@ -32,9 +32,9 @@ impl<I: Iterator<Item = Motion> + Send> Reference for I {
     }
 }
 
-/// A temperature over time. Every function of time is one.
+/// A temperature over time. Every function of time is such a course.
 pub trait TemperatureCourse: Send {
-    /// At `time_s` after the start, °C; times do not run back.
+    /// Returns the temperature at `time_s` after the start, °C; times do not run back.
     fn temperature_c(&mut self, time_s: f64) -> f64;
 }
 

@@ -9,12 +9,12 @@ use std::sync::Arc;
 /// The memoryless stages in the chain's order.
 pub const STAGES: [Stage; 3] = [Stage::CrossAxis, Stage::Scale, Stage::Bias];
 
-/// One triad's motion chain and the block it made last.
+/// One triad's motion chain and its last block.
 #[derive(Debug)]
 pub(super) struct Response {
     triad: Triad,
     delay: Option<DelayLine>,
-    /// The specific force that acts on a gyroscope is as late.
+    /// The delay of the specific force that acts on a gyroscope, equal to that of the motion.
     force_delay: Option<DelayLine>,
     stages: [Vec<Arc<dyn TriadEffect>>; 3],
     /// Whether an effect acts at rest.
@@ -37,7 +37,7 @@ impl Response {
         }
     }
 
-    /// Whether the triad shows more than its channels' biases.
+    /// Returns whether the triad's output differs from its channels' biases.
     pub(super) fn acts(&self, moved: bool) -> bool {
         (moved && matches!(self.triad, Triad::Accel | Triad::Gyro)) || self.acts_at_rest
     }
@@ -46,7 +46,7 @@ impl Response {
         self.triad
     }
 
-    /// The triad's response to these motions, before any noise.
+    /// Computes the triad's response to these motions, before any noise.
     pub(super) fn run(&mut self, motions: &[Motion]) {
         for axis in &mut self.axes {
             axis.clear();
@@ -74,7 +74,7 @@ impl Response {
     }
 }
 
-/// The stage's input and the sum of its effects' additions, each from that input.
+/// Returns the stage's input and the sum of its effects' additions, each from that input.
 pub fn stage(effects: &[Arc<dyn TriadEffect>], drive: Drive) -> Axes {
     let mut values = drive.input;
     for effect in effects {

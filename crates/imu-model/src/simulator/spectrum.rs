@@ -8,18 +8,18 @@ use crate::effects::{Effect, EffectKind, Flicker, Line, RandomWalk, Record, Stag
 use imu_core::sample::Channel;
 use std::sync::Arc;
 
-/// N of a channel in the usual sense: the plateau of its spectrum as sent at low frequencies over a record of `samples`, the root
-/// of it in U/√Hz.
+/// Returns N of a channel in the usual sense: the root, in U/√Hz, of the plateau of the sent spectrum at low
+/// frequencies over a record of `samples`.
 ///
-/// It is the sensor's own white noise, changes of its variance included, and all other noise that enters beside it and is white
-/// there. Such noise is noise that channels share, noise behind a filter, rounding, the skirt of a resonance, and all noise that
-/// folds in sampling. Noise with a slope or a correlation time (B, K, slow processes, drifts) and transient noise (spikes,
-/// bursts) are not part of it. A change of variance by the temperature counts as none. 0 for a channel that the model does not
-/// have.
+/// N includes the sensor's own white noise, with changes of its variance, and all other noise that is white there:
+/// noise that channels share, noise behind a filter, rounding, the skirt of a resonance, and all noise that folds in
+/// sampling. Noise with a slope or a correlation time (B, K, slow processes, drifts) and transient noise (spikes,
+/// bursts) are not part of it. A change of variance with temperature does not count. 0 for a channel that the model
+/// does not have.
 ///
 /// `imu-noise` finds the same value in a record of the model: `examples/one_n.rs`, docs/validation.md.
 pub fn plateau(model: &SensorModel, channel: Channel, samples: u64) -> f64 {
-    /// A frequency below all others, in parts of the rate.
+    /// A frequency below all others, as a part of the rate.
     const LOWEST: f64 = 1e-9;
     let Some(of) = model.channels.get(&channel) else { return 0.0 };
     let rate_hz = model.rate_hz;
@@ -46,17 +46,19 @@ pub struct Spectrum<'a> {
 }
 
 impl<'a> Spectrum<'a> {
-    /// The spectrum of `channel` over a record of sent samples (its rate and length).
+    /// Returns the spectrum of `channel` over a record of sent samples (its rate and length).
     pub fn new(model: &'a SensorModel, channel: Channel, record: Record) -> Self {
         Self { model, channel, record }
     }
 
-    /// Two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the channel's noise: with every
-    /// filter's gain, with the noise that folds in sampling and the noise of rounding. [`Spectrum::lines`] has the lines.
+    /// Returns the two-sided density in U²/Hz at `frequency_hz` (above 0, up to half the record's rate) of the
+    /// channel's noise: with every filter's gain, the noise that folds in sampling, and the noise of rounding.
+    /// [`Spectrum::lines`] has the lines.
     ///
-    /// `None` if it depends on more than the parameters. That is so for held samples, and for changes of variance by temperature
-    /// or several of them. It is so for noise that varies over time (bursts, a band or spectrum with a level, intermittent noise
-    /// inside intervals), for temperature bias, and for a line that wanders slowly. A saturation counts as never reached.
+    /// `None` if it depends on more than the parameters. This applies to held samples, to changes of variance with
+    /// temperature or several of them, to noise that varies over time (bursts, a band or spectrum with a level,
+    /// intermittent noise inside intervals), to temperature bias, and to a line that wanders slowly. A saturation
+    /// counts as never reached.
     pub fn psd(&self, frequency_hz: f64) -> Option<f64> {
         let internal_hz = self.model.internal_rate_hz(self.record.rate_hz);
         let Some(sampling) = self.model.sampling else {
@@ -66,7 +68,7 @@ impl<'a> Spectrum<'a> {
         let mut folded = 0.0;
         for image in 0..images {
             let at_hz = frequency_hz + image as f64 * self.record.rate_hz;
-            // Beyond half the internal rate a spectrum is its own mirror image.
+            // Beyond half the internal rate, a spectrum is its own mirror image.
             let own_hz = at_hz.min(internal_hz - at_hz).abs();
             let gain = boxcar_gain(sampling.filter_window, own_hz / internal_hz);
             folded += gain * self.internal_psd(own_hz, internal_hz)?;
@@ -74,7 +76,7 @@ impl<'a> Spectrum<'a> {
         Some(folded + self.sent_psd()?)
     }
 
-    /// The channel's lines as they are sent: folded below half the record's rate, with every filter's gain.
+    /// Returns the channel's lines as they are sent: folded below half the record's rate, with every filter's gain.
     pub fn lines(&self) -> Vec<Line> {
         let (rate_hz, internal_hz) = (self.record.rate_hz, self.model.internal_rate_hz(self.record.rate_hz));
         let effects = self.effects();
@@ -95,12 +97,12 @@ impl<'a> Spectrum<'a> {
         effects_on(self.model, self.channel).into_iter().map(|(effect, _)| effect).collect()
     }
 
-    /// Gain of the sensor's bandwidth.
+    /// Returns the gain of the sensor's bandwidth.
     fn bandwidth(&self, frequency_hz: f64, internal_hz: f64) -> f64 {
         self.effects().iter().map(|effect| effect.power_gain(frequency_hz, internal_hz)).product()
     }
 
-    /// Before sampling.
+    /// Returns the density before sampling.
     fn internal_psd(&self, frequency_hz: f64, internal_hz: f64) -> Option<f64> {
         let parameters = self.model.channels.get(&self.channel)?;
         let record = Record { rate_hz: internal_hz, samples: (self.record.length_s() * internal_hz).round() as u64 };
@@ -128,7 +130,7 @@ impl<'a> Spectrum<'a> {
         Some(white + noise)
     }
 
-    /// The noise of the stages after sampling.
+    /// Returns the noise of the stages after sampling.
     fn sent_psd(&self) -> Option<f64> {
         let sent = self.effects();
         let sent = sent.iter().filter(|effect| matches!(effect.stage(), Stage::Resolution | Stage::Hold));

@@ -1,5 +1,5 @@
-//! The chain as a whole: its order, its sampling, the effects that channels share, and values that depend on the inputs
-//! alone.
+//! The chain as a whole: its order, its sampling, the effects that channels share, and values that depend only on the
+//! inputs.
 
 use super::*;
 use crate::effects::{
@@ -29,7 +29,7 @@ fn simulate(model: &SensorModel, seed: u64, count: usize) -> Simulator {
     Simulator::new(model, seed, model.rate_hz, count as f64 / model.rate_hz).unwrap()
 }
 
-/// `count` values of one channel.
+/// Returns `count` values of one channel.
 fn values(model: &SensorModel, seed: u64, channel: Channel, count: usize) -> Vec<f64> {
     let mut simulator = simulate(model, seed, count);
     (0..count).map(|_| simulator.next_values()[channel as usize]).collect()
@@ -39,7 +39,7 @@ fn mean_square(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64
 }
 
-/// A model with all kinds of content.
+/// Returns a model with all kinds of content.
 fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
     let gyro = |sigma| ChannelModel {
         n: 1e-3,
@@ -75,7 +75,7 @@ fn rich(rate_hz: f64, sampling: Option<Sampling>) -> SensorModel {
     SensorModel { sampling, ..with_triad(model(rate_hz, channels), Triad::Gyro, effects) }
 }
 
-/// A motion of `count` samples at `rate_hz`.
+/// Returns a motion of `count` samples at `rate_hz`.
 fn turning(rate_hz: f64, count: usize) -> impl Iterator<Item = Motion> + Send + 'static {
     (0..count).map(move |index| {
         let time_s = index as f64 / rate_hz;
@@ -164,7 +164,7 @@ fn noise_is_clipped_then_averaged_then_rounded() {
     assert!((at_limit as f64 / 4000.0 - 0.453).abs() < 5.0 * 0.0079, "{at_limit}");
     clipped.sampling = Some(Sampling { internal_rate_hz: 800.0, filter_window: 20 });
     let sampled = values(&clipped, 1, Channel::GyroX, 4000);
-    // Means of twenty clipped values lie between the limits, on the output's grid: rounding comes after averaging.
+    // Means of twenty clipped values lie between the limits, on the output's grid: rounding follows averaging.
     assert!(sampled.iter().all(|value| (value / 0.5).fract() == 0.0));
     let at_limit = sampled.iter().filter(|value| **value == 1.0).count();
     assert!(at_limit < 40, "{at_limit}");
@@ -196,7 +196,7 @@ fn heavy_tails_and_changes_of_variance_act_on_the_white_part_alone() {
     let of = |n, effects| values(&model(40.0, [(Channel::GyroX, channel(n, effects))]), 1, Channel::GyroX, 40_000);
     let (shaped, rest) = (of(0.1, shapes), of(0.0, other()));
     let white: Vec<f64> = shaped.iter().zip(&rest).map(|(shaped, rest)| shaped - rest).collect();
-    // N² · 40 Hz · 2², its scatter by the kurtosis of 9 that t has with five degrees of freedom.
+    // N² · 40 Hz · 2²; the scatter follows from the kurtosis of 9 of t with five degrees of freedom.
     let expected = 0.01 * 40.0 * 4.0;
     assert!((mean_square(&white) / expected - 1.0).abs() < 5.0 * (8.0_f64 / 40_000.0).sqrt());
 }
@@ -251,7 +251,7 @@ fn a_tone_beyond_half_the_output_rate_appears_folded_with_the_boxcars_gain() {
     assert!(rest.abs() < 1e-2 * line.power, "{rest} {}", line.power);
 }
 
-/// Mean spectrum over octaves of the simulated chain against the chain's closed form.
+/// Compares the mean spectrum over octaves of the simulated chain with the chain's closed form.
 fn chain_has_its_spectrum(model: &SensorModel) {
     const COUNT: usize = 1 << 13;
     const SEEDS: u64 = 60;
@@ -429,7 +429,7 @@ fn temperature_drives_what_depends_on_it_and_shows_on_its_channel() {
     // Constant: the channel's bias, else 25 °C.
     close(first(&mut simulate(&with, 1, 100)), (0.15, 35.0));
     close(first(&mut simulate(&without, 1, 100)), (0.05, 0.0));
-    // A course replaces it, and counts more than the motion's.
+    // A course replaces it, and takes precedence over the motion's.
     let mut course =
         simulate(&with, 1, 100).with_temperature(|time_s: f64| 40.0 + time_s).with_motion(turning(40.0, 100));
     let samples: Vec<_> = (0..40).map(|_| first(&mut course)).collect();

@@ -1,4 +1,4 @@
-//! Noise types and 68.3 % intervals against truth: synthetic power laws, many seeds.
+//! Noise types and 68.3 % intervals compared with the truth: synthetic power laws with many seeds.
 
 use super::identify::{Lag1, noise_of_phases};
 use super::*;
@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 const SAMPLES: usize = 2048;
 
-/// Rate samples of a power law; of no particular size.
+/// Returns rate samples of a power law, of no particular size.
 fn power_law(noise: NoiseType, count: usize, seed: u64) -> Vec<f64> {
     let mut stream = Stream::new(seed, StreamId { owner: 0, effect: 0, instance: 0 });
     let flicker = |count: usize, stream: Stream| {
@@ -32,7 +32,7 @@ fn power_law(noise: NoiseType, count: usize, seed: u64) -> Vec<f64> {
     }
 }
 
-/// In how many of a hundred records each kind is named right at each averaging factor.
+/// Returns in how many of a hundred records each kind is identified at each averaging factor.
 fn named_right(factors: &[usize], kinds: impl Fn(&Phases) -> Vec<Option<NoiseType>>) -> Vec<(NoiseType, Vec<f64>)> {
     const SEEDS: u64 = 200;
     let of = |noise| {
@@ -60,7 +60,8 @@ fn every_power_law_is_identified_wherever_thirty_points_are_left() {
     }
 }
 
-/// Why the published rule is not the whole of it: one phase in m, and the thresholds of a noise that was never averaged.
+/// Why the published rule is not sufficient: it uses one phase in m, and the thresholds of noise that was never
+/// averaged.
 #[test]
 fn lag_1_alone_mistakes_both_flickers() {
     let factors = [1, 2, 4, 8, 16, 32, 64];
@@ -106,8 +107,8 @@ fn intervals_hold_what_they_say() {
                 let inside = |curve: &&AllanCurve| curve.ci68_low[index] <= truth && truth <= curve.ci68_high[index];
                 let share = curves.iter().filter(inside).count() as f64 / SEEDS as f64;
                 println!("{noise:?} {name} m = {m}: {share:.3}");
-                // Four standard deviations of a share of 0.683 in 300. At m = 1 the degrees are those of a walk that goes
-                // on between the samples: fewer than those of one that steps.
+                // Four standard deviations of a share of 0.683 in 300. At m = 1 the degrees are those of a walk that
+                // continues between the samples: fewer than those of a stepping walk.
                 let stepping = *m == 1 && noise == NoiseType::RandomWalkRate;
                 let most = if stepping { 0.85 } else { 0.79 };
                 assert!((0.575..=most).contains(&share), "{noise:?} {name} m = {m}: {share}");

@@ -1,4 +1,4 @@
-//! Curves: deviation against averaging time with its confidence, as docs/formats.md has it.
+//! Curves: deviation against averaging time with confidence intervals, in the form of docs/formats.md.
 
 use super::edf::{CONFIDENCE_68, confidence_factors, total_bias};
 use super::identify::noise_of_phases;
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// A deviation curve of one channel. All lists have one entry per averaging time; times without a term are left out.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AllanCurve {
-    /// Unit of the deviation: the channel's.
+    /// Unit of the deviation: that of the channel.
     pub unit: String,
     /// Averaging times τ in s, ascending.
     pub tau_s: Vec<f64>,
@@ -25,27 +25,28 @@ pub struct AllanCurve {
     pub edf: Vec<f64>,
     /// Numbers of differences averaged.
     pub n: Vec<u64>,
-    /// The noise that dominates: `edf` and with it the interval follow from it.
+    /// The dominant noise, from which `edf` and the interval follow.
     #[serde(default)]
     pub noise: Vec<NoiseType>,
-    /// From this averaging time on, in s, differences are taken at every sixteenth of it instead of at every sample; absent
-    /// where all have full overlap. For white noise the uncertainty of a variance grows by 0.25 % through that.
+    /// From this averaging time on, in s, differences are taken at every sixteenth of the averaging time instead of at
+    /// every sample; absent if all averaging times have full overlap. For white noise this increases the uncertainty of
+    /// a variance by 0.25 %.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stride_from_s: Option<f64>,
 }
 
 impl AllanCurve {
-    /// The curve of overlapping sums; the kind of noise, on which the intervals depend, is that of the local slope. If that is
-    /// angle noise, white or flicker, the intervals are those of flicker.
+    /// Returns the curve of overlapping sums. The kind of noise, on which the intervals depend, follows from the local
+    /// slope. If it is angle noise, white or flicker, the intervals are those of flicker.
     pub fn from_sums(sums: &AllanSums, rate_hz: f64, unit: &str) -> Self {
         Self::from_points(&sums.points(), rate_hz, unit)
     }
 
-    /// The curve of overlapping points at `rate_hz`.
+    /// Returns the curve of overlapping points at `rate_hz`.
     pub fn from_points(points: &[AllanPoint], rate_hz: f64, unit: &str) -> Self {
         let mut curve = Self { unit: unit.to_owned(), ..Self::default() };
         for (point, noise) in points.iter().zip(noise_by_slope(points)) {
-            // The slope cannot separate white from flicker angle noise: the wider interval holds for both.
+            // The slope cannot separate white from flicker angle noise; the wider interval holds for both.
             let edf = match noise {
                 NoiseType::WhiteAngle => point.edf(noise).min(point.edf(NoiseType::FlickerAngle)),
                 _ => point.edf(noise),
@@ -56,10 +57,10 @@ impl AllanCurve {
         curve
     }
 
-    /// The curve of any estimator over whole segments in memory.
+    /// Returns the curve of any estimator over whole segments in memory.
     ///
-    /// Intervals are those of the estimated quantity. For a total deviation that is the Allan deviation, from which its
-    /// expectation departs at long averaging times; `deviation` is as defined, without a correction.
+    /// Intervals are those of the estimated quantity. For a total deviation that is the Allan deviation, from which the
+    /// expectation departs at long averaging times; `deviation` follows the definition, without a correction.
     pub fn from_phases(segments: &[Phases], estimator: Estimator, grid: &TauGrid, rate_hz: f64, unit: &str) -> Self {
         let sums: Vec<(usize, SquareSum, ByLength)> = grid
             .factors()
@@ -87,7 +88,7 @@ impl AllanCurve {
         curve
     }
 
-    /// `bias`: expectation of the variance over what it estimates.
+    /// Adds a point. `bias` is the expectation of the variance over the estimated quantity.
     #[expect(clippy::too_many_arguments, reason = "one of each column")]
     fn push(&mut self, m: usize, rate_hz: f64, variance: f64, edf: f64, terms: u64, noise: NoiseType, bias: f64) {
         let Some(factors) = confidence_factors(edf, CONFIDENCE_68) else { return };
@@ -101,10 +102,11 @@ impl AllanCurve {
         self.noise.push(noise);
     }
 
-    /// The smallest deviation of at least `least_edf` degrees of freedom and the averaging time it is at.
+    /// Returns the smallest deviation with at least `least_edf` degrees of freedom, and its averaging time.
     ///
-    /// A deviation that first rises and then falls is that of a filter, or of a process that looks like one. The noise that it
-    /// passes at short averaging times is not a lowest point, and the search begins where the curve begins to fall.
+    /// A deviation that first rises and then falls belongs to a filter, or to a process that looks like one. The noise
+    /// that the filter passes at short averaging times is not a lowest point, and the search begins where the curve
+    /// begins to fall.
     pub fn minimum(&self, least_edf: f64) -> Option<(f64, f64)> {
         let rows = self.tau_s.iter().zip(&self.deviation).zip(&self.edf);
         let rows = rows.map(|((tau_s, deviation), edf)| (*tau_s, *deviation, *edf));
@@ -114,8 +116,8 @@ impl AllanCurve {
     }
 }
 
-/// Place of the deviation from which on the curve first falls, beyond chance; 0 if it never does. `rows`: deviations
-/// with their degrees of freedom.
+/// Returns the place from which on the curve first falls beyond chance; 0 if it never does. `rows` are deviations with
+/// their degrees of freedom.
 pub(crate) fn first_fall(rows: impl Iterator<Item = (f64, f64)>) -> usize {
     /// Standard errors of a logarithm: 1/√(2 edf) each.
     const BEYOND: f64 = 3.0;
@@ -131,10 +133,10 @@ pub(crate) fn first_fall(rows: impl Iterator<Item = (f64, f64)>) -> usize {
     0
 }
 
-/// By a segment's phases: the terms that one gives, and how many there are.
+/// By number of phases in a segment: the terms of one segment, and the number of segments.
 type ByLength = BTreeMap<u64, (u64, u64)>;
 
-/// Degrees of freedom of a mean over all terms of independent segments: (Σ n)²/Σ (n²/edf).
+/// Returns the degrees of freedom of a mean over all terms of independent segments: (Σ n)²/Σ (n²/edf).
 fn pooled_degrees(by_length: &ByLength, edf: impl Fn(u64) -> f64) -> f64 {
     let (mut terms, mut variance) = (0.0, 0.0);
     for (phases, (own, count)) in by_length.iter().filter(|(_, (own, _))| *own > 0) {
@@ -146,7 +148,7 @@ fn pooled_degrees(by_length: &ByLength, edf: impl Fn(u64) -> f64) -> f64 {
 }
 
 impl AllanSums {
-    /// The points of the curve: factors without a term are left out.
+    /// Returns the points of the curve, without factors that have no term.
     pub fn points(&self) -> Vec<AllanPoint> {
         (0..self.grid().factors().len())
             .filter_map(|index| {
@@ -159,34 +161,34 @@ impl AllanSums {
     }
 }
 
-/// Deviation curves of a capture, as `GET /v1/captures/{id}/allan` and `vn100d allan --format json` answer them
+/// Deviation curves of a capture, as returned by `GET /v1/captures/{id}/allan` and `vn100d allan --format json`
 /// (docs/formats.md).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AllanReport {
     /// [`AllanReport::FORMAT`].
     pub format: String,
-    /// Which deviation.
+    /// The kind of deviation.
     pub estimator: Estimator,
     /// Sampling rate in Hz.
     pub rate_hz: f64,
     /// Whether the capture has ended.
     pub complete: bool,
-    /// Samples looked at, from the capture's first one on: the input is fixed when a job is submitted.
+    /// Number of samples analysed, from the capture's first one on: the input is fixed when a job is submitted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<u64>,
-    /// Samples at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
+    /// Samples at rest, s: the part that is analysed. Absent if motion is unknown, as without an inertial channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_rest_s: Option<f64>,
-    /// In motion, s: left out.
+    /// Samples in motion, s, which are left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moving_s: Option<f64>,
-    /// Several captures of one sensor: what each gave. Samples are then their sum.
+    /// For several captures of one sensor, the contribution of each. Samples are then their sum.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub captures: Vec<crate::Contribution>,
-    /// Samples missing.
+    /// Number of missing samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing: Option<u64>,
-    /// What about the input a reader should know: gaps, samples that were left out.
+    /// Notes about the input for the reader: gaps, samples that were left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
     /// One curve per channel.
@@ -197,7 +199,7 @@ impl AllanReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-allan-1";
 
-    /// A report of these curves.
+    /// Creates a report of these curves.
     pub fn new(
         estimator: Estimator,
         rate_hz: f64,

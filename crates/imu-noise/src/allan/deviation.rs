@@ -1,24 +1,25 @@
-//! The other deviations, in one pass over a slice: for comparison with other tools, and for captures that fit into memory.
+//! The other deviations, in one pass over a slice, for comparison with other tools and for captures that fit into
+//! memory.
 //!
 //! All take rate samples and integrate them to phases with a leading 0. All return `None` if no term fits.
 
 use imu_core::variants;
 use serde::{Deserialize, Serialize};
 
-/// Which deviation.
+/// The kind of deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::EnumString, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Estimator {
-    /// Overlapping Allan deviation: the default and the one that streams.
+    /// Overlapping Allan deviation: the default, and the one that streams.
     #[default]
     Oadev,
     /// Allan deviation without overlap.
     Adev,
-    /// Modified Allan deviation: tells white from flicker angle noise.
+    /// Modified Allan deviation: distinguishes white from flicker angle noise.
     Mdev,
-    /// Hadamard deviation without overlap: blind to a constant rate ramp.
+    /// Hadamard deviation without overlap: insensitive to a constant rate ramp.
     Hdev,
     /// Overlapping Hadamard deviation.
     Ohdev,
@@ -27,10 +28,10 @@ pub enum Estimator {
 }
 
 impl Estimator {
-    /// All.
+    /// All estimators.
     pub const ALL: [Self; 6] = variants();
 
-    /// The name on the command line and in JSON.
+    /// Returns the name on the command line and in JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -38,12 +39,12 @@ impl Estimator {
 
 /// Phases of one segment: a leading 0 and the running sums of the samples less their mean.
 ///
-/// Without the mean the phases stay small, and no deviation here depends on it. Rounding then stays below 1e-11 of a deviation
-/// even with gravity on the channel.
+/// No deviation here depends on the mean, and without it the phases stay small. Rounding then stays below 1e-11 of a
+/// deviation even with gravity on the channel.
 #[derive(Debug, Clone)]
 pub struct Phases(Vec<f64>);
 
-/// A sum of squares and its number of terms; both add over segments.
+/// A sum of squares and its number of terms; both are summed over segments.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SquareSum {
     /// Sum of the squared terms, scaled so that its mean is the variance.
@@ -53,11 +54,11 @@ pub struct SquareSum {
 }
 
 impl SquareSum {
-    /// Adds another segment's.
+    /// Adds the sums of another segment.
     pub fn plus(self, other: Self) -> Self {
         Self { sum: self.sum + other.sum, terms: self.terms + other.terms }
     }
-    /// The deviation; `None` without a term.
+    /// Returns the deviation; `None` without a term.
     pub fn deviation(self) -> Option<f64> {
         (self.terms > 0).then(|| (self.sum / self.terms as f64).sqrt())
     }
@@ -76,7 +77,7 @@ impl Phases {
         let (mut phase, mut lost) = (0.0, 0.0);
         phases.push(phase);
         for value in samples {
-            // Kahan's summation: plain running sums over millions of samples would cost digits.
+            // Kahan's summation: plain running sums over millions of samples would lose digits.
             let step = (value - mean) - lost;
             let next = phase + step;
             lost = (next - phase) - step;
@@ -86,24 +87,25 @@ impl Phases {
         Some(Self(phases))
     }
 
-    /// Number of phases.
+    /// Returns the number of phases.
     #[expect(clippy::len_without_is_empty, reason = "there is always the leading 0")]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// One phase in `m` ≥ 1.
+    /// Returns one phase in `m` ≥ 1.
     #[cfg(test)]
     pub(super) fn picked(&self, m: usize) -> Vec<f64> {
         self.0.iter().copied().step_by(m).collect()
     }
 
-    /// Means of every `m` ≥ 1 phases, one after the other.
+    /// Returns the means of every `m` ≥ 1 phases, one after the other.
     pub(super) fn averages(&self, m: usize) -> Vec<f64> {
         self.0.chunks_exact(m).map(|phases| phases.iter().sum::<f64>() / m as f64).collect()
     }
 
-    /// The sum of squares of an estimator at averaging factor `m` ≥ 1; its mean is the variance in the samples' unit squared.
+    /// Returns the sum of squares of an estimator at averaging factor `m` ≥ 1; its mean is the variance in the samples'
+    /// unit squared.
     ///
     /// # Source
     /// Riley & Howe, NIST SP1065 (2008), sections 5.2.2 to 5.2.11.
@@ -119,13 +121,13 @@ impl Phases {
         }
     }
 
-    /// The deviation at averaging factor `m`, in the samples' unit; `None` without a term.
+    /// Returns the deviation at averaging factor `m`, in the samples' unit; `None` without a term.
     pub fn deviation(&self, estimator: Estimator, m: usize) -> Option<f64> {
         self.square_sum(estimator, m).deviation()
     }
 }
 
-/// Second difference at lag m from index i and the span of samples it needs, in units of m.
+/// Returns the second difference at lag m from index i, and the span of samples it needs, in units of m.
 fn second(x: &[f64], i: usize, m: usize) -> Option<f64> {
     Some((x.get(i + 2 * m)? - x[i + m]) - (x[i + m] - x[i]))
 }
@@ -152,8 +154,8 @@ fn differences(
     squares
 }
 
-/// Modified Allan variance: second differences averaged over m, by a sliding sum that is renewed every m steps so that
-/// rounding does not pile up.
+/// Returns the modified Allan variance: second differences averaged over m, by a sliding sum that is renewed every m
+/// steps so that rounding does not accumulate.
 fn modified(x: &[f64], m: usize) -> SquareSum {
     let Some(terms) = (x.len() + 1).checked_sub(3 * m).filter(|terms| *terms > 0) else {
         return SquareSum::default();
@@ -173,7 +175,8 @@ fn modified(x: &[f64], m: usize) -> SquareSum {
     SquareSum { sum: pairwise.total() / (2.0 * (m as f64).powi(4)), terms: terms as u64 }
 }
 
-/// Total variance: the phases extended at both ends by reflection about their end points (SP1065, equation 24).
+/// Returns the total variance: the phases are extended at both ends by reflection about their end points (SP1065,
+/// equation 24).
 fn total(x: &[f64], m: usize) -> SquareSum {
     let last = x.len() - 1;
     if m == 0 || m >= last {

@@ -10,7 +10,7 @@ use imu_core::variants;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// The kind of noise that dominates at an averaging time; α is the exponent of the rate's spectrum, S(f) ∝ f^α.
+/// The dominant kind of noise at an averaging time; α is the exponent of the rate's spectrum, S(f) ∝ f^α.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[derive(strum::IntoStaticStr, strum::VariantArray)]
@@ -29,15 +29,15 @@ pub enum NoiseType {
 }
 
 impl NoiseType {
-    /// All, from α = 2 down.
+    /// All kinds, from α = 2 down.
     pub const ALL: [Self; 5] = variants();
 
-    /// The name in JSON and CSV.
+    /// Returns the name in JSON and CSV.
     pub fn name(self) -> &'static str {
         self.into()
     }
 
-    /// The exponent of the spectrum.
+    /// Returns the exponent of the spectrum.
     pub fn alpha(self) -> i32 {
         match self {
             Self::WhiteAngle => 2,
@@ -48,7 +48,8 @@ impl NoiseType {
         }
     }
 
-    /// The kind whose Allan variance goes as τ^`slope`: −2 angle noise, −1 white rate, 0 flicker, 1 random walk.
+    /// Returns the kind whose Allan variance is proportional to τ^`slope`: −2 angle noise, −1 white rate, 0 flicker, 1
+    /// random walk.
     pub fn of_variance_slope(slope: f64) -> Self {
         match slope {
             slope if slope > 0.5 => Self::RandomWalkRate,
@@ -59,16 +60,17 @@ impl NoiseType {
     }
 }
 
-/// Longest basic sum that is computed in full; beyond it the paper's fits and interpolations serve.
+/// Longest basic sum that is computed in full; beyond it the paper's fits and interpolations are used.
 const LONGEST_SUM: f64 = 100.0;
 
-/// Equivalent degrees of freedom of one deviation.
+/// Returns the equivalent degrees of freedom of one deviation.
 ///
-/// `phases`: number of phases (samples + 1) of one segment. At least 1 where the estimator has a term at all; 0 if it has none.
+/// `phases` is the number of phases (samples + 1) of one segment. The result is at least 1 if the estimator has a term;
+/// 0 if it has none.
 ///
 /// # Validation
-/// `equivalent_degrees_of_freedom_are_those_of_the_reference_table`: within 1e-3 of allantools' `edf_greenhall` at 720,001
-/// phases for every averaging factor and α of the table.
+/// `equivalent_degrees_of_freedom_are_those_of_the_reference_table`: within 1e-3 of allantools' `edf_greenhall` at
+/// 720,001 phases for every averaging factor and α of the table.
 pub fn equivalent_degrees_of_freedom(estimator: Estimator, noise: NoiseType, m: usize, phases: u64) -> f64 {
     let edf = match estimator {
         Estimator::Adev => greenhall(noise, 2, m, phases, false, false),
@@ -81,12 +83,12 @@ pub fn equivalent_degrees_of_freedom(estimator: Estimator, noise: NoiseType, m: 
     edf.map_or(0.0, |edf| edf.max(1.0))
 }
 
-/// Least averaging factor of the total variance's own table: below it hardly a term is reflected, and terms are not as
-/// dense as the table takes them.
+/// Smallest averaging factor of the total variance's own table: below it hardly any term is reflected, and terms are
+/// not as dense as the table assumes.
 const TABLE_FROM: usize = 8;
 
-/// NIST SP1065, table 7, from m = 8 on, and the overlapping estimator's degrees below; angle noise, for which it has no
-/// row, by its equation for α = 2 of the overlapping estimator.
+/// Returns the degrees of NIST SP1065, table 7, from m = 8 on, and those of the overlapping estimator below. For angle
+/// noise, which the table lacks, the equation for α = 2 of the overlapping estimator is used.
 fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
     // A segment of fewer samples than the averaging factor has no term.
     if m as u64 + 1 >= phases {
@@ -109,7 +111,8 @@ fn total(noise: NoiseType, m: usize, phases: u64) -> Option<f64> {
     Some(b * n / m - c)
 }
 
-/// Expectation of the total variance over the Allan variance, of segments of so many phases together.
+/// Returns the ratio of the expected total variance to the Allan variance, for segments of these numbers of phases
+/// together.
 ///
 /// # Source
 /// C. A. Greenhall, D. A. Howe and D. B. Percival, "Total variance, an estimator of long-term frequency stability", IEEE
@@ -129,7 +132,8 @@ pub(super) fn total_bias(noise: NoiseType, m: usize, phases: impl Iterator<Item 
     if weights > 0.0 { sum / weights } else { 1.0 }
 }
 
-/// The combined algorithm; d: order of the difference, S = m overlapped or 1, F = 1 modified or m. `None` without a term.
+/// Computes the combined algorithm with d the order of the difference, S = m if overlapped, else 1, and F = 1 if
+/// modified, else m. `None` without a term.
 fn greenhall(noise: NoiseType, d: usize, m: usize, phases: u64, overlapping: bool, modified: bool) -> Option<f64> {
     let alpha = noise.alpha();
     let (n, averaging, order) = (phases as f64, m as f64, d as f64);
@@ -179,23 +183,23 @@ fn greenhall(noise: NoiseType, d: usize, m: usize, phases: u64, overlapping: boo
             sum(LONGEST_SUM, LONGEST_SUM, interpolated, interpolated) / (growing * LONGEST_SUM)
         }
     } else {
-        // White angle: differences share phases only at multiples of m, equation 13: in full with few blocks, else its
-        // closed form.
+        // White angle: differences share phases only at multiples of m (equation 13), computed in full with few blocks,
+        // else in closed form.
         let (a0, a1) = if d == 2 { (35.0 / 18.0, 1.0) } else { (231.0 / 100.0, 1.5) };
         if blocks.ceil() <= order { shared_phases(d, blocks) / terms } else { (a0 - a1 / blocks) / terms }
     };
     (inverse.is_finite() && inverse > 0.0).then(|| 1.0 / inverse)
 }
 
-/// 1 + 2 Σ (1 − k/r) ρₖ² over the k below ⌈r⌉, ρₖ = C(2d, d − k)/C(2d, d): terms over degrees of freedom where r `blocks` are at
-/// most d.
+/// Returns 1 + 2 Σ (1 − k/r) ρₖ² over the k below ⌈r⌉, with ρₖ = C(2d, d − k)/C(2d, d): terms over degrees of freedom
+/// if r `blocks` are at most d.
 fn shared_phases(d: usize, blocks: f64) -> f64 {
     let correlation = if d == 2 { [4.0 / 6.0, 1.0 / 6.0] } else { [15.0 / 20.0, 6.0 / 20.0] };
     let shared = (1..).zip(correlation).take_while(|(k, _)| f64::from(*k) < blocks);
     1.0 + 2.0 * shared.map(|(k, rho): (u32, f64)| (1.0 - f64::from(k) / blocks) * rho * rho).sum::<f64>()
 }
 
-/// Table 1 (modified variances): a0, a1 for d = 2 and 3.
+/// Returns a0 and a1 of table 1 (modified variances) for d = 2 and 3.
 fn table_modified(alpha: i32, d: usize) -> (f64, f64) {
     match (alpha, d) {
         (2, 2) => (7.0 / 9.0, 0.5),
@@ -211,7 +215,7 @@ fn table_modified(alpha: i32, d: usize) -> (f64, f64) {
     }
 }
 
-/// Table 2 (unmodified variances): a0, a1 for d = 2 and 3.
+/// Returns a0 and a1 of table 2 (unmodified variances) for d = 2 and 3.
 fn table_unmodified(alpha: i32, d: usize) -> (f64, f64) {
     match (alpha, d) {
         (1, 2) => (790.0, 410.0),
@@ -225,7 +229,7 @@ fn table_unmodified(alpha: i32, d: usize) -> (f64, f64) {
     }
 }
 
-/// Equation 7: the generalised autocovariance of phase.
+/// Returns the generalised autocovariance of phase (equation 7).
 fn sw(t: f64, alpha: i32) -> f64 {
     let t = t.abs();
     match alpha {
@@ -240,7 +244,7 @@ fn sw(t: f64, alpha: i32) -> f64 {
     }
 }
 
-/// Equation 8: of phase averaged over `1/filter`; infinite for the limit of many samples.
+/// Returns the autocovariance of phase averaged over `1/filter` (equation 8); `filter` is infinite in the limit of many samples.
 fn sx(t: f64, filter: f64, alpha: i32) -> f64 {
     if filter.is_infinite() {
         return sw(t, alpha + 2);
@@ -248,7 +252,7 @@ fn sx(t: f64, filter: f64, alpha: i32) -> f64 {
     filter * filter * (2.0 * sw(t, alpha) - sw(t - 1.0 / filter, alpha) - sw(t + 1.0 / filter, alpha))
 }
 
-/// Equation 9: of its differences of order d.
+/// Returns the autocovariance of the differences of order d (equation 9).
 fn sz(t: f64, filter: f64, alpha: i32, d: usize) -> f64 {
     let sx = |t: f64| sx(t, filter, alpha);
     if d == 2 {
@@ -260,7 +264,7 @@ fn sz(t: f64, filter: f64, alpha: i32, d: usize) -> f64 {
     }
 }
 
-/// Equation 10.
+/// Returns the basic sum (equation 10).
 fn basic_sum(j: f64, terms: f64, stride: f64, filter: f64, alpha: i32, d: usize) -> f64 {
     let square = |lag: f64| sz(lag / stride, filter, alpha, d).powi(2);
     let inner: f64 = (1..j as u64).map(|lag| 2.0 * (1.0 - lag as f64 / terms) * square(lag as f64)).sum();
@@ -276,13 +280,13 @@ pub struct ConfidenceFactors {
     pub high: f64,
 }
 
-/// One standard deviation's worth of confidence, erf(1/√2).
+/// The confidence of one standard deviation, erf(1/√2).
 pub const CONFIDENCE_68: f64 = 0.682_689_492_137_085_9;
-/// 95 %.
+/// The confidence of 95 %.
 pub const CONFIDENCE_95: f64 = 0.95;
 
-/// The interval that holds a deviation's true value with probability `confidence`, given `edf` degrees of freedom; `None` if
-/// there are none.
+/// Returns the interval that contains a deviation's true value with probability `confidence`, given `edf` degrees of
+/// freedom; `None` if there are none.
 ///
 /// # Source
 /// NIST SP1065, equation 45. Above 10^5 degrees the quantiles are those of Wilson and Hilferty (relative error below 1e-9).
@@ -293,7 +297,7 @@ pub fn confidence_factors(edf: f64, confidence: f64) -> Option<ConfidenceFactors
     (low.is_finite() && high.is_finite()).then_some(ConfidenceFactors { low, high })
 }
 
-/// The value at which the χ² distribution reaches `probability`.
+/// Returns the value at which the χ² distribution reaches `probability`.
 pub(crate) fn chi_squared_quantile(probability: f64, degrees: f64) -> Option<f64> {
     const LARGE: f64 = 1e5;
     if !(degrees.is_finite() && degrees > 0.0) {

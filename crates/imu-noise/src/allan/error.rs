@@ -1,6 +1,6 @@
 //! The inputs that the Allan estimators refuse.
 
-/// Why an Allan estimator refused its input.
+/// The reasons why an Allan estimator refused its input.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AllanError {
     /// A grid needs at least one averaging factor.
@@ -11,12 +11,12 @@ pub enum AllanError {
         /// The length that gives one factor.
         needed: u64,
     },
-    /// An averaging factor is 0 or beyond what exact sums allow.
+    /// An averaging factor is 0 or larger than exact sums allow.
     #[error("averaging factor {found} is outside 1 to {largest}")]
     FactorOutOfRange {
         /// The factor.
         found: u64,
-        /// The largest that is allowed.
+        /// The largest allowed factor.
         largest: u64,
     },
     /// Fixed-point range and resolution need more bits than exact sums have.
@@ -31,13 +31,13 @@ pub enum AllanError {
         decimals: u32,
         /// Binary digits of the step.
         binary: u32,
-        /// Bits available.
+        /// Number of available bits.
         bits: u32,
     },
-    /// A checkpoint is of another version.
+    /// A checkpoint has another version.
     #[error("a checkpoint of version {found} is not of version {expected}: start the job again")]
     CheckpointVersion {
-        /// The version this program writes.
+        /// The version that this program writes.
         expected: u8,
         /// The version found.
         found: u8,
@@ -45,11 +45,11 @@ pub enum AllanError {
     /// A checkpoint is damaged.
     #[error("the checkpoint is damaged at {field} (expected {expected}, found {found}): start the job again")]
     CheckpointDamaged {
-        /// The object that was being read.
+        /// The object being read.
         field: &'static str,
-        /// What belongs there.
+        /// The expected value.
         expected: u64,
-        /// What is there.
+        /// The value found.
         found: u64,
     },
 }

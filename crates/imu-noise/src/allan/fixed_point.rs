@@ -6,10 +6,10 @@ use imu_core::sample::Channel;
 /// Adding 1.5·2^52 to a double below 2^51 leaves its nearest integer (ties to even) in the low bits of its mantissa.
 const ROUNDING: f64 = 6_755_399_441_055_744.0;
 
-/// How values become integers: `round(value · 10^decimals · 2^binary)`.
+/// The conversion of values to integers: `round(value · 10^decimals · 2^binary)`.
 ///
-/// The decimal factor makes the decimals of ASCII output exact integers, the binary one gives the floats of binary output
-/// as much resolution as the range allows; sums of both kinds then have the same scale and can be added.
+/// The decimal factor makes the decimals of ASCII output exact integers. The binary factor gives the floats of binary
+/// output as much resolution as the range allows. Sums of both kinds then have the same scale and can be added.
 ///
 /// # Validation
 /// A quantised value is below [`FixedPoint::MAGNITUDE_BITS`] bits, so that a second difference at
@@ -24,7 +24,7 @@ impl FixedPoint {
     /// Bits of a quantised value without its sign: |d| ≤ 2 · m · 2^42 < 2^63 for every m ≤ 2^20.
     pub const MAGNITUDE_BITS: u32 = 42;
 
-    /// The scale of a channel: its ASCII decimals exact, and every bit that its range leaves beyond them.
+    /// Returns the scale of a channel: its ASCII decimals are exact, and its range leaves the other bits.
     ///
     /// Steps: gyroscope 3.1e-11 rad/s within ±134 rad/s, accelerometer 1.2e-10 m/s² within ±524 m/s², magnetometer
     /// 1.2e-11 gauss within ±52 gauss.
@@ -34,10 +34,10 @@ impl FixedPoint {
         Self { decimals: decimals as u8, binary: Self::spare_bits(decimals, range_exponent).clamp(0, 60) as u8 }
     }
 
-    /// The finest scale in which `decimals` decimals are exact and values up to `2^range_exponent` fit.
+    /// Returns the finest scale in which `decimals` decimals are exact and values up to `2^range_exponent` fit.
     ///
     /// # Errors
-    /// [`AllanError::ScaleTooFine`] if decimals and range alone need more bits than there are.
+    /// [`AllanError::ScaleTooFine`] if decimals and range alone need more bits than available.
     pub fn for_range(decimals: u32, range_exponent: i32) -> Result<Self, AllanError> {
         let spare = Self::spare_bits(decimals, range_exponent);
         if decimals > 12 || !(0..=60).contains(&spare) {
@@ -46,7 +46,7 @@ impl FixedPoint {
         Ok(Self { decimals: decimals as u8, binary: spare as u8 })
     }
 
-    /// Steps of exactly `10^-decimals`: the fastest scale for data that has no more digits than that.
+    /// Returns the scale with steps of exactly `10^-decimals`: the fastest scale for data with no more digits.
     ///
     /// # Errors
     /// [`AllanError::ScaleTooFine`] beyond 12 decimals.
@@ -67,12 +67,12 @@ impl FixedPoint {
         (f64::from(Self::MAGNITUDE_BITS) - f64::from(range_exponent) - decimal_bits).floor() as i32
     }
 
-    /// Integer steps per unit of the channel.
+    /// Returns the integer steps per unit of the channel.
     pub fn steps_per_unit(self) -> f64 {
         10f64.powi(i32::from(self.decimals)) * 2f64.powi(i32::from(self.binary))
     }
 
-    /// The largest value that can be represented, in the channel's unit.
+    /// Returns the largest value that can be represented, in the channel's unit.
     pub fn range(self) -> f64 {
         Self::largest_steps() / self.steps_per_unit()
     }
@@ -81,7 +81,7 @@ impl FixedPoint {
         ((1u64 << Self::MAGNITUDE_BITS) - 1) as f64
     }
 
-    /// The value as an integer; `None` if it is not finite or out of range.
+    /// Returns the value as an integer; `None` if it is not finite or out of range.
     pub fn quantise(self, value: f64) -> Option<i64> {
         Self::steps(value * self.steps_per_unit())
     }

@@ -1,4 +1,4 @@
-//! The reference values of `tests/golden/allan`, at the tolerance that their sources allow.
+//! The reference values of `tests/golden/allan`, within the tolerance that their sources allow.
 
 use super::edf::equivalent_degrees_of_freedom;
 use super::identify::Lag1;
@@ -141,7 +141,7 @@ fn stable32_intervals_of_the_thousand_points_are_met() {
         let edf = equivalent_degrees_of_freedom(estimator, NoiseType::WhiteRate, m, 1001);
         let factors = confidence_factors(edf, CONFIDENCE_68).unwrap();
         if estimator == Estimator::Totdev && m < 8 {
-            // There Stable32 takes SP1065's table beyond its range: its interval holds 55 % at m = 1 (`coverage`).
+            // Here Stable32 uses SP1065's table beyond its range: its interval holds in 55 % at m = 1 (`coverage`).
             assert!(sigma * factors.low < value(6) && sigma * factors.high > value(8), "{row:?}");
             continue;
         }
@@ -180,7 +180,7 @@ fn equivalent_degrees_of_freedom_are_those_of_the_reference_table() {
     assert!(checked > 190, "{checked} values");
 }
 
-/// The five power laws that the README lists, of 4096 samples each.
+/// Returns the five power laws that the README lists, of 4096 samples each.
 fn power_laws() -> [(&'static str, Vec<f64>); 5] {
     const COUNT: usize = 4096;
     let v: Vec<f64> = lcg().take(COUNT + 1).map(|u| u - 0.5).collect();
@@ -256,7 +256,7 @@ fn seven_hundred_thousand_samples_have_allantools_deviations() {
             close(sums.variance(index).unwrap().sqrt(), deviation, 2e-12, &what);
         }
     }
-    // Gravity on the channel does not change the result, not even with the channel's own scale.
+    // Gravity on the channel does not change the result, also not with the channel's own scale.
     let offset: Vec<f64> = mixed.iter().map(|value| value + 9.80665).collect();
     let expected = &reference["same_plus_offset_9.80665"]["devs"]["oadev"];
     let factors = numbers(&expected["m"]).into_iter().map(|m| m as usize);
@@ -284,7 +284,8 @@ fn a_hundred_averaging_times_have_allantools_deviations() {
     }
 }
 
-/// `full_overlap`: binary logarithm of the largest factor with full overlap, which the reference has throughout.
+/// Compares with a big reference. `full_overlap` is the binary logarithm of the largest factor with full overlap; the
+/// reference has full overlap throughout.
 fn big_reference(name: &str, count: usize, full_overlap: u8) {
     let reference = json(golden!("lcg_big_reference.json"));
     let expected = &reference[name]["devs"]["oadev"];
@@ -317,14 +318,14 @@ fn millions_of_samples_in_chunks_have_allantools_deviations() {
     big_reference("lcg_white_3600000_fs200", 3_600_000, 17);
 }
 
-/// `cargo test --release --lib fourteen_million -- --ignored`
+/// Run with `cargo test --release --lib fourteen_million -- --ignored`.
 #[test]
 #[ignore = "takes some seconds without optimisation"]
 fn fourteen_million_samples_in_chunks_have_allantools_deviations() {
     big_reference("lcg_white_14400000_fs800", 14_400_000, 20);
 }
 
-/// A desk recording whose author published the overlapping deviations of its gyroscope, tau in samples.
+/// A desk recording whose author published the overlapping deviations of its gyroscope, with tau in samples.
 #[test]
 fn a_desk_recording_has_its_authors_deviations() {
     use std::io::Read;

@@ -1,28 +1,29 @@
-//! Grids of averaging factors. A grid is fixed before the first sample is seen: sums over different grids do not add.
+//! Grids of averaging factors. A grid is fixed before the first sample, because sums over different grids cannot be
+//! added.
 
 use super::AllanError;
 use super::strided::OVERLAP;
 use serde::{Deserialize, Serialize};
 
-/// How the averaging factors are spaced.
+/// The spacing of averaging factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TauSpacing {
     /// 1, 2, 4, 8…
     Octave,
-    /// About twenty to the decade.
+    /// About twenty per decade.
     #[default]
     Log,
-    /// Every one up to [`TauGrid::FULL_OVERLAP`], twenty to the decade beyond.
+    /// Every factor up to [`TauGrid::FULL_OVERLAP`], twenty per decade beyond.
     All,
-    /// A list of one's own.
+    /// A custom list.
     Custom,
 }
 
 /// Averaging factors m in ascending order, each once; τ = m / rate.
 ///
-/// Up to [`TauGrid::FULL_OVERLAP`] every phase is the newest of a second difference. Beyond, differences are taken at every
-/// m/16th phase, and factors are multiples of 16.
+/// Up to [`TauGrid::FULL_OVERLAP`] every phase is the newest of a second difference. Beyond it, differences are taken
+/// at every m/16th phase, and factors are multiples of 16.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TauGrid {
     factors: Vec<usize>,
@@ -34,14 +35,15 @@ impl TauGrid {
     /// The largest factor of sums with full overlap: an hour at 288 Hz. It bounds their memory.
     pub const FULL_OVERLAP: usize = 1 << Self::FULL_OVERLAP_BITS;
     const FULL_OVERLAP_BITS: u8 = 20;
-    /// The largest factor of all: 15 days at 800 Hz.
+    /// The largest factor: 15 days at 800 Hz.
     pub const MAX_FACTOR: usize = 1 << 30;
-    /// Factors to the decade of [`TauGrid::log`].
+    /// Factors per decade of [`TauGrid::log`].
     pub const PER_DECADE: u32 = 20;
-    /// Factors end at this fraction of the longest segment: beyond a quarter fewer than about four degrees of freedom remain.
+    /// Factors end at this fraction of the longest segment: beyond a quarter, fewer than about four degrees of freedom
+    /// remain.
     const LONGEST_FRACTION: u64 = 4;
 
-    /// The grid of that spacing for a longest segment of `longest` samples, m ≤ `longest`/4.
+    /// Returns the grid of that spacing for a longest segment of `longest` samples, m ≤ `longest`/4.
     ///
     /// # Errors
     /// [`AllanError::TooShort`] below four samples; [`AllanError::FactorOutOfRange`] for [`TauSpacing::Custom`] without a
@@ -63,7 +65,7 @@ impl TauGrid {
         }
     }
 
-    /// Powers of two.
+    /// Returns powers of two.
     ///
     /// # Errors
     /// [`AllanError::TooShort`] below four samples.
@@ -72,7 +74,7 @@ impl TauGrid {
         Self::custom(std::iter::successors(Some(1), |m| Some(m * 2)).take_while(|m| *m <= largest))
     }
 
-    /// Twenty to the decade, rounded to integers, each once.
+    /// Returns twenty factors per decade, rounded to integers, each once.
     ///
     /// # Errors
     /// [`AllanError::TooShort`] below four samples.
@@ -86,7 +88,7 @@ impl TauGrid {
             .take_while(move |m| *m <= largest)
     }
 
-    /// Every factor up to [`TauGrid::FULL_OVERLAP`]; beyond, as [`TauGrid::log`].
+    /// Returns every factor up to [`TauGrid::FULL_OVERLAP`], and beyond it those of [`TauGrid::log`].
     ///
     /// # Errors
     /// [`AllanError::TooShort`] below four samples.
@@ -96,7 +98,8 @@ impl TauGrid {
         Self::custom((1..=largest.min(Self::FULL_OVERLAP)).chain(beyond))
     }
 
-    /// The factors given, sorted, each once; those beyond [`TauGrid::FULL_OVERLAP`] as the multiple of 16 below them.
+    /// Returns the given factors, sorted, each once; factors beyond [`TauGrid::FULL_OVERLAP`] become the multiple of 16
+    /// below them.
     ///
     /// # Errors
     /// [`AllanError::FactorOutOfRange`] for 0 or more than [`TauGrid::MAX_FACTOR`]; [`AllanError::TooShort`] for none.
@@ -104,7 +107,7 @@ impl TauGrid {
         Self::with_full_overlap(factors, Self::FULL_OVERLAP_BITS)
     }
 
-    /// The same with full overlap up to `1 << full_overlap`, at least 16.
+    /// Sets full overlap up to `1 << full_overlap`, at least 16.
     pub(super) fn with_full_overlap(
         factors: impl IntoIterator<Item = usize>,
         full_overlap: u8,
@@ -130,22 +133,22 @@ impl TauGrid {
         Ok(Self { factors, full_overlap })
     }
 
-    /// The averaging factors, ascending; never empty.
+    /// Returns the averaging factors, ascending; never empty.
     pub fn factors(&self) -> &[usize] {
         &self.factors
     }
 
-    /// The largest factor.
+    /// Returns the largest factor.
     pub fn max_factor(&self) -> usize {
         self.factors.last().copied().unwrap_or(1)
     }
 
-    /// The factors whose differences are taken at every phase; the first ones.
+    /// Returns the factors whose differences are taken at every phase: the first ones.
     pub fn full_overlap(&self) -> &[usize] {
         &self.factors[..self.full_factors()]
     }
 
-    /// The others.
+    /// Returns the factors beyond full overlap.
     pub fn beyond_full_overlap(&self) -> &[usize] {
         &self.factors[self.full_factors()..]
     }
@@ -154,17 +157,17 @@ impl TauGrid {
         self.factors.partition_point(|m| *m <= 1 << self.full_overlap)
     }
 
-    /// Phases from one second difference of factor `m` to the next: 1 with full overlap, else m/16.
+    /// Returns the phases from one second difference of factor `m` to the next: 1 with full overlap, else m/16.
     pub fn stride(&self, m: usize) -> usize {
         if m <= 1 << self.full_overlap { 1 } else { m / OVERLAP }
     }
 
-    /// Binary logarithm of the largest factor with full overlap.
+    /// Returns the binary logarithm of the largest factor with full overlap.
     pub(super) fn full_overlap_bits(&self) -> u8 {
         self.full_overlap
     }
 
-    /// The number of samples before a cut to which the terms of full overlap reach back;
+    /// Returns how many samples before a cut the terms of full overlap use;
     /// [`Overlapping::restore`](super::Overlapping::restore) needs them.
     pub fn halo_len(&self) -> usize {
         2 * self.full_overlap().last().copied().unwrap_or(0)
@@ -201,7 +204,7 @@ mod tests {
         assert!(grid.max_factor() > 3_500_000 && grid.max_factor() <= 3_600_000, "{}", grid.max_factor());
         assert!(grid.beyond_full_overlap().iter().all(|m| 16 * grid.stride(*m) == *m));
         assert!(grid.full_overlap().iter().all(|m| grid.stride(*m) == 1));
-        // Of two that become one, one remains, and none falls back into full overlap.
+        // Of two factors that become equal, one remains, and none falls back into full overlap.
         let limit = TauGrid::FULL_OVERLAP;
         let custom = TauGrid::custom([limit, limit + 1, limit + 16, limit + 31]).unwrap();
         assert_eq!(custom.factors(), [limit, limit + 16]);

@@ -1,8 +1,8 @@
 //! The inner loop in integers, for processors without a fused multiply-add and for differences that do not fit one.
 //!
-//! Products of 64-bit integers do not vectorise on baseline x86-64, products of 32-bit halves do. Each width below adds a bias so
-//! that differences are non-negative, multiplies halves of 32 bits or fewer, checks afterwards that every difference fitted, and
-//! leaves the others to the next width.
+//! Products of 64-bit integers do not vectorise on baseline x86-64, products of 32-bit halves do. Each width below adds
+//! a bias so that differences are non-negative, multiplies halves of at most 32 bits, checks afterwards whether every
+//! difference fitted, and otherwise leaves the block to the next width.
 
 use super::kernel::{BIAS as OF_NEWEST, BLOCK};
 
@@ -17,7 +17,7 @@ pub(super) enum Width {
 }
 
 impl Width {
-    /// The next smaller width: signals calm down again after a knock.
+    /// Returns the next smaller width, because signals become quiet again after a knock.
     pub(super) fn narrower(self) -> Self {
         match self {
             Self::Bits31 | Self::Bits47 => Self::Bits31,
@@ -26,8 +26,8 @@ impl Width {
     }
 }
 
-/// As [`super::kernel::sum_of_squares`], which defines the arguments; `width` is the width to begin with and then the width that
-/// it took.
+/// Computes [`super::kernel::sum_of_squares`], which defines the arguments. `width` is the width to begin with, and
+/// afterwards the width that was needed.
 pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
     if *width <= Width::Bits31
         && let Some(sum) = bits31(newest, middle, oldest)
@@ -44,7 +44,7 @@ pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], wid
     one_by_one(newest, middle, oldest)
 }
 
-/// Σd² from the sums over u = d + bias: Σu² − 2·bias·Σu + n·bias².
+/// Returns Σd² from the sums over u = d + bias: Σu² − 2·bias·Σu + n·bias².
 fn unbias(squares: u128, biased: u64, terms: usize, bias: u32) -> u128 {
     (squares + ((terms as u128) << (2 * bias))) - (u128::from(biased) << (bias + 1))
 }
@@ -87,7 +87,7 @@ fn bits47(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
     })
 }
 
-/// The sum term by term, for differences of any size.
+/// Returns the sum term by term, for differences of any size.
 pub(super) fn one_by_one(newest: &[i64], middle: &[i64], oldest: &[i64]) -> u128 {
     newest.iter().zip(middle).zip(oldest).fold(0u128, |sum, ((x, y), z)| {
         let magnitude = u128::from(difference(*x, *y, *z).wrapping_sub(OF_NEWEST).unsigned_abs());

@@ -1,32 +1,33 @@
 //! The inner loop: the exact sum of `(x − 2y + z)²` over three windows of integer phases.
 //!
-//! If the processor has a fused multiply-add, differences become doubles (exact below 2^51), and two fused operations split each
-//! square into a multiple of 2^45 and an exact rest. Sums of both stay exact, and the sum itself shows afterwards whether every
-//! difference fitted. The cost does not depend on how large the differences of a block are, so that binary floats cost what ASCII
-//! decimals do. Blocks that do not fit, and other processors, take [`integers`]. All ways give the same sum; `benches/allan.rs`
-//! times them.
+//! If the processor has a fused multiply-add, differences become doubles (exact below 2^51), and two fused operations
+//! split each square into a multiple of 2^45 and an exact rest. Sums of both stay exact, and the sum itself shows
+//! afterwards whether every difference fitted. The cost does not depend on the size of the differences, so that binary
+//! floats cost as much as ASCII decimals. Blocks that do not fit, and other processors, use [`integers`]. All ways give
+//! the same sum; `benches/allan.rs` times them.
 
 use super::integers::{self, Width};
 use fearless_simd::Level;
 
-/// Terms per call: each lane's sums are sized for it.
+/// Terms per call; the sums of each lane are sized for it.
 pub(super) const BLOCK: usize = 8192;
-/// The addition to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 + d.
+/// The value added to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 +
+/// d.
 pub(super) const BIAS: i64 = ORIGIN.to_bits() as i64;
 
 const ORIGIN: f64 = 6_755_399_441_055_744.0;
-/// Sums of coarse parts begin here, 2^97, where doubles are multiples of [`COARSE`], and end below twice that.
+/// Sums of coarse parts begin at 2^97, where doubles are multiples of [`COARSE`], and end below twice that.
 const COARSE_ORIGIN: f64 = (1u128 << 97) as f64;
-/// 2^45.
+/// The coarse unit is 2^45.
 const COARSE_BITS: u32 = 45;
 const COARSE: f64 = (1u64 << COARSE_BITS) as f64;
-/// Terms that a lane may take: so many rests of up to 2^44 stay below 2^53.
+/// Maximum number of terms per lane: this many rests of up to 2^44 stay below 2^53.
 const MOST_PER_LANE: usize = 512;
 
-/// The exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms; `newest` holds [`BIAS`] more than
-/// the phases are. Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
+/// Returns the exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms; `newest` holds the
+/// phases plus [`BIAS`]. Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
 ///
-/// `width`: the width that the differences of this factor needed last time, if the form depends on it.
+/// `width` is the width that the differences of this factor needed last time, if the form depends on it.
 pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
     debug_assert!(newest.len() <= BLOCK && newest.len() == middle.len() && newest.len() == oldest.len());
     match dispatched(newest, middle, oldest) {
@@ -35,11 +36,11 @@ pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], wid
     }
 }
 
-/// The fused form by the widest instructions available; None if there is no fused multiply-add.
+/// Returns the fused form by the widest instructions available; `None` if there is no fused multiply-add.
 #[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
 fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u128>> {
     use fearless_simd::Simd as _;
-    // Found out once, remembered by the crate.
+    // Detected once and cached by the crate.
     let level = Level::new();
     if let Some(avx512) = level.as_avx512() {
         return Some(avx512.vectorize(
@@ -54,7 +55,7 @@ fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u
     ))
 }
 
-/// Every 64-bit ARM has it.
+/// Uses the vector instructions, which every 64-bit ARM processor has.
 #[cfg(target_arch = "aarch64")]
 fn dispatched(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<Option<u128>> {
     Some(fused::<16>(newest, middle, oldest))
@@ -67,13 +68,14 @@ fn dispatched(_: &[i64], _: &[i64], _: &[i64]) -> Option<Option<u128>> {
 
 /// Adds a term to one lane's coarse sum and sum of rests.
 ///
-/// Let c be the coarse sum, a double in [2^97, 2^98) and thus a multiple of 2^45. The fused d² + c rounds once, to such a
-/// multiple again, so that the step c' − c is exact, within 2^44 of d². Then d² less the step is an integer below 2^53, which the
-/// second fused operation gives exactly. All of this holds when the last c' is below 2^98: c never falls.
+/// Let c be the coarse sum, a double in [2^97, 2^98) and thus a multiple of 2^45. The fused d² + c rounds once, to such
+/// a multiple again, so that the step c' − c is exact and within 2^44 of d². Then d² less the step is an integer below
+/// 2^53, which the second fused operation gives exactly. All of this holds when the last c' is below 2^98: c never
+/// falls.
 ///
-/// A difference beyond ±2^51 changes the exponent of the double that its bits are read as. That double's distance from the
-/// origin is 2^51 or more all the same (or it is no number), because doubles are ordered as their bits are: its square
-/// takes c' beyond 2^98.
+/// A difference beyond ±2^51 changes the exponent of the double that its bits are read as. That double's distance from
+/// the origin is still at least 2^51 (or it is NaN), because doubles are ordered as their bits: its square takes c'
+/// beyond 2^98.
 #[inline(always)]
 fn add((newest, middle, oldest): (i64, i64, i64), (coarse, rest): (f64, f64)) -> (f64, f64) {
     let bits = newest.wrapping_sub(middle).wrapping_sub(middle.wrapping_sub(oldest));
@@ -82,8 +84,8 @@ fn add((newest, middle, oldest): (i64, i64, i64), (coarse, rest): (f64, f64)) ->
     (next, rest + difference.mul_add(difference, -(next - coarse)))
 }
 
-/// Each lane's sums over whole rows. A separate function, so that they stay in registers: code that indexes lanes by a variable
-/// follows it.
+/// Returns each lane's sums over whole rows. This is a separate function so that the sums stay in registers: the code
+/// after it indexes lanes by a variable.
 #[inline(always)]
 fn rows<const LANES: usize>(
     newest: &[[i64; LANES]],
@@ -99,7 +101,7 @@ fn rows<const LANES: usize>(
     (coarse, rest)
 }
 
-/// The sum by fused multiply-adds; None if a difference or a sum does not fit.
+/// Returns the sum by fused multiply-adds; `None` if a difference or a sum does not fit.
 #[inline(always)]
 fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> Option<u128> {
     const { assert!(BLOCK <= MOST_PER_LANE * LANES) };
@@ -109,7 +111,7 @@ fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> 
     for (lane, ((x, y), z)) in last_x.iter().zip(last_y).zip(last_z).enumerate() {
         (coarse[lane], rest[lane]) = add((*x, *y, *z), (coarse[lane], rest[lane]));
     }
-    // Written so that NaN does not fit.
+    // NaN does not fit, by the form of the comparison.
     if !coarse.iter().all(|sum| *sum < 2.0 * COARSE_ORIGIN) {
         return None;
     }
@@ -169,7 +171,7 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_seen_wherever_its_bits_land() {
         let zero = vec![0i64; 100];
-        // Infinities, what is no number and numbers of the other sign, as which biased bits would read.
+        // Infinities, NaN and numbers of the other sign, as which biased bits would read.
         let bits = [f64::INFINITY, f64::NEG_INFINITY, f64::NAN, -f64::NAN, -0.0, 0.0, 1.0, -1.0, f64::MIN_POSITIVE];
         let edges = [1i64 << 51, -(1 << 51) - 1, 1 << 62, -(1 << 62), i64::MAX, i64::MIN + 1, 1 << 52, 3 << 51];
         for value in bits.map(|of| (of.to_bits() as i64).wrapping_sub(BIAS)).into_iter().chain(edges) {

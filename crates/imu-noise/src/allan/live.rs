@@ -1,17 +1,17 @@
 //! The live estimator: all octaves of a running capture in constant memory.
 //!
-//! Averaging factors are powers of two up to [`TauGrid::FULL_OVERLAP`]. Beyond m = 16 terms are taken at every m/16th sample:
-//! for white rate noise the variance of the estimate grows by 0.5 % against full overlap. The sums are integers and do not
-//! depend on how the samples were portioned.
+//! Averaging factors are powers of two up to [`TauGrid::FULL_OVERLAP`]. Beyond m = 16 terms are taken at every m/16th
+//! sample: for white rate noise the variance of the estimate grows by 0.5 % against full overlap. The sums are integers
+//! and do not depend on how the samples were divided into portions.
 
 use super::point::AllanPoint;
 use super::strided::OVERLAP;
 use super::{FixedPoint, TauGrid};
 
-/// Phases a level keeps: a power of two above two averaging times.
+/// Phases that a level keeps: a power of two above two averaging times.
 const KEPT: usize = 64;
 const LEVELS: usize = TauGrid::FULL_OVERLAP.ilog2() as usize + 1;
-/// Levels that see every phase: m = 1 to 16.
+/// Levels that use every phase: m = 1 to 16.
 const DENSE: usize = OVERLAP.ilog2() as usize + 1;
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -36,7 +36,7 @@ impl Level {
 pub struct LiveAllan {
     steps_per_unit: f64,
     levels: [Level; LEVELS],
-    /// The latest phases at every 1, 2, 4… samples; `[0]` serves the dense levels.
+    /// The latest phases at every 1, 2, 4… samples; `[0]` belongs to the dense levels.
     rings: Vec<[i64; KEPT]>,
     /// Index of the segment's newest phase and the phase itself.
     index: u64,
@@ -46,7 +46,7 @@ pub struct LiveAllan {
 }
 
 impl LiveAllan {
-    /// An estimator without samples.
+    /// Creates an estimator without samples.
     pub fn new(scale: FixedPoint) -> Self {
         Self {
             steps_per_unit: scale.steps_per_unit(),
@@ -59,7 +59,8 @@ impl LiveAllan {
         }
     }
 
-    /// Takes the next samples of the segment, in the channel's unit; one that is not finite or out of range ends it.
+    /// Takes the next samples of the segment, in the channel's unit; a sample that is not finite or out of range ends
+    /// it.
     pub fn push(&mut self, samples: &[f64]) {
         for value in samples {
             match FixedPoint::steps(value * self.steps_per_unit) {
@@ -98,7 +99,7 @@ impl LiveAllan {
         self.sparse(newest);
     }
 
-    /// The levels beyond 16: each sees every second phase of the one before it.
+    /// Updates the levels beyond 16: each takes every second phase of the level before it.
     fn sparse(&mut self, newest: i64) {
         let mut index = self.index;
         for (ring, level) in self.rings[1..].iter_mut().zip(&mut self.levels[DENSE..]) {
@@ -114,18 +115,18 @@ impl LiveAllan {
         }
     }
 
-    /// Samples that entered.
+    /// Returns the number of accepted samples.
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Samples that were not finite or out of range.
+    /// Returns the number of samples that were not finite or out of range.
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
 
-    /// The points so far, for a curve ([`AllanCurve::from_points`](super::AllanCurve::from_points)) or a fit: octaves up to a
-    /// quarter of the samples of the segments they come from.
+    /// Returns the points so far, for a curve ([`AllanCurve::from_points`](super::AllanCurve::from_points)) or a fit:
+    /// octaves up to a quarter of the samples of their segments.
     pub fn points(&self) -> Vec<AllanPoint> {
         let steps = self.steps_per_unit;
         let mut points = Vec::new();
@@ -164,7 +165,7 @@ mod tests {
             .collect()
     }
 
-    /// The definition at stride max(1, m/16) over one segment.
+    /// Returns the definition at stride max(1, m/16) over one segment.
     fn by_definition(samples: &[f64], m: usize) -> (u128, u64) {
         let mut phases = vec![0i128];
         for value in samples {

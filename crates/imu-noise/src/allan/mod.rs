@@ -2,8 +2,8 @@
 //!
 //! A series of `n` rate samples `y` is integrated to `n + 1` phases (a leading 0, then running sums); the overlapping
 //! estimator averages all second differences `X[i] − 2 X[i−m] + X[i−2m]`, so that averaging factor `m` has `n + 1 − 2m`
-//! terms (Riley & Howe, NIST SP1065, equation 10; the convention of allantools and Stable32).
-//! `tests/golden/allan` holds the reference values that all of this is checked against.
+//! terms (Riley & Howe, NIST SP1065, equation 10; the convention of allantools and Stable32). `tests/golden/allan` has
+//! the reference values for all of this.
 
 #[cfg(test)]
 mod coverage;

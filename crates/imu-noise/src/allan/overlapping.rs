@@ -1,19 +1,19 @@
-//! The overlapping Allan estimator: samples in any portions, exact sums out.
+//! The overlapping Allan estimator: turns samples in any portions into exact sums.
 
 use super::integers::Width;
 use super::kernel;
 use super::strided::Strided;
 use super::{AllanError, AllanSums, FixedPoint, TauGrid};
 
-/// Blocks after which a factor tries the next smaller width again.
+/// Number of blocks after which a factor tries the next smaller width again.
 const RETRY_BLOCKS: u32 = 16;
 
 /// Folds the samples of one channel into [`AllanSums`].
 ///
-/// Every second difference belongs to the portion that holds its last phase, and second differences do not see where phases
-/// begin. So a segment may be cut anywhere: [`Overlapping::restore`], given what [`Overlapping::save`] wrote and the
-/// [`TauGrid::halo_len`] samples before the cut, continues to the same sums, bit for bit. Sums over other data add
-/// ([`AllanSums::merge`]).
+/// Every second difference belongs to the portion with its last phase, and second differences do not depend on where
+/// phases begin. A segment may therefore be cut anywhere: given the output of [`Overlapping::save`] and the
+/// [`TauGrid::halo_len`] samples before the cut, [`Overlapping::restore`] continues to the same sums, bit for bit. Sums
+/// over other data can be added ([`AllanSums::merge`]).
 ///
 /// Memory: 2.5 phases of 8 bytes for each sample of the longest averaging time with full overlap, at most
 /// [`Overlapping::bytes`]; 0.5 kB for each factor beyond. Speed: see docs/performance.md.
@@ -21,20 +21,20 @@ const RETRY_BLOCKS: u32 = 16;
 pub struct Overlapping {
     sums: AllanSums,
     steps_per_unit: f64,
-    /// Phases of the current segment, newest last, the oldest possibly dropped; phase 0 of a segment is 0.
+    /// Phases of the current segment, the newest last; the oldest may have been dropped. Phase 0 of a segment is 0.
     phases: Vec<i64>,
-    /// Phases before this index have had their turn as the newest of a term.
+    /// Phases before this index have been used as the newest of a term.
     folded: usize,
     /// The factors beyond full overlap.
     strided: Strided,
     widths: Vec<Width>,
     blocks: u32,
-    /// The newest phases of a block as the kernel wants them; kept for its memory.
+    /// The newest phases of a block in the form for the kernel; kept to reuse its memory.
     newest: Vec<i64>,
 }
 
 impl Overlapping {
-    /// An estimator without samples.
+    /// Creates an estimator without samples.
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let strided = Strided::new(&grid);
         Self::resume(AllanSums::new(scale, grid), strided, &[])
@@ -52,14 +52,15 @@ impl Overlapping {
             blocks: 0,
             newest: Vec::new(),
         };
-        // A sample that was refused ended a segment, and was counted, when it came first.
+        // A refused sample ended a segment, and was counted, when it was first pushed.
         let ended = halo.iter().rposition(|value| FixedPoint::steps(value * estimator.steps_per_unit).is_none());
         estimator.integrate(&halo[ended.map_or(0, |at| at + 1)..]);
         estimator.folded = estimator.phases.len();
         estimator
     }
 
-    /// The checkpoint: the sums over all samples pushed so far, and the position of the next sample in its segment.
+    /// Returns the checkpoint: the sums over all samples pushed so far, and the position of the next sample in its
+    /// segment.
     pub fn save(&mut self) -> Vec<u8> {
         let sums = self.sums().to_bytes();
         let mut bytes = (sums.len() as u64).to_le_bytes().to_vec();
@@ -70,11 +71,12 @@ impl Overlapping {
 
     /// Continues from a checkpoint.
     ///
-    /// `halo`: the samples of the segment that precede the next one to be pushed, oldest first: the last [`TauGrid::halo_len`] of
-    /// them, or all if the segment has fewer; none at the start of a segment. More samples do no harm.
+    /// `halo` has the samples of the segment before the next one to be pushed, oldest first: the last
+    /// [`TauGrid::halo_len`] samples, or all if the segment has fewer; none at the start of a segment. More samples are
+    /// harmless.
     ///
     /// # Errors
-    /// [`AllanError`] as [`AllanSums::from_bytes`].
+    /// The errors of [`AllanSums::from_bytes`].
     pub fn restore(bytes: &[u8], halo: &[f64]) -> Result<Self, AllanError> {
         let damaged =
             |field, expected: u64| Err(AllanError::CheckpointDamaged { field, expected, found: bytes.len() as u64 });
@@ -89,14 +91,15 @@ impl Overlapping {
         }
     }
 
-    /// Bytes that a channel of a longest segment of that many samples takes on that grid.
+    /// Returns the memory of a channel on that grid, in bytes, if its longest segment has that many samples.
     pub fn bytes(grid: &TauGrid, longest: u64) -> usize {
         8 * usize::try_from(longest).unwrap_or(usize::MAX).min(Self::most_phases(grid))
     }
 
     /// Takes the next samples of the segment, in the channel's unit.
     ///
-    /// A sample that is not finite or beyond the channel's range is counted and ends the segment: no average spans it.
+    /// A sample that is not finite or beyond the channel's range is counted and ends the segment, so that no average
+    /// spans it.
     pub fn push(&mut self, samples: &[f64]) {
         for portion in samples.chunks(kernel::BLOCK) {
             let mut rest = portion;
@@ -116,7 +119,7 @@ impl Overlapping {
         }
     }
 
-    /// Takes samples up to the first that is out of range; returns how many they were.
+    /// Takes samples up to the first one out of range, and returns their number.
     fn append(&mut self, samples: &[f64]) -> usize {
         let known = self.phases.len();
         let before = self.phases[known - 1];
@@ -126,14 +129,14 @@ impl Overlapping {
         taken
     }
 
-    /// Adds the phases of samples up to the first that is out of range; returns how many they were.
+    /// Adds the phases of samples up to the first one out of range, and returns their number.
     fn integrate(&mut self, samples: &[f64]) -> usize {
         let scale = self.steps_per_unit;
         let fits = |value: &f64| FixedPoint::steps(value * scale).is_some();
         let taken = samples.iter().position(|value| !fits(value)).unwrap_or(samples.len());
         let needed = self.phases.len() + taken;
         if needed > self.phases.capacity() {
-            // In steps of twice the size as ever, but no further than there will ever be phases.
+            // Grows by doubling as usual, but not beyond the maximum number of phases.
             let room = (2 * self.phases.capacity()).min(Self::most_phases(self.sums.grid())).max(needed);
             self.phases.reserve_exact(room - self.phases.len());
         }
@@ -154,19 +157,19 @@ impl Overlapping {
         self.folded = 1;
     }
 
-    /// The sums over all samples pushed so far.
+    /// Returns the sums over all samples pushed so far.
     pub fn sums(&mut self) -> &AllanSums {
         self.fold();
         &self.sums
     }
 
-    /// The sums over all samples pushed.
+    /// Returns the sums over all samples pushed.
     pub fn into_sums(mut self) -> AllanSums {
         self.fold();
         self.sums
     }
 
-    /// The grid of averaging factors.
+    /// Returns the grid of averaging factors.
     pub fn grid(&self) -> &TauGrid {
         self.sums.grid()
     }
@@ -177,7 +180,7 @@ impl Overlapping {
         }
     }
 
-    /// All averaging factors of full overlap over one block of phases, so that the block stays in the cache.
+    /// Processes all averaging factors of full overlap over one block of phases, so that the block stays in the cache.
     fn fold_block(&mut self) {
         let from = self.folded;
         let to = self.phases.len().min(from + kernel::BLOCK);
@@ -204,7 +207,7 @@ impl Overlapping {
         self.folded = to;
     }
 
-    /// Keeps one phase more than terms reach back to: index 2m is then the newest of a term only once in a segment.
+    /// Keeps one phase more than terms use, so that index 2m is the newest of a term only once in a segment.
     fn drop_oldest(&mut self) {
         let keep = self.grid().halo_len() + 1;
         if self.folded > keep + Self::slack(keep) {
@@ -214,12 +217,12 @@ impl Overlapping {
         }
     }
 
-    /// Phases beyond those needed that wait until all are moved at once.
+    /// Returns the number of surplus phases that accumulate before all are moved at once.
     fn slack(keep: usize) -> usize {
         (keep / 4).max(4 * kernel::BLOCK)
     }
 
-    /// Phases that there are at most: those needed, the slack, a block that waits and a portion that comes.
+    /// Returns the maximum number of phases: those needed, the slack, a waiting block and an incoming portion.
     fn most_phases(grid: &TauGrid) -> usize {
         let keep = grid.halo_len() + 1;
         keep + Self::slack(keep) + 2 * kernel::BLOCK
@@ -245,7 +248,7 @@ mod tests {
         by_definition_at(samples, m, 1)
     }
 
-    /// The definition, in integers, one term after the other.
+    /// Returns the definition, in integers, one term after the other.
     fn by_definition_at(samples: &[f64], m: usize, stride: usize) -> (u128, u64) {
         let mut phases = vec![0i128];
         for value in samples {
@@ -352,7 +355,7 @@ mod tests {
         assert!((0..grid.factors().len()).all(|index| sums.variance(index) == Some(0.0)));
     }
 
-    /// A capture: samples with breaks before some of them.
+    /// Folds a capture: samples with breaks before some of them.
     fn fold(samples: &[f64], breaks: &[usize], grid: &TauGrid, portions: &[usize]) -> AllanSums {
         let mut estimator = Overlapping::new(scale(), grid.clone());
         let mut at = 0;

@@ -1,4 +1,4 @@
-//! One averaging factor's estimate: the element of curves and fits, for any estimator that it came from.
+//! One averaging factor's estimate: the element of curves and fits, from any estimator.
 
 use super::{Estimator, NoiseType, equivalent_degrees_of_freedom};
 
@@ -9,52 +9,53 @@ pub struct AllanPoint {
     pub m: usize,
     /// Allan variance, channel's unit squared; finite, ≥ 0.
     pub variance: f64,
-    /// Second differences at full overlap that carry the same information; ≥ 1.
+    /// Number of second differences at full overlap that carry the same information; ≥ 1.
     pub terms: u64,
-    /// Segments that gave any of them; ≥ 1.
+    /// Number of segments that gave any of them; ≥ 1.
     pub segments: u64,
     /// Phases from one second difference to the next: 1 with full overlap.
     pub stride: usize,
 }
 
 impl AllanPoint {
-    /// The terms at full overlap between the first and the last of `taken` differences at every `stride`th phase.
+    /// Returns the terms at full overlap between the first and the last of `taken` differences at every `stride`th
+    /// phase.
     pub fn spanned(taken: u64, segments: u64, stride: usize) -> u64 {
         taken.saturating_sub(segments) * stride as u64 + segments.min(taken)
     }
 
-    /// How many differences were averaged: fewer than [`Self::terms`] if not every phase is the newest of one.
+    /// Returns the number of averaged differences: fewer than [`Self::terms`] if not every phase is the newest of one.
     pub fn taken(&self) -> u64 {
         self.terms.saturating_sub(self.segments) / self.stride.max(1) as u64 + self.segments.min(self.terms)
     }
 
-    /// Equivalent degrees of freedom where `noise` dominates: those of each segment add.
+    /// Returns the equivalent degrees of freedom if `noise` dominates: the sum over the segments.
     ///
-    /// Segments enter as if the terms were spread evenly over them: degrees are linear in the number of terms but for segments of
-    /// a few m, so that only the counts have to be carried through merges. If one segment is long and thousands of others hold a
-    /// single term, that is too many.
+    /// Terms count as spread evenly over the segments: degrees are linear in the number of terms except for segments of
+    /// a few m, so that merges need only the counts. If one segment is long and thousands of others have a single term,
+    /// the result is too large.
     pub fn edf(&self, noise: NoiseType) -> f64 {
         let phases = self.phases() as u64;
         self.segments.max(1) as f64 * equivalent_degrees_of_freedom(Estimator::Oadev, noise, self.m, phases)
     }
 
-    /// Phases of a segment, whole.
+    /// Returns the number of whole phases in a segment.
     fn phases(&self) -> f64 {
         (self.terms as f64 / self.segments.max(1) as f64).round() + 2.0 * self.m as f64
     }
 }
 
-/// The noise that dominates at each point, by the slope of the variance over an octave to both sides; `points` in order of m. If
-/// a segment is shorter than thirty averaging times, the slope is mostly chance, and the last noise type that was identified
-/// stays.
+/// Returns the dominant noise at each point, from the slope of the variance over an octave on both sides; `points` are
+/// in order of m. If a segment is shorter than thirty averaging times, the slope is mostly chance, and the last
+/// identified noise type stays.
 pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
-    /// At both sides this factor in m takes part in the slope.
+    /// Points within this factor in m on both sides take part in the slope.
     const REACH: f64 = 2.1;
-    /// Averaging times that a segment has to hold.
+    /// Minimum number of averaging times in a segment.
     const LEAST: f64 = 30.0;
-    /// A slope of fewer is wrong by half now and then.
+    /// A slope from fewer terms is sometimes wrong by half.
     const CHANCE: f64 = 300.0;
-    /// Points that a slope is made of at most, evenly chosen: every averaging time may be a point.
+    /// Maximum number of points in a slope, evenly chosen: every averaging time may be a point.
     const MOST: usize = 64;
     let logs: Vec<(f64, f64)> = points.iter().map(|point| ((point.m as f64).ln(), point.variance.ln())).collect();
     let (mut from, mut to) = (0, 0);
@@ -84,7 +85,7 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
             }
         })
         .collect();
-    // A slope of −2 that begins at a long averaging time is chance: angle noise dominates short ones.
+    // A slope of −2 that begins at a long averaging time is chance, because angle noise dominates at short ones.
     for at in 1..kinds.len() {
         let (before, own) = (kinds[at - 1], kinds[at]);
         let is_long = points[at].phases() < CHANCE * points[at].m as f64;
@@ -125,7 +126,7 @@ mod tests {
     #[test]
     fn beyond_a_thirtieth_of_the_segment_the_noise_told_before_stays() {
         let mut points = points(|m| 1.0 / m);
-        // 10,000 terms: from m = 512 on a segment holds fewer than thirty averaging times.
+        // 10,000 terms: from m = 512 on a segment is shorter than thirty averaging times.
         assert_eq!(points.len(), 10);
         points.extend((10..13).map(|k| AllanPoint { m: 1 << k, variance: 1.0, terms: 3000, segments: 1, stride: 1 }));
         assert_eq!(noise_by_slope(&points), [NoiseType::WhiteRate; 13]);
@@ -138,7 +139,7 @@ mod tests {
 
     #[test]
     fn angle_noise_does_not_begin_at_long_averaging_times() {
-        // White rate noise whose last slope is by chance that of angle noise.
+        // White rate noise whose last slope happens to be that of angle noise.
         let chance = |m: f64| if m > 200.0 { 40.0 / (m * m).max(1.0) } else { 1.0 / m };
         assert!(noise_by_slope(&points(chance)).iter().all(|kind| *kind != NoiseType::WhiteAngle));
         assert_eq!(noise_by_slope(&points(|m| 1.0 / (m * m))), [NoiseType::WhiteAngle; 10]);

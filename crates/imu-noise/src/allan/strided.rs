@@ -5,18 +5,18 @@
 
 use super::{AllanSums, TauGrid};
 
-/// Terms per averaging time where not every phase is the newest of one.
+/// Terms per averaging time if not every phase is the newest of a term.
 pub(super) const OVERLAP: usize = 16;
 /// Phases that a factor's terms span, both ends included.
 const KEPT: usize = 2 * OVERLAP + 1;
 
-/// A square; beyond 2^128 that.
+/// Returns a square, limited to 2^128.
 fn square(difference: i128) -> u128 {
     let magnitude = difference.unsigned_abs();
     magnitude.saturating_mul(magnitude)
 }
 
-/// The open segment as the factors beyond full overlap see it.
+/// The open segment for the factors beyond full overlap.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Strided {
     /// Index of the newest phase and the phase itself; 128 bits, because these averaging times outgrow 64.
@@ -33,7 +33,7 @@ struct Ring {
 }
 
 impl Ring {
-    /// Takes the phase at `number` strides; returns the difference that it is the newest phase of.
+    /// Stores the phase at `number` strides and returns the difference of which it is the newest phase.
     fn keep(&mut self, number: u64, phase: i128) -> Option<i128> {
         let span = KEPT as u64;
         let slot = (number % span) as usize;
@@ -44,7 +44,7 @@ impl Ring {
 }
 
 impl Strided {
-    /// The start of a segment.
+    /// Returns the start of a segment.
     pub(super) fn new(grid: &TauGrid) -> Self {
         let ring = |m: &usize| Ring { stride: grid.stride(*m) as u64, phases: [0; KEPT] };
         Self { index: 0, phase: 0, rings: grid.beyond_full_overlap().iter().map(ring).collect() }
@@ -78,7 +78,7 @@ impl Strided {
         }
     }
 
-    /// For a checkpoint: little-endian, 24 bytes and 528 per factor.
+    /// Returns the state for a checkpoint: little-endian, 24 bytes and 528 per factor.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = self.index.to_le_bytes().to_vec();
         bytes.extend_from_slice(&self.phase.to_le_bytes());
@@ -88,7 +88,7 @@ impl Strided {
         bytes
     }
 
-    /// Reads what [`Self::to_bytes`] wrote for the same grid; None if it is of another length.
+    /// Reads the output of [`Self::to_bytes`] for the same grid; `None` if its length differs.
     pub(super) fn from_bytes(grid: &TauGrid, bytes: &[u8]) -> Option<Self> {
         let mut strided = Self::new(grid);
         let (index, rest) = bytes.split_first_chunk::<8>()?;
@@ -134,7 +134,7 @@ mod tests {
         let largest = FixedPoint::largest_steps() as i128;
         let mut last = None;
         for number in 0..KEPT as u64 {
-            // Out for an averaging time and back for another.
+            // Away for an averaging time and back for another.
             let strides = i128::from(number.min(KEPT as u64 - 1 - number));
             last = ring.keep(number, largest * strides * i128::from(ring.stride));
             assert_eq!(last.is_some(), number == 32);

@@ -5,9 +5,10 @@ use super::{AllanError, FixedPoint, TauGrid};
 const MAGIC: [u8; 4] = *b"OAVS";
 const VERSION: u8 = 2;
 
-/// Per averaging factor the exact sum of squared second differences, how many there were, and how many segments gave any.
+/// Per averaging factor, the exact sum of squared second differences, their number, and the number of segments that
+/// gave any.
 ///
-/// The result does not depend on how the data was cut, to the last bit. They are all a checkpoint has to hold.
+/// The result does not depend on how the data was cut, to the last bit. A checkpoint needs nothing else.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllanSums {
     scale: FixedPoint,
@@ -20,7 +21,7 @@ pub struct AllanSums {
 }
 
 impl AllanSums {
-    /// Sums without data.
+    /// Creates sums without data.
     pub fn new(scale: FixedPoint, grid: TauGrid) -> Self {
         let taus = grid.factors().len();
         Self {
@@ -34,39 +35,39 @@ impl AllanSums {
         }
     }
 
-    /// The scale of the integers.
+    /// Returns the scale of the integers.
     pub fn scale(&self) -> FixedPoint {
         self.scale
     }
 
-    /// The averaging factors, which give the shape of all fields per factor.
+    /// Returns the averaging factors, which determine the shape of all fields per factor.
     pub fn grid(&self) -> &TauGrid {
         &self.grid
     }
 
-    /// The number of second differences in each sum: over a segment of `n` samples `n + 1 − 2m`, or with a stride `s`
-    /// every `s`th of these from the first one on.
+    /// Returns the number of second differences in each sum: for a segment of `n` samples, `n + 1 − 2m`, or with a
+    /// stride `s` every `s`th of these from the first one on.
     pub fn terms(&self) -> &[u64] {
         &self.terms
     }
 
-    /// The number of segments that gave at least one term to each sum.
+    /// Returns the number of segments that gave at least one term to each sum.
     pub fn segments(&self) -> &[u64] {
         &self.segments
     }
 
-    /// Samples that entered.
+    /// Returns the number of accepted samples.
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Samples that were not finite or beyond the channel's range; each ended a segment.
+    /// Returns the number of samples that were not finite or beyond the channel's range; each ended a segment.
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
 
-    /// The overlapping Allan variance at the grid's factor number `index`, in the channel's unit squared; `None` without a term,
-    /// or if the sum went beyond 2^128 (full-scale motion for hours).
+    /// Returns the overlapping Allan variance at the grid's factor number `index`, in the channel's unit squared;
+    /// `None` without a term, or if the sum exceeded 2^128 (full-scale motion for hours).
     ///
     /// # Source
     /// Riley & Howe, NIST SP1065 (2008), equation 10.
@@ -81,7 +82,7 @@ impl AllanSums {
         Some(sum as f64 / (2.0 * terms as f64 * m * m) / steps / steps)
     }
 
-    /// The checkpoint: little-endian, versioned, 36 bytes per averaging factor.
+    /// Returns the checkpoint: little-endian, versioned, 36 bytes per averaging factor.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(32 + 36 * self.squares.len());
         bytes.extend_from_slice(&MAGIC);
@@ -98,10 +99,10 @@ impl AllanSums {
         bytes
     }
 
-    /// Reads what [`AllanSums::to_bytes`] wrote.
+    /// Reads the output of [`AllanSums::to_bytes`].
     ///
     /// # Errors
-    /// [`AllanError::CheckpointVersion`] for another version, [`AllanError::CheckpointDamaged`] for anything else.
+    /// [`AllanError::CheckpointVersion`] for another version, [`AllanError::CheckpointDamaged`] for any other fault.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, AllanError> {
         let damaged = |field, expected: usize, found: usize| AllanError::CheckpointDamaged {
             field,

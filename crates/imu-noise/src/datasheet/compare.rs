@@ -7,24 +7,24 @@ use imu_core::units::{Dimension, Quantity};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What a figure, or a channel, comes to.
+/// The verdict on a figure or a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Not above what is printed.
+    /// Not above the printed figure.
     Within,
-    /// Above it, by no more than filter window and output rate explain.
+    /// Above the figure, but by no more than filter window and output rate explain.
     ExplainedBySampling,
-    /// The deviation still falls where the record ends: no lowest point is told.
+    /// The deviation still falls at the end of the record, so that there is no lowest point.
     TooShort,
-    /// Above it, and above what sampling explains.
+    /// Above the figure, by more than sampling explains.
     Above,
     /// The sensor moved all the time.
     NotAtRest,
 }
 
 impl Verdict {
-    /// In words.
+    /// Returns the verdict in words.
     pub fn words(self) -> &'static str {
         match self {
             Self::Within => "within",
@@ -43,14 +43,14 @@ pub struct Measured {
     pub density: Option<(f64, [f64; 2])>,
     /// Lowest Allan deviation and its averaging time in s, with the lower end of its 68 % interval.
     pub minimum: Option<(f64, f64, f64)>,
-    /// How long the sensor was at rest, s; `None` if that is not known.
+    /// Time for which the sensor was at rest, s; `None` if unknown.
     pub at_rest_s: Option<f64>,
-    /// Whether it moved all the time.
+    /// Whether the sensor moved all the time.
     pub not_at_rest: bool,
 }
 
 impl Measured {
-    /// A report's values for a channel.
+    /// Returns a report's values for a channel.
     pub fn of(report: &NoiseReport, channel: Channel) -> Self {
         let n = report.channels.get(&channel).map(|found| &found.n);
         let minimum = report.disturbances.get(&channel).and_then(|about| about.allan_minimum);
@@ -69,25 +69,25 @@ impl Measured {
 /// Noise density, measured and printed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct DensityComparison {
-    /// Measured, `unit`.
+    /// The measured density, in `unit`.
     pub measured: f64,
-    /// Its 95 % interval.
+    /// The 95 % interval of `measured`.
     pub ci95: [f64; 2],
-    /// The sensor's own, as printed.
+    /// The sensor's own density, as printed.
     pub datasheet: f64,
-    /// As the datasheet prints it.
+    /// The text in the datasheet.
     pub printed: String,
-    /// Factor that filter window and output rate put on it.
+    /// Factor by which filter window and output rate change the density.
     pub sampling_factor: f64,
-    /// What that predicts for this capture, the printed density read as a two-sided one (ARW = 60·D).
+    /// The predicted density of this capture, if the printed density is two-sided (ARW = 60·D).
     pub predicted: f64,
-    /// The same where it is read as a one-sided one: √2 smaller.
+    /// The predicted density if the printed density is one-sided: smaller by √2.
     pub predicted_one_sided: f64,
-    /// Measured over printed.
+    /// The measured density over the printed one.
     pub ratio: f64,
-    /// Measured over predicted.
+    /// The measured density over the predicted one.
     pub ratio_to_predicted: f64,
-    /// Unit of all of these.
+    /// Unit of all densities.
     pub unit: String,
     /// The verdict.
     pub verdict: Verdict,
@@ -96,52 +96,52 @@ pub struct DensityComparison {
 /// Bias stability in run, measured as the lowest Allan deviation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct BiasComparison {
-    /// Lowest Allan deviation, `unit`.
+    /// Lowest Allan deviation, in `unit`.
     pub allan_minimum: f64,
-    /// Averaging time it is at, s.
+    /// Averaging time of the lowest deviation, s.
     pub tau_s: f64,
     /// The printed limit.
     pub datasheet: f64,
-    /// As the datasheet prints it.
+    /// The text in the datasheet.
     pub printed: String,
     /// The minimum without the white noise that sampling folded in.
     pub without_folded_noise: f64,
     /// Minimum over limit.
     pub ratio: f64,
-    /// Where the record is too short for a verdict, how long the sensor has to be at rest for one, s.
+    /// How long the sensor has to be at rest for a verdict, s, if the record is too short for one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub needed_s: Option<f64>,
-    /// Unit of all of these.
+    /// Unit of all deviations.
     pub unit: String,
     /// The verdict.
     pub verdict: Verdict,
 }
 
-/// One channel.
+/// The comparison of one channel.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ChannelComparison {
-    /// Noise density; null if the capture does not show it.
+    /// The noise density; null if the capture does not show it.
     pub noise_density: Option<DensityComparison>,
-    /// Bias stability; null if the capture does not show it or the datasheet does not have it.
+    /// The bias stability; null if the capture does not show it or the datasheet does not have it.
     pub bias_stability: Option<BiasComparison>,
     /// The worse of the two.
     pub verdict: Verdict,
 }
 
-/// A capture beside a datasheet.
+/// The comparison of a capture with a datasheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Comparison {
     /// Name of the datasheet.
     pub name: String,
-    /// Its edition and source.
+    /// Edition and source of the datasheet.
     pub source: String,
-    /// How the samples came about.
+    /// How the samples were made.
     pub sampling: Sampling,
-    /// Every channel that both have.
+    /// Every channel that capture and datasheet have.
     pub channels: BTreeMap<Channel, ChannelComparison>,
 }
 
-/// Compares a capture with a datasheet. Channels of which neither figure is known are left out.
+/// Compares a capture with a datasheet. Channels for which neither figure is known are left out.
 pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channel, Measured>) -> Comparison {
     let channels = measured.iter().filter_map(|(channel, measured)| {
         let triad = channel.triad()?;
@@ -158,7 +158,7 @@ pub fn compare(sheet: &Datasheet, sampling: Sampling, measured: &BTreeMap<Channe
     Comparison { name: sheet.name.clone(), source: sheet.source.clone(), sampling, channels: channels.collect() }
 }
 
-/// Compares all channels of a report with a datasheet; `windows` are the sensor's filter windows (register 85), if they are
+/// Compares all channels of a report with a datasheet; `windows` are the sensor's filter windows (register 85), if
 /// known.
 ///
 /// # Errors
@@ -210,24 +210,26 @@ fn density<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64)
     })
 }
 
-/// A lowest point counts if the record is this many times its averaging time. A deviation is determined up to about a fifth of a
-/// record (five degrees of freedom), and one within the last two octaves of that may go on falling.
+/// A lowest point counts if the record is at least this many times its averaging time. A deviation is determined up to
+/// about a fifth of a record (five degrees of freedom), and within the last two octaves of that it may still be
+/// falling.
 const TELLING: f64 = 16.0;
 
-/// How long a record has to be for a verdict on `limit`, s: until white noise alone has come down to half its variance, but at
-/// least twice as long as this record determines. The lowest deviation counts as white noise if the density is not known.
+/// Returns how long a record has to be for a verdict on `limit`, s: long enough for white noise alone to fall to half
+/// the limit's variance, but at least twice as long as this record determines. The lowest deviation counts as white
+/// noise if the density is not known.
 fn needed(measured: &Measured, limit: f64) -> f64 {
     let (minimum, tau_s, _) = measured.minimum.unwrap_or_default();
     let white = measured.density.map_or(minimum * minimum * tau_s, |(n, _)| n * n);
     let seconds = TELLING * (2.0 * white / (limit * limit)).max(2.0 * tau_s);
-    // Whole minutes, up.
+    // Rounds up to whole minutes.
     (seconds / 60.0).ceil() * 60.0
 }
 
 fn bias<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) -> Option<BiasComparison> {
     let limit = figures.bias_stability?;
     let (minimum, tau_s, low) = measured.minimum?;
-    // Of N²/τ the share (1 − 1/factor²) is folded noise.
+    // The share (1 − 1/factor²) of N²/τ is folded noise.
     let folded = measured.density.map_or(0.0, |(n, _)| n * n / tau_s * (1.0 - 1.0 / (factor * factor)).max(0.0));
     let less = |deviation: f64| (deviation * deviation - folded).max(0.0).sqrt();
     let needed_s = measured.at_rest_s.filter(|at_rest_s| tau_s * TELLING > *at_rest_s);
@@ -277,8 +279,8 @@ mod tests {
         assert_eq!(verdict(Channel::GyroX, fine, 40.0).verdict, Verdict::Within);
     }
 
-    /// A printed density is two-sided or one-sided: at 40 Hz with a window of 4 that is 1.37e-4 or 9.7e-5 rad/s/√Hz, and one
-    /// sample deviates by 8.6e-4 or 6.1e-4 rad/s, of which the latter is D·√(800/2W).
+    /// A printed density is two-sided or one-sided: at 40 Hz with a window of 4, this gives 1.37e-4 or 9.7e-5
+    /// rad/s/√Hz, and a deviation of one sample of 8.6e-4 or 6.1e-4 rad/s. The latter is D·√(800/2W).
     #[test]
     fn both_readings_of_a_printed_density_are_predicted() {
         let measured = Measured { density: Some((1.18e-4, [1.16e-4, 1.20e-4])), minimum: None, ..Measured::default() };
@@ -290,11 +292,12 @@ mod tests {
         assert!((sample(density.predicted_one_sided) - 6.11e-4).abs() < 1e-6, "{density:?}");
         let of_the_reference = density.datasheet * (800.0f64 / (2.0 * 4.0)).sqrt();
         assert!((sample(density.predicted_one_sided) / of_the_reference - 1.0).abs() < 1e-9, "{density:?}");
-        // The verdict goes by the two-sided reading: this measurement lies between both.
+        // The verdict uses the two-sided reading: this measurement lies between both.
         assert!(density.predicted_one_sided < density.ci95[0] && density.verdict == Verdict::ExplainedBySampling);
     }
 
-    /// The report that took m/s² for mg: 0.28e-3 m/s² is 0.029 mg, well within 0.04 mg, although 0.28 is above 0.04.
+    /// Regression test for a report that took m/s² for mg: 0.28e-3 m/s² is 0.029 mg, well within 0.04 mg, although 0.28
+    /// is above 0.04.
     #[test]
     fn an_acceleration_is_compared_as_an_acceleration() {
         let measured = Measured { density: None, minimum: Some((2.8e-4, 100.0, 2.6e-4)), ..Measured::default() };
@@ -305,7 +308,7 @@ mod tests {
         assert_eq!(verdict(Channel::AccelZ, measured, 40.0).verdict, Verdict::Above);
     }
 
-    /// 68 s of a sensor at rest: white noise still falls at 13 s. Of an hour the same lowest point is one.
+    /// 68 s of a sensor at rest: white noise still falls at 13 s. In an hour, the same lowest point counts.
     #[test]
     fn a_record_of_68_seconds_is_too_short_to_tell_and_says_what_would_do() {
         let n = 1.2e-4;
@@ -324,7 +327,7 @@ mod tests {
             let long = verdict(Channel::GyroX, Measured { at_rest_s, ..told }, 800.0).bias_stability.unwrap();
             assert_eq!((long.verdict, long.needed_s), (Verdict::Above, None));
         }
-        // A value within the limit already stays within it.
+        // A value that is already within the limit stays within it.
         let quiet = Measured { minimum: Some((1e-6, 12.8, 0.9e-6)), ..told };
         assert_eq!(verdict(Channel::GyroX, quiet, 800.0).bias_stability.unwrap().verdict, Verdict::Within);
     }
@@ -339,7 +342,7 @@ mod tests {
 
     #[test]
     fn folded_white_noise_explains_a_minimum_it_makes() {
-        // White alone: N²/τ at 40 s is (5.4e-4)², of which four fifths were folded in.
+        // White noise alone: N²/τ at 40 s is (5.4e-4)², of which four fifths are folded noise.
         let n = 3.4e-3;
         let measured = Measured {
             density: Some((n, [n, n])),

@@ -1,8 +1,8 @@
 //! Datasheets of other sensors, from a TOML file.
 //!
-//! `name`, and tables `gyro`, `accel`, `mag` with at most one noise density and one bias stability each, in a unit that the key
-//! names. A table `sampling` states how the sensor makes its samples, if it averages and decimates; without it the density is
-//! expected in the output as it stands. docs/noise-model.md has the keys.
+//! `name`, and tables `gyro`, `accel`, `mag` with at most one noise density and one bias stability each, in a unit that
+//! the key names. If the sensor averages and decimates, a table `sampling` states how; without the table, the density
+//! is expected in the output unchanged. docs/noise-model.md has the keys.
 
 use super::{Datasheet, Figures, Sampled};
 use imu_core::units::{
@@ -15,7 +15,7 @@ use std::num::NonZeroU32;
 /// The reason why a datasheet's file is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FileError {
-    /// It is not TOML, or has unknown keys.
+    /// The file is not TOML, or has unknown keys.
     #[error("{file} is no datasheet: {reason}")]
     Form {
         /// The file.
@@ -30,7 +30,7 @@ pub enum FileError {
         file: String,
         /// The key, with its table.
         key: String,
-        /// The number.
+        /// The number found.
         found: String,
     },
     /// A figure is given twice.
@@ -40,10 +40,10 @@ pub enum FileError {
         file: String,
         /// One key, with its table.
         first: String,
-        /// The other.
+        /// The other key, with its table.
         second: String,
     },
-    /// There is no figure.
+    /// The file has no figure.
     #[error("{file} has no figure: allowed are tables gyro, accel and mag with a noise density or a bias stability")]
     Empty {
         /// The file.
@@ -108,13 +108,13 @@ fn internal_rate<'a, D: Deserializer<'a>>(from: D) -> Result<f64, D::Error> {
     (rate_hz > 0.0 && rate_hz <= 1e6).then_some(rate_hz).ok_or_else(wrong)
 }
 
-/// A key, its value, the factor to the unit of the channel, and the unit as people write it.
+/// A key, its value, the factor to the unit of the channel, and the usual name of the unit.
 type Key = (&'static str, Option<f64>, f64, &'static str);
 
 const G: f64 = STANDARD_GRAVITY_M_S2;
 
 impl Datasheet {
-    /// A datasheet from the text of a TOML file; `file` is its name in errors.
+    /// Returns a datasheet from the text of a TOML file; `file` is its name in errors.
     ///
     /// # Errors
     /// [`FileError`] with the file, the key, and the values allowed.
@@ -190,7 +190,7 @@ impl Datasheet {
     }
 }
 
-/// Whether there is a density, and a stability.
+/// Returns whether there is a density, and a stability.
 fn has<D: Dimension>(of: &Figures<D>) -> (bool, bool) {
     (of.density.is_some(), of.bias_stability.is_some())
 }
@@ -205,7 +205,7 @@ fn figures<D: Dimension>(densities: &[Key], stabilities: &[Key], file: &str) -> 
     Ok(Figures { density, density_limit: density, bias_stability, printed })
 }
 
-/// The one key that is given: its value in the channel's unit, and as it is written.
+/// Returns the one given key: its value in the channel's unit, and as written.
 fn one(keys: &[Key], file: &str) -> Result<Option<(f64, String)>, FileError> {
     let mut found: Option<(&Key, f64)> = None;
     for key in keys {
@@ -232,7 +232,7 @@ mod tests {
         Datasheet::from_toml(text, "own.toml")
     }
 
-    /// The VN-100's own figures in other units are its own.
+    /// The VN-100's own figures in other units give its own datasheet.
     #[test]
     fn figures_of_a_file_are_those_of_the_sheet_in_any_unit() {
         let own = vn_100();

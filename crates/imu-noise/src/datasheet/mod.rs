@@ -1,15 +1,15 @@
 //! Datasheets: a maker's figures, compared with a capture in the same terms.
 //!
-//! Bias stability "in run" is the lowest point of the Allan deviation, so that it is compared with that point, not with B. Noise
-//! density is the sensor's own, before its filter window and the choice of every n-th sample. The effect of these two is
-//! predicted ([`Sampling`]) and stands beside the measurement.
+//! Bias stability "in run" is the lowest point of the Allan deviation, and is therefore compared with that point, not
+//! with B. Noise density is the sensor's own, before its filter window and the choice of every n-th sample. The effect
+//! of these two is predicted ([`Sampling`]) and reported beside the measurement.
 //!
-//! Makers do not state which spectral density they print. A printed density D is compared with N as "ARW = 60·D" takes it:
-//! two-sided, as N is. Read as one-sided it is N = D/√2, which is the reading that predicts D·√(800/2W) for the deviation of one
-//! sample. For the gyroscope at 40 Hz and the factory's window the prediction is 1.37e-4 or 9.7e-5 rad/s/√Hz, 8.6e-4 or 6.1e-4
-//! rad/s of a sample. Verdicts go by the larger; both stand in the comparison.
+//! Makers do not state which spectral density they print. A printed density D is compared with N as in "ARW = 60·D":
+//! two-sided, like N. Read as one-sided, N = D/√2, which predicts D·√(800/2W) for the deviation of one sample. For the
+//! gyroscope at 40 Hz and the factory's window the prediction is 1.37e-4 or 9.7e-5 rad/s/√Hz, and 8.6e-4 or 6.1e-4
+//! rad/s for a sample. Verdicts use the larger; the comparison has both.
 //!
-//! The VN-100's is built in; those of other sensors are read from a file ([`Datasheet::from_toml`]).
+//! The VN-100's datasheet is built in; those of other sensors are read from a file ([`Datasheet::from_toml`]).
 //!
 //! Quantities carry their dimension as a type
 //! ([`imu_core::units::Quantity`]): mg and m/s², rates and accelerations cannot be mixed.
@@ -34,24 +34,24 @@ use imu_core::units::{Acceleration, AngularRate, Density, Dimension, MagneticFie
 pub struct Figures<D: Dimension> {
     /// White noise of the sensor itself; `None` if none is given.
     pub density: Option<Density<D>>,
-    /// The density is printed with so many digits: the largest that rounds to it.
+    /// The largest density that rounds to the printed one.
     pub density_limit: Option<Density<D>>,
-    /// Bias stability in run, the limit; `None` if none is given.
+    /// The limit of the bias stability in run; `None` if none is given.
     pub bias_stability: Option<Quantity<D>>,
-    /// As the sheet prints density and stability.
+    /// Density and stability as printed.
     pub printed: (String, String),
 }
 
 /// How a sensor makes its samples from the noise to which its datasheet's density refers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Sampled {
-    /// As a VN-100: register 85 gives the windows, else they are the factory's.
+    /// Like a VN-100: register 85 has the windows, else they are the factory's.
     Register85,
-    /// By means of that many samples of an internal rate; the magnetometer sends as it samples.
+    /// By means of this many samples at an internal rate; the magnetometer sends its own samples.
     Told {
         /// The internal rate, Hz.
         internal_rate_hz: f64,
-        /// Samples to a mean.
+        /// Samples per mean.
         filter_window: u32,
     },
     /// Without averaging and decimation.
@@ -61,17 +61,17 @@ pub enum Sampled {
 /// A datasheet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Datasheet {
-    /// As `--datasheet` names it.
+    /// The name for `--datasheet`.
     pub name: String,
-    /// Which edition, and who quotes it.
+    /// The edition, and the source that quotes it.
     pub source: String,
-    /// How samples come about.
+    /// How samples are made.
     pub sampled: Sampled,
-    /// Gyroscope.
+    /// Figures of the gyroscope.
     pub gyro: Option<Figures<AngularRate>>,
-    /// Accelerometer.
+    /// Figures of the accelerometer.
     pub accel: Option<Figures<Acceleration>>,
-    /// Magnetometer.
+    /// Figures of the magnetometer.
     pub mag: Option<Figures<MagneticField>>,
 }
 
@@ -79,29 +79,29 @@ pub struct Datasheet {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no datasheet is called `{found}`: there is {known}")]
 pub struct DatasheetError {
-    /// The name that was asked for.
+    /// The requested name.
     pub found: String,
     /// The known names.
     pub known: &'static str,
 }
 
-/// A sensor of the datasheet sends every n-th of its samples, and the capture's rate is no such rate.
+/// A sensor of the datasheet sends every n-th of its samples, but the capture's rate does not fit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "`{name}` has an internal rate of {internal_rate_hz} Hz, which is no whole multiple of the samples' {rate_hz:.4} Hz: correct the \
      datasheet's table `sampling`"
 )]
 pub struct RateError {
-    /// The datasheet.
+    /// The datasheet's name.
     pub name: String,
     /// The sensor's own rate, Hz.
     pub internal_rate_hz: f64,
-    /// The capture's, Hz.
+    /// The capture's rate, Hz.
     pub rate_hz: f64,
 }
 
 impl Datasheet {
-    /// The sampling of a capture at `rate_hz`; `windows` as its register 85 gives them, if the sensor has one.
+    /// Returns the sampling of a capture at `rate_hz`. `windows` come from its register 85, if the sensor has one.
     ///
     /// # Errors
     /// [`RateError`] if a sensor of this datasheet does not send at that rate.
@@ -118,10 +118,10 @@ impl Datasheet {
         Ok(Sampling { internal_rate_hz, mag_rate_hz: rate_hz, rate_hz, filter_window, assumed: false })
     }
 
-    /// The datasheet of that name.
+    /// Returns the datasheet of that name.
     ///
     /// # Errors
-    /// [`DatasheetError`] with the names there are.
+    /// [`DatasheetError`] with the known names.
     pub fn named(name: &str) -> Result<Self, DatasheetError> {
         let known = "vn-100";
         if name == known {

@@ -1,39 +1,39 @@
 //! Sampling: the effect of the sensor's filter window and the choice of every n-th sample on a white noise density.
 //!
-//! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. Averages that do not
-//! overlap enough to hold the faster noise back let it fold into the band below half the output rate.
+//! The sensor averages W samples of its internal rate (register 85) and sends every n-th average. If averages do not
+//! overlap enough to suppress faster noise, it folds into the band below half the output rate.
 
 use crate::whittle::{self, density_factor};
 use imu_core::sample::{FilterWindows, Triad};
 use imu_core::units::IMU_RATE_HZ;
 use serde::{Deserialize, Serialize};
 
-/// Rate at which the magnetometer is taken to sample, Hz. No document gives it. A unit's 200 Hz output without averaging has
-/// 1.7e-3 to 2.4e-3 gauss, where 140 µgauss/√Hz at 200 Hz makes 2.0e-3 and at 800 Hz 4.0e-3.
+/// Assumed sampling rate of the magnetometer, Hz; no document gives it. A unit's 200 Hz output without averaging has
+/// 1.7e-3 to 2.4e-3 gauss; 140 µgauss/√Hz gives 2.0e-3 at 200 Hz and 4.0e-3 at 800 Hz.
 const MAG_RATE_HZ: f64 = 200.0;
 
-/// Samples of the sensor's own rate to one that is sent, if the rates fit.
+/// Returns the number of samples at the sensor's own rate per sent sample, if the rates fit.
 pub(super) fn every(own_rate_hz: f64, rate_hz: f64) -> Option<u32> {
     whittle::Sampling { internal_rate_hz: own_rate_hz, window: 1, source: String::new() }.every(rate_hz)
 }
 
-/// How a capture's samples came about.
+/// How a capture's samples were made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Sampling {
-    /// Rate at which accelerometer and gyroscope are sampled, Hz.
+    /// Sampling rate of accelerometer and gyroscope, Hz.
     pub internal_rate_hz: f64,
-    /// Rate at which the magnetometer is sampled, Hz: inferred, no document tells it.
+    /// Sampling rate of the magnetometer, Hz: inferred, because no document states it.
     pub mag_rate_hz: f64,
     /// Rate of the capture, Hz.
     pub rate_hz: f64,
     /// The windows of register 85.
     pub filter_window: FilterWindows,
-    /// Whether the windows are the factory's because the capture does not have them.
+    /// Whether the windows are the factory's because the capture does not have any.
     pub assumed: bool,
 }
 
 impl Sampling {
-    /// The sampling of a capture at `rate_hz`; windows as its register 85 gives them, else the factory's.
+    /// Returns the sampling of a capture at `rate_hz`; with the windows of its register 85, else the factory's.
     pub fn new(rate_hz: f64, windows: Option<FilterWindows>) -> Self {
         Self {
             internal_rate_hz: IMU_RATE_HZ,
@@ -44,9 +44,9 @@ impl Sampling {
         }
     }
 
-    /// Factor from the sensor's own white density to the one that shows in its output, at low frequencies.
+    /// Returns the factor from the sensor's own white density to that of its output, at low frequencies.
     ///
-    /// [`density_factor`] of the triad's window and rates.
+    /// This is the [`density_factor`] of the triad's window and rates.
     pub fn density_factor(&self, triad: Triad) -> f64 {
         let window = match triad {
             Triad::Gyro => self.filter_window.gyro,
@@ -55,8 +55,8 @@ impl Sampling {
             Triad::Attitude => 1,
         };
         let own_rate_hz = if triad == Triad::Mag { self.mag_rate_hz } else { self.internal_rate_hz };
-        // A VN-100 sends at no rates other than its own divided by whole numbers. The exception is the magnetometer,
-        // whose rate is inferred.
+        // A VN-100 only sends at its own rate divided by whole numbers. The exception is the magnetometer, whose rate
+        // is inferred.
         let nearest = || (own_rate_hz / self.rate_hz).round().clamp(1.0, 1e5) as u32;
         density_factor(window, every(own_rate_hz, self.rate_hz).unwrap_or_else(nearest))
     }
@@ -79,7 +79,7 @@ mod tests {
         {
             assert!((factor(rate, window) - expected).abs() < 1e-3, "{rate} {window}: {}", factor(rate, window));
         }
-        // A window longer than the output period leaves low frequencies as they are.
+        // A window longer than the output period leaves low frequencies unchanged.
         assert!((factor(800.0, 4) - 1.0).abs() < 1e-12);
         assert!((factor(200.0, 8) - 1.0).abs() < 1e-12);
         assert!((Sampling::new(40.0, None).density_factor(Triad::Mag) - 5f64.sqrt()).abs() < 1e-12);
@@ -91,7 +91,7 @@ mod tests {
         use rand_distr::{Distribution, StandardNormal};
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let white: Vec<f64> = (0..4_000_000).map(|_| StandardNormal.sample(&mut rng)).collect();
-        // Every 20th mean of 4: its variance times the output period against the internal one.
+        // Every 20th mean of 4: its variance times the output period, compared with the internal one.
         let means: Vec<f64> = white.chunks_exact(20).map(|chunk| chunk[..4].iter().sum::<f64>() / 4.0).collect();
         let variance = means.iter().map(|mean: &f64| mean * mean).sum::<f64>() / means.len() as f64;
         let seen = (variance / 40.0 * 800.0).sqrt();

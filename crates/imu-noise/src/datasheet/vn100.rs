@@ -1,14 +1,14 @@
 //! The VN-100's datasheet.
 //!
 //! # Source
-//! VN-100 Rugged IMU/AHRS datasheet, hardware v7.0 (2023, DS100-CR-70-R1), as quoted publicly: gyroscope 0.0035 °/s/√Hz and
-//! < 10 °/h in run, accelerometer 0.14 mg/√Hz and < 0.04 mg; the same figures in ethz-asl/kalibr issue 111 (2017). The
-//! magnetometer's 140 µgauss/√Hz is the product page's; no bias stability is given for it.
+//! VN-100 Rugged IMU/AHRS datasheet, hardware v7.0 (2023, DS100-CR-70-R1), as quoted publicly: gyroscope 0.0035 °/s/√Hz
+//! and < 10 °/h in run, accelerometer 0.14 mg/√Hz and < 0.04 mg; the same figures in ethz-asl/kalibr issue 111 (2017).
+//! The magnetometer's 140 µgauss/√Hz comes from the product page; no bias stability is given.
 
 use super::{Datasheet, Figures, Sampled};
 use imu_core::units::Quantity;
 
-/// The figures of hardware v7.0.
+/// Returns the figures of hardware v7.0.
 pub fn vn_100() -> Datasheet {
     Datasheet {
         name: "vn-100".to_owned(),

@@ -1,5 +1,5 @@
-//! The covariance of Allan variances at different averaging times: they are computed from the same data, and a hundred of them
-//! are not a hundred independent measurements.
+//! The covariance of Allan variances at different averaging times: they are computed from the same data, so that a
+//! hundred of them are not a hundred independent measurements.
 
 use super::term::{Term, response};
 use crate::allan::AllanPoint;
@@ -7,9 +7,9 @@ use crate::whittle::Filter;
 use nalgebra::DMatrix;
 use std::f64::consts::LN_2;
 
-/// Frequencies to the octave. They are spread irregularly, so that the lobes of long averaging times average out.
+/// Frequencies per octave. They are spread irregularly, so that the lobes of long averaging times average out.
 const PER_OCTAVE: usize = 192;
-/// The golden ratio's fraction: its multiples are as evenly irregular as can be.
+/// The fraction of the golden ratio: its multiples are as evenly irregular as possible.
 const GOLDEN: f64 = 0.618_033_988_749_894_9;
 /// The terms that are noise.
 const NOISES: [Term; 4] = [Term::N, Term::B, Term::K, Term::Q];
@@ -30,7 +30,7 @@ const NOISES: [Term; 4] = [Term::N, Term::B, Term::K, Term::Q];
 pub(super) struct CovarianceForm {
     /// One matrix per pair of [`NOISES`] (first ≤ second), in the order of [`pairs`].
     integrals: Vec<DMatrix<f64>>,
-    /// For N, B and K: how the mean second differences vary together, times the ramp's own per R².
+    /// For N, B and K: the covariance of the mean second differences, times the ramp's own per R².
     ramp: [DMatrix<f64>; 3],
     points: usize,
 }
@@ -40,12 +40,12 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl CovarianceForm {
-    /// Integrates for `points`, sampled every `dt_s` behind a filter, if there is one.
+    /// Integrates for `points`, sampled every `dt_s` behind an optional filter.
     pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Self {
         let count = points.len();
         let mut integrals = vec![DMatrix::<f64>::zeros(count, count); pairs().count()];
         let longest = points.iter().map(|point| point.m).max().unwrap_or(1) as f64;
-        // From far below the first lobe of the longest averaging time, where S²GG has become constant for a random walk.
+        // Starts far below the first lobe of the longest averaging time, where S²GG is constant for a random walk.
         let octaves = (0.5 * longest / 1e-3).log2().ceil() as usize;
         let lowest = 0.5 * 0.5f64.powi(octaves as i32);
         let scale: Vec<f64> = points.iter().map(|point| (point.terms.max(1) as f64 * dt_s).powf(-0.5)).collect();
@@ -59,7 +59,7 @@ impl CovarianceForm {
                 }
                 let gain = |term: Term| filter.map_or(1.0, |filter| filter.gain(term, u));
                 let spectra = NOISES.map(|term| gain(term) * term.spectrum(u, dt_s));
-                // Two for the negative frequencies, two of the formula.
+                // A factor 2 for the negative frequencies, and 2 from the formula.
                 let weight = 4.0 * u * LN_2 / PER_OCTAVE as f64 / dt_s;
                 for (integral, (first, second)) in integrals.iter_mut().zip(pairs()) {
                     let twice = if first == second { 1.0 } else { 2.0 };
@@ -79,7 +79,7 @@ impl CovarianceForm {
         Self { integrals, ramp: ramp(points, dt_s), points: count }
     }
 
-    /// The covariance matrix, shape points × points, for noise of these squared coefficients.
+    /// Returns the covariance matrix, shape points × points, for noise of these squared coefficients.
     pub(super) fn at(&self, squares: &[(Term, f64)]) -> DMatrix<f64> {
         let square = |index: usize| -> f64 {
             squares.iter().filter(|(term, _)| *term == NOISES[index]).map(|(_, square)| square).sum()
@@ -101,9 +101,9 @@ impl CovarianceForm {
     }
 }
 
-/// A ramp is deterministic, but its product with the noise is not: with second differences Rτ + e the variance ½⟨(Rτ + e)²⟩
-/// varies by Rτ⟨e⟩ besides what ½⟨e²⟩ does. ⟨e⟩ is the record's end less its beginning, both weighted by triangles of two
-/// averaging times, over the record's length T.
+/// A ramp is deterministic, but its product with the noise is not: with second differences Rτ + e, the variance ½⟨(Rτ +
+/// e)²⟩ varies by Rτ⟨e⟩ in addition to ½⟨e²⟩. ⟨e⟩ is the record's end less its beginning, both weighted by triangles of
+/// two averaging times, over the record's length T.
 ///
 /// White noise: 2N² ∫ΛᵢΛⱼ/T². Random walk: K² τᵢτⱼ/T. Flicker, to leading order: (2/π) B² τᵢτⱼ (ln(T/τ) + 1)/T².
 fn ramp(points: &[AllanPoint], dt_s: f64) -> [DMatrix<f64>; 3] {
@@ -125,7 +125,7 @@ fn ramp(points: &[AllanPoint], dt_s: f64) -> [DMatrix<f64>; 3] {
     ]
 }
 
-/// ∫ of the product of two triangles of height 1 that begin at 0 and reach to twice `short` and `long`.
+/// Returns ∫ of the product of two triangles of height 1 that begin at 0 and reach to twice `short` and `long`.
 fn triangles(short: f64, long: f64) -> f64 {
     const PANELS: u32 = 256;
     let triangle = |x: f64, width: f64| (x / width).min(2.0 - x / width).max(0.0);
@@ -168,7 +168,7 @@ mod tests {
 
     #[test]
     fn white_noise_at_one_sample_has_two_thirds_of_its_terms_as_degrees() {
-        // Differences of neighbours correlate by −1/2: 2V²/C = n / (1 + 2/4).
+        // Neighbouring differences have a correlation of −1/2: 2V²/C = n / (1 + 2/4).
         let points = [AllanPoint { m: 1, variance: 1.0, terms: 720_000, segments: 1, stride: 1 }];
         let matrix = CovarianceForm::new(&points, 0.025, None).at(&[(Term::N, 1.0)]);
         let edf = 2.0 * Term::N.allan_variance(1, 0.025).powi(2) / matrix[(0, 0)];

@@ -11,8 +11,8 @@ pub(super) struct Solution {
     pub(super) objective: f64,
 }
 
-/// Minimises |`target` − `design` · x|² over x ≥ 0 by trying every set of columns: exact, and with five columns at most
-/// cheaper than being clever. `None` if the numbers are not finite.
+/// Minimises |`target` − `design` · x|² over x ≥ 0 by trying every set of columns, which is exact and, with at most
+/// five columns, cheap enough. `None` if the numbers are not finite.
 pub(super) fn non_negative(design: &DMatrix<f64>, target: &DVector<f64>) -> Option<Solution> {
     let columns = design.ncols();
     let mut best = Solution { values: vec![0.0; columns], objective: target.norm_squared() };
@@ -37,13 +37,13 @@ pub(super) fn non_negative(design: &DMatrix<f64>, target: &DVector<f64>) -> Opti
     Some(best)
 }
 
-/// Least squares without bounds; `None` if columns depend on one another.
+/// Solves least squares without bounds; `None` if columns depend on one another.
 pub(super) fn unconstrained(design: &DMatrix<f64>, target: &DVector<f64>) -> Option<DVector<f64>> {
     let inverse = normal_inverse(design)?;
     Some(inverse * (design.transpose() * target))
 }
 
-/// (AᵀA)⁻¹, computed with columns of unit length: coefficients of noise terms differ by many powers of ten.
+/// Returns (AᵀA)⁻¹, computed with columns of unit length: coefficients of noise terms differ by many powers of ten.
 pub(super) fn normal_inverse(design: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
     if lengths.iter().any(|length| !(length.is_finite() && *length > 0.0)) {

@@ -1,7 +1,8 @@
 //! The fit: noise parameters from Allan variances.
 //!
-//! [`fit`] takes the points of a curve and returns N, B, K, Q and R with 95 % intervals that hold ("monte_carlo.rs" has the
-//! figures). It also reports which of them the data does not support, and whether the model describes the data at all.
+//! [`fit`] takes the points of a curve and returns N, B, K, Q and R with 95 % intervals that hold ("monte_carlo.rs" has
+//! the figures). It also reports which parameters the data does not support, and whether the model describes the data
+//! at all.
 //!
 //! # Validation
 //! 300 records of 5 h at 40 Hz (`monte_carlo.rs`, whose generator is independent of the program's simulator), N 3.5e-3:
@@ -35,21 +36,21 @@ use variance_fit::{Choice, VarianceFit};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "wls-avar";
-/// Shortest averaging times that are left out at most, if the model misfits with them.
+/// Maximum number of shortest averaging times that are left out if the model misfits with them.
 const SHAPED: usize = 6;
-/// Further ones that are then left out as well.
+/// Number of further averaging times that are then also left out.
 const BEYOND: usize = 3;
 
-/// Fits the noise parameters of a channel to its overlapping Allan variances; `rate_hz` finite and above 0.
+/// Fits the noise parameters of a channel to its overlapping Allan variances; `rate_hz` is finite and above 0.
 ///
-/// Points of any grid are valid, from [`AllanSums::points`](crate::allan::AllanSums::points) or
-/// [`LiveAllan::points`](crate::allan::LiveAllan::points). The function never fails: a parameter that cannot be determined
-/// is not identified, and a flag states why.
+/// Points may come from any grid, of [`AllanSums::points`](crate::allan::AllanSums::points) or
+/// [`LiveAllan::points`](crate::allan::LiveAllan::points). The function never fails: a parameter that cannot be
+/// determined is not identified, and a flag states why.
 pub fn fit(points: &[AllanPoint], rate_hz: f64, channel: Channel) -> NoiseParameters {
     fit_as_sampled(points, rate_hz, channel, None)
 }
 
-/// The same for samples with a known `sampling`: its boxcar is then part of the law.
+/// Fits as [`fit`] does, for samples with a known `sampling`: its boxcar is then part of the law.
 pub fn fit_as_sampled(
     points: &[AllanPoint],
     rate_hz: f64,
@@ -71,11 +72,11 @@ fn of_law(points: &[AllanPoint], rate_hz: f64, channel: Channel, filter: Option<
     };
     let fitted = if rate_hz.is_finite() && rate_hz > 0.0 { of(points) } else { None };
     let misfits = fitted.as_ref().is_some_and(|(choice, _)| !choice.describes());
-    // A filter inside the band shapes the shortest averaging times alone.
+    // A filter inside the band only affects the shortest averaging times.
     let longer = || {
         let first =
             (1..=SHAPED).find(|from| points.get(*from..).and_then(of).is_some_and(|(choice, _)| choice.describes()))?;
-        // The part that a filter removes halves from octave to octave: a test no longer detects it before it is gone.
+        // The part that a filter removes halves from octave to octave: tests stop detecting it before it has vanished.
         let found = |from: usize| points.get(from..).and_then(of).map(|found| (from, found));
         (first..=first + BEYOND).rev().find_map(found)
     };
@@ -136,7 +137,7 @@ fn of_choice(choice: &Choice, fit: &VarianceFit, channel: Channel) -> NoiseParam
     NoiseParameters::of(channel, estimate, summary, flags)
 }
 
-/// The result if no parameter can be determined.
+/// Returns the result if no parameter can be determined.
 pub(crate) fn nothing(channel: Channel, method: &str, flag: Flag) -> NoiseParameters {
     let estimate = |term| Estimate::unidentified(channel, term, None);
     let reason = Some(flag.note.clone());
@@ -144,8 +145,8 @@ pub(crate) fn nothing(channel: Channel, method: &str, flag: Flag) -> NoiseParame
     NoiseParameters { usable: false, reason, ..NoiseParameters::of(channel, estimate, summary, vec![flag]) }
 }
 
-/// Panics if a number is not finite. JSON has null for it, which a list of numbers cannot be read back from and an optional
-/// number would silently be absent by.
+/// Panics if a number is not finite. JSON writes it as null, which cannot be read back in a list of numbers and
+/// silently makes an optional number absent.
 #[cfg(test)]
 pub(crate) fn assert_finite(parameters: &NoiseParameters) {
     let text = serde_json::to_string(parameters).unwrap();
@@ -160,7 +161,7 @@ mod tests {
     use super::*;
     use crate::allan::{FixedPoint, LiveAllan, Overlapping, TauGrid};
 
-    /// The generator of NIST SP1065, less its mean: white of variance 1/12.
+    /// Returns the generator of NIST SP1065, less its mean: white noise of variance 1/12.
     fn white() -> impl Iterator<Item = f64> {
         let mut state = 1_234_567_890u64;
         std::iter::repeat_with(move || {
@@ -184,7 +185,7 @@ mod tests {
         let means: Vec<f64> = white.windows(4).map(|four| four.iter().sum::<f64>() / 4.0 * 1e-3).collect();
         live.push(&means);
         let found = fit(&live.points(), 800.0, Channel::GyroX);
-        // The generator's density: 1e-3/√12 by the root of the period.
+        // The generator's density is 1e-3/√12 times the root of the period.
         let density = 1e-3 / (12.0f64 * 800.0).sqrt();
         assert!(found.n.ci95.is_some_and(|[low, high]| low < density && density < high), "{density} {:?}", found.n);
         assert!(found.flags.iter().any(|flag| flag.kind == "shaped_band"), "{:?}", found.flags);
@@ -207,7 +208,7 @@ mod tests {
         );
         assert!(found.flags.is_empty() && found.b.value.is_none() && found.k.value.is_none(), "{found:?}");
         assert_eq!(found.bandwidth.map(|of| (of.kind, of.value)), Some(("moving_average".to_owned(), Some(4.0))));
-        // At a fifth of the internal rate its boxcar of four leaves white noise white.
+        // At a fifth of the internal rate, the boxcar of four leaves white noise white.
         assert_eq!(fit_as_sampled(&live.points(), 160.0, Channel::GyroX, Some(&sampling)).bandwidth, None);
     }
 
@@ -230,7 +231,7 @@ mod tests {
         }
     }
 
-    /// Set (b) of the reference values: white, random walk and ramp of known size.
+    /// Set (b) of the reference values: white noise, random walk and ramp of known size.
     #[test]
     fn white_walk_and_ramp_are_told_apart() {
         let mut stream = white();
@@ -334,7 +335,8 @@ mod tests {
         }
     }
 
-    /// A VN-100 on a desk for 754 s, with knocks, a creep and vibration (densities: what its accelerometer shows above them).
+    /// A VN-100 on a desk for 754 s, with knocks, creep and vibration (the densities are those that its accelerometer
+    /// shows above them).
     #[test]
     fn a_desk_recording_has_the_densities_of_its_sensor() {
         use std::io::Read;
@@ -359,8 +361,8 @@ mod tests {
             let parameters = fit(&estimator.sums().points(), 40.0, channel);
             let n = &parameters.n;
             let misfit = parameters.flags.iter().any(|flag| flag.kind == "misfit");
-            // Vibration at 13.38 Hz adds 6 % to the gyroscope's N, which Allan variances cannot separate from white noise; if the
-            // fit is flagged the interval is wide.
+            // Vibration at 13.38 Hz adds 6 % to the gyroscope's N, which Allan variances cannot separate from white
+            // noise; if the fit is flagged, the interval is wide.
             let allowed = if misfit { 2.7 } else { 1.07 };
             let ratio = n.value.unwrap() / density;
             assert!((1.0 / allowed..allowed).contains(&ratio), "{channel}: {n:?}");

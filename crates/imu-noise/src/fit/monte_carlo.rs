@@ -1,7 +1,7 @@
-//! The fit compared with the truth: many simulated records, by a generator that is independent of the program's
+//! The fit compared with the truth in many simulated records, from a generator that is independent of the program's
 //! simulator.
 //!
-//! `cargo test --release -p imu-noise fit::monte_carlo -- --ignored --nocapture`; `VN100D_SEEDS` sets how many.
+//! `cargo test --release -p imu-noise fit::monte_carlo -- --ignored --nocapture`; `VN100D_SEEDS` sets their number.
 
 use super::term::Term;
 use super::variance_fit::VarianceFit;
@@ -28,7 +28,8 @@ impl Gauss {
     }
 }
 
-/// Flicker of spectrum 1/(2πf): shaped in frequency over a record three times as long, of which the first part is taken.
+/// Returns flicker of spectrum 1/(2πf): shaped in frequency over a record at least twice as long, of which the first
+/// part is used.
 fn flicker(count: usize, gauss: &mut Gauss) -> Vec<f64> {
     let length = (2 * count).next_power_of_two();
     let dt_s = 1.0 / RATE_HZ;
@@ -38,7 +39,7 @@ fn flicker(count: usize, gauss: &mut Gauss) -> Vec<f64> {
     let last = spectrum.len() - 1;
     for (index, bin) in spectrum.iter_mut().enumerate().skip(1) {
         let f = index as f64 / (length as f64 * dt_s);
-        // E|X|² = S · n / dt of an unnormalised transform.
+        // E|X|² = S · n / dt for an unnormalised transform.
         let size = (1.0 / (2.0 * PI * f) * length as f64 / dt_s / 2.0).sqrt();
         *bin = realfft::num_complex::Complex::new(
             gauss.next() * size,
@@ -67,7 +68,7 @@ fn record(n: f64, b: f64, k: f64, seed: u64) -> Vec<f64> {
 
 #[derive(Default)]
 struct Tally {
-    /// Relative errors with N, B and K free, and with the terms that were kept.
+    /// Relative errors with N, B and K free, and with the kept terms.
     free: Vec<f64>,
     chosen: Vec<f64>,
     covered: usize,
@@ -76,7 +77,7 @@ struct Tally {
     limits_covered: usize,
 }
 
-/// In percent.
+/// Returns bias and root mean square error in percent.
 fn bias_and_rmse(errors: &[f64]) -> (f64, f64) {
     let count = errors.len().max(1) as f64;
     let square = errors.iter().map(|error| error * error).sum::<f64>();

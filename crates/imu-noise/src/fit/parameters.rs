@@ -1,5 +1,5 @@
-//! Noise parameters of one channel as docs/formats.md has them: with units, intervals, and the parameters that the data does not
-//! support.
+//! Noise parameters of one channel in the form of docs/formats.md: with units, intervals, and the parameters that the
+//! data does not support.
 
 use super::term::Term;
 use crate::RecordNeeded;
@@ -11,34 +11,34 @@ use imu_core::units::{
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// One parameter. Either identified, with value and interval, or not, with an upper limit where there is one.
+/// One parameter: identified, with value and interval, or not identified, with an upper limit if there is one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Estimate {
-    /// The value in `unit`; null where the data does not support one.
+    /// The value in `unit`; null if the data does not support one.
     pub value: Option<f64>,
     /// 95 % interval of the value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
-    /// The value is below this with 95 % confidence; only where it is not identified.
+    /// The upper limit of the value with 95 % confidence; only if it is not identified.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub upper_limit95: Option<f64>,
     /// Whether the data supports a value (1 % level, some terms stricter).
     pub identified: bool,
     /// Unit of value, interval and limit.
     pub unit: String,
-    /// The value in the units people quote.
+    /// The value in commonly quoted units.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub also: BTreeMap<String, f64>,
-    /// Of N: the sensor's own density in front of its filter and decimation, where these are known.
+    /// Only for N: the sensor's own density before its filter and decimation, if these are known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub internal: Option<f64>,
-    /// Where the number comes from if not from the fit: `allan deviation` where the fit contradicts the measured curve.
+    /// The source of the number if it is not the fit: `allan deviation` if the fit contradicts the measured curve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
 }
 
 impl Estimate {
-    /// A value with its 95 % interval.
+    /// Returns a value with its 95 % interval.
     pub fn identified(channel: Channel, term: Term, value: f64, ci95: [f64; 2]) -> Self {
         let also = quoted(channel, term).iter().map(|(unit, factor)| ((*unit).to_owned(), value * factor)).collect();
         Self {
@@ -53,7 +53,7 @@ impl Estimate {
         }
     }
 
-    /// A value with its 95 % interval in its own unit.
+    /// Returns a value with its 95 % interval in its own unit.
     pub fn of(unit: &str, value: f64, ci95: [f64; 2]) -> Self {
         Self {
             value: Some(value),
@@ -67,7 +67,7 @@ impl Estimate {
         }
     }
 
-    /// No value, and an upper limit where the data sets one.
+    /// Creates a parameter without a value, with an upper limit if the data sets one.
     pub fn unidentified(channel: Channel, term: Term, upper_limit95: Option<f64>) -> Self {
         Self {
             value: None,
@@ -85,18 +85,18 @@ impl Estimate {
 /// A first-order Gauss–Markov process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct GaussMarkov {
-    /// Its standard deviation, channel's unit.
+    /// The standard deviation, in the channel's unit.
     pub sigma: Estimate,
-    /// Its correlation time, s.
+    /// The correlation time, s.
     pub tc_s: Estimate,
 }
 
-/// What keeps noise away from half the rate: a filter of the sensor or of whoever recorded it.
+/// The filter that keeps noise away from half the rate: a filter of the sensor or of the recording program.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Bandwidth {
     /// `moving_average`, `low_pass` or `other`.
     pub kind: String,
-    /// Its length, or its −3 dB frequency; null where an `other` shape does not fall that far.
+    /// The length, or the −3 dB frequency; null if an `other` shape does not fall that far.
     pub value: Option<f64>,
     /// Unit of value and interval: `samples`, `samples at the internal rate` or `Hz`.
     pub unit: String,
@@ -105,41 +105,41 @@ pub struct Bandwidth {
     pub order: Option<u32>,
     /// 95 % interval of the value; null for a whole number.
     pub ci95: Option<[f64; 2]>,
-    /// Frequencies above were not described and took no part in the fit, Hz.
+    /// Frequencies above this were not described and took no part in the fit, Hz.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up_to_hz: Option<f64>,
-    /// Density of white noise that comes in behind the filter, U/√Hz; a part of N.
+    /// Density of white noise that enters behind the filter, U/√Hz; a part of N.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub white_behind: Option<f64>,
-    /// Of a known sampling: the rate that the samples of a moving average have, Hz.
+    /// For a known sampling: the rate of the samples of a moving average, Hz.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub internal_rate_hz: Option<f64>,
-    /// A low pass of order 1 that is an exponential average, y += a (x − y), rather than Butterworth's.
+    /// Whether a low pass of order 1 is an exponential average, y += a (x − y), rather than Butterworth's.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub exponential: bool,
-    /// Where it is known from: a register, an option, or `fitted`.
+    /// The source of this knowledge: a register, an option, or `fitted`.
     pub source: String,
 }
 
-/// How the parameters were found, and whether the model describes the data.
+/// The method of the fit, and whether the model describes the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct FitSummary {
-    /// `whittle-dst`: the Whittle likelihood of the sine transform of the differences, for samples at hand; `wls-avar`:
-    /// weighted least squares on Allan variances with the model's own covariance, while a capture runs.
+    /// `whittle-dst`: the Whittle likelihood of the sine transform of the differences, for samples in memory;
+    /// `wls-avar`: weighted least squares on Allan variances with the model's own covariance, for a running capture.
     pub method: String,
-    /// Squared residuals in units of their covariance; null where nothing could be fitted.
+    /// Squared residuals in units of their covariance; null if no fit was possible.
     pub chi2: Option<f64>,
     /// Bands of frequency, or averaging times, whose correlations count through the covariance, less parameters.
     pub degrees_of_freedom: Option<usize>,
-    /// How often residuals as large come by chance.
+    /// How often residuals as large occur by chance.
     pub p_value: Option<f64>,
-    /// The fitted Allan deviation and what each term gives to it.
+    /// The fitted Allan deviation and the contribution of each term.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub curve: Option<FittedCurve>,
 }
 
 impl FitSummary {
-    /// `residual`: χ², its degrees of freedom and its p-value.
+    /// Creates the summary. `residual` has χ², its degrees of freedom and its p-value.
     pub(crate) fn of(method: &str, residual: Option<(f64, usize, f64)>, curve: Option<FittedCurve>) -> Self {
         Self {
             method: method.to_owned(),
@@ -158,18 +158,19 @@ pub struct FittedCurve {
     pub tau_s: Vec<f64>,
     /// Deviation of the whole model.
     pub deviation: Vec<f64>,
-    /// Deviation of each term alone: `N`, `B`, `K`, `Q`, `R`, `gauss_markov`. Their squares add up to that of the whole.
+    /// Deviation of each term alone: `N`, `B`, `K`, `Q`, `R`, `gauss_markov`. The sum of their squares is the square of
+    /// the whole.
     pub parts: BTreeMap<String, Vec<f64>>,
 }
 
 impl FittedCurve {
-    /// Averaging factors of a fitted curve.
+    /// Returns the averaging factors of a fitted curve.
     pub(crate) fn octaves(longest_s: f64, dt_s: f64) -> Vec<usize> {
         let quarter = longest_s / dt_s / 4.0;
         (0..48).map(|octave| 1usize << octave).take_while(|m| *m as f64 <= quarter.max(1.0)).collect()
     }
 
-    /// The curve of named variances as functions of the averaging factor, at these.
+    /// Returns the curve of named variances as functions of the averaging factor, at these factors.
     pub(crate) fn at<'a>(
         factors: Vec<usize>,
         dt_s: f64,
@@ -193,14 +194,14 @@ impl FittedCurve {
     }
 }
 
-/// Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose correlation time is
-/// 1/`decay` samples.
+/// Returns the Allan variance at averaging factor `m` of the samples of a Gauss–Markov process with σ = 1 whose
+/// correlation time is 1/`decay` samples.
 ///
 /// The samples are an AR(1) sequence with φ = e^(−decay). A sum of m of them has the variance m (1 + φ)/(1 − φ) − 2 φ
 /// (1 − φᵐ)/(1 − φ)².
 ///
 /// # Source
-/// IEEE Std 952-1997, annex C, has the same for a process that is averaged without sampling it: 2/3 of it at m = 1.
+/// IEEE Std 952-1997, annex C, has the value for a process that is averaged without sampling: 2/3 of this at m = 1.
 ///
 /// # Validation
 /// `a_sampled_processs_variance_is_that_of_its_covariance`, by summing covariances.
@@ -209,42 +210,43 @@ pub fn gauss_markov_variance(m: usize, decay: f64) -> f64 {
     let (phi, rest) = ((-decay).exp(), -(-decay).exp_m1());
     let x = count * decay;
     if x < 1e-5 {
-        // That of a random walk of the same steps, where differences would lose their digits.
+        // The variance of a random walk with the same steps, for which differences would lose their digits.
         return rest * (1.0 + phi) * (2.0 * count * count + 1.0) / (6.0 * count);
     }
     let sum = |count: f64| count * (1.0 + phi) / rest + 2.0 * phi * (-count * decay).exp_m1() / (rest * rest);
     (4.0 * sum(count) - sum(2.0 * count)) / (2.0 * count * count)
 }
 
-/// Something to know about a channel's data.
+/// A remark about a channel's data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Flag {
     /// `insufficient`, `constant`, `misfit`, `out_of_range`, …
     pub kind: String,
-    /// Where it begins, s from the start of the capture; absent where it concerns the whole.
+    /// The start, s from the start of the capture; absent if the flag concerns the whole capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from_s: Option<f64>,
-    /// Where it ends.
+    /// The end, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_s: Option<f64>,
-    /// One sentence.
+    /// The remark in one sentence.
     pub note: String,
 }
 
 impl Flag {
-    /// A flag that concerns the whole capture.
+    /// Creates a flag that concerns the whole capture.
     pub fn whole(kind: &str, note: impl Into<String>) -> Self {
         Self { kind: kind.to_owned(), from_s: None, to_s: None, note: note.into() }
     }
 
-    /// `out_of_range`, if that many values were no measurements; none if all were.
+    /// Returns the flag `out_of_range` if `samples` values were not measurements; `None` if there were none.
     pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
         let note =
             || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
         (samples > 0).then(|| Self::whole("out_of_range", note()))
     }
 
-    /// `other_rate`, if that many samples came at another rate than the one analysed; none if none did.
+    /// Returns the flag `other_rate` if `samples` samples came at another rate than the analysed one; `None` if there
+    /// were none.
     pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
         let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
         (samples > 0).then(|| Self::whole("other_rate", note()))
@@ -256,50 +258,50 @@ impl Flag {
 pub struct NoiseParameters {
     /// The channel's unit.
     pub unit: String,
-    /// Angle or velocity random walk.
+    /// N: angle or velocity random walk.
     #[serde(rename = "N")]
     pub n: Estimate,
-    /// Bias instability: coefficient of flicker noise, not divided by or multiplied with 0.664.
+    /// B: bias instability, the coefficient of flicker noise, neither divided nor multiplied by 0.664.
     #[serde(rename = "B")]
     pub b: Estimate,
-    /// Rate random walk.
+    /// K: rate random walk.
     #[serde(rename = "K")]
     pub k: Estimate,
-    /// Quantization noise.
+    /// Q: quantization noise.
     #[serde(rename = "Q")]
     pub q: Estimate,
-    /// Rate ramp, with its sign; while a capture runs, its size alone.
+    /// R: rate ramp, with its sign; for a running capture, its size only.
     #[serde(rename = "R")]
     pub r: Estimate,
-    /// Gauss–Markov process; null where there is none.
+    /// Gauss–Markov process; null if there is none.
     pub gauss_markov: Option<GaussMarkov>,
-    /// The filter that B, K, Q, R and the process lie in front of; null where noise is white up to half the rate.
+    /// The filter that acts on B, K, Q, R and the process; null if noise is white up to half the rate.
     #[serde(default)]
     pub bandwidth: Option<Bandwidth>,
-    /// Whether the parameters may be used: false where they contradict the measured deviation, or there are none.
+    /// Whether the parameters may be used: false if they contradict the measured deviation, or if there are none.
     #[serde(default = "yes")]
     pub usable: bool,
     /// Why they may not be used.
     #[serde(default)]
     pub reason: Option<String>,
-    /// Lowest point of the measured Allan deviation; null where it is not known well enough.
+    /// Lowest point of the measured Allan deviation; null if it is not known well enough.
     #[serde(default)]
     pub minimum: Option<Minimum>,
     /// How long the sensor has to be at rest, without a gap, until B and K are known to ±20 %, s.
     #[serde(default)]
     pub record_needed: crate::RecordNeeded,
-    /// Where no walk is identified: the averaging time from which on one as large as the limit of K would rise above the lowest
-    /// deviation with a slope of +½, s.
+    /// If no walk is identified: the averaging time, s, from which on a walk as large as the limit of K would rise
+    /// above the lowest deviation with a slope of +½.
     #[serde(default)]
     pub walk_shows_beyond_s: Option<f64>,
     /// The fit.
     pub fit: FitSummary,
-    /// What else is to be known.
+    /// Further remarks.
     pub flags: Vec<Flag>,
 }
 
 impl NoiseParameters {
-    /// Usable parameters with an estimate of each term; what is computed from elsewhere is absent.
+    /// Returns usable parameters with an estimate of each term, without values that are computed elsewhere.
     pub(crate) fn of(channel: Channel, estimate: impl Fn(Term) -> Estimate, fit: FitSummary, flags: Vec<Flag>) -> Self {
         Self {
             unit: channel.unit().to_owned(),
@@ -329,11 +331,12 @@ fn yes() -> bool {
 /// The lowest point of a measured Allan deviation beside B.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Minimum {
-    /// The deviation, channel's unit.
+    /// The deviation, in the channel's unit.
     pub deviation: f64,
-    /// Its averaging time, s.
+    /// The averaging time of the deviation, s.
     pub tau_s: f64,
-    /// The deviation over 0.664. B is at most this, to within the scatter of the curve, since the curve holds all other noise as well.
+    /// The deviation over 0.664. B is at most this, within the scatter of the curve, because the curve includes all
+    /// other noise.
     pub over_0_664: f64,
 }
 
@@ -344,7 +347,7 @@ impl NoiseParameters {
         (self.record_needed, self.walk_shows_beyond_s) = (RecordNeeded::default(), None);
     }
 
-    /// The estimate of a term.
+    /// Returns the estimate of a term.
     pub fn estimate(&self, term: Term) -> &Estimate {
         match term {
             Term::N => &self.n,
@@ -356,38 +359,38 @@ impl NoiseParameters {
     }
 }
 
-/// Noise parameters of a capture, as `GET /v1/captures/{id}/noise` and `vn100d noise --format json` answer them.
+/// Noise parameters of a capture, as returned by `GET /v1/captures/{id}/noise` and `vn100d noise --format json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct NoiseReport {
     /// [`NoiseReport::FORMAT`].
     pub format: String,
-    /// The capture's name; of several their names with ` + ` between them.
+    /// The capture's name; for several captures, their names joined with ` + `.
     pub capture: String,
-    /// Several captures of one sensor: what each gave. Durations, samples and missing ones are then sums.
+    /// For several captures of one sensor, the contribution of each. Durations and numbers of samples are then sums.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub captures: Vec<crate::Contribution>,
     /// Sampling rate in Hz.
     pub rate_hz: f64,
     /// Sample time covered, s.
     pub duration_s: f64,
-    /// Of these at rest, s: what the document is made of. Absent if motion is unknown, as without an inertial channel.
+    /// Sample time at rest, s: the part that is analysed. Absent if motion is unknown, as without an inertial channel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_rest_s: Option<f64>,
-    /// In motion, s: left out.
+    /// Sample time in motion, s, which is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moving_s: Option<f64>,
-    /// Samples received.
+    /// Number of received samples.
     pub samples: u64,
-    /// Samples missing.
+    /// Number of missing samples.
     pub missing: u64,
     /// Whether the capture has ended.
     pub complete: bool,
     /// One entry per analysed channel.
     pub channels: BTreeMap<Channel, NoiseParameters>,
-    /// What happened to each channel while it was recorded; absent while a capture runs.
+    /// The disturbances of each channel during its recording; absent for a running capture.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub disturbances: BTreeMap<Channel, crate::robust::Disturbances>,
-    /// Comparison with a data sheet, where one was asked for.
+    /// Comparison with a data sheet, if requested.
     pub datasheet: Option<serde_json::Value>,
 }
 
@@ -395,8 +398,8 @@ impl NoiseReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-noise-1";
 
-    /// The reasons why parameters of this report should not be used: the `concerned` channels that are not usable, with their
-    /// reasons. None if all are.
+    /// Returns the reasons why parameters of this report should not be used: the `concerned` channels that are not
+    /// usable, with their reasons. `None` if all are.
     pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
         let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));
         let reasons: Vec<String> = unusable
@@ -408,7 +411,7 @@ impl NoiseReport {
     }
 }
 
-/// Unit of a term's coefficient.
+/// Returns the unit of a term's coefficient.
 pub fn unit(channel: Channel, term: Term) -> String {
     let u = channel.unit();
     match term {
@@ -422,7 +425,7 @@ pub fn unit(channel: Channel, term: Term) -> String {
     }
 }
 
-/// The units that people quote and the factors from the SI unit to them.
+/// Returns the commonly quoted units with their factors from the SI unit.
 fn quoted(channel: Channel, term: Term) -> &'static [(&'static str, f64)] {
     const DEG: f64 = 1.0 / RAD_PER_DEG;
     const MG: f64 = 1e3 / STANDARD_GRAVITY_M_S2;
@@ -455,7 +458,7 @@ mod tests {
                 let mut sum = 0.0;
                 for one in 0..2 * m {
                     for other in 0..2 * m {
-                        // Less the variance itself, which the weights cancel: digits stay.
+                        // Less the variance itself, which the weights cancel, so that digits are kept.
                         sum += weight(one) * weight(other) * (-(one.abs_diff(other) as f64) * decay).exp_m1();
                     }
                 }

@@ -1,13 +1,13 @@
-//! Statements that hold after selection: a term is named if the data asks for it, and otherwise it has a limit. Both statements
-//! hold as often as they claim among the records in which they are made.
+//! Statements that hold after selection: a term is named if the data requires it, and otherwise it has a limit. Both
+//! statements hold as often as they claim among the records in which they are made.
 //!
-//! All statements use signed roots of likelihood ratios. r(c) = ±√(2 log L(ĉ)/L(c)), positive for c below the maximum, is a
-//! standard normal number if c is the truth. The term is named if r(0) reaches a threshold. r(0) − r(c) is how far c lies from 0,
-//! so that under c the term is named if r(c) reaches the threshold less that distance.
+//! All statements use signed roots of likelihood ratios. r(c) = ±√(2 log L(ĉ)/L(c)), positive for c below the maximum,
+//! is a standard normal number if c is true. The term is named if r(0) reaches a threshold. r(0) − r(c) is how far c
+//! lies from 0, so that under c the term is named if r(c) reaches the threshold less that distance.
 //!
 //! # Source
-//! G. J. Feldman, R. D. Cousins, Phys. Rev. D 57 (1998) 3873, for intervals whose coverage does not depend on what they
-//! show; H. Zhong, R. L. Prentice, Biostatistics 9 (2008) 621, for conditioning on having been selected.
+//! G. J. Feldman, R. D. Cousins, Phys. Rev. D 57 (1998) 3873, for intervals whose coverage does not depend on their
+//! content; H. Zhong, R. L. Prentice, Biostatistics 9 (2008) 621, for conditioning on having been selected.
 //!
 //! # Validation
 //! `examples/noise_monte_carlo.rs`; docs/validation.md has the figures.
@@ -16,22 +16,22 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 /// The coverage of intervals and limits.
 const CONFIDENCE: f64 = 0.95;
-/// A limit fails in no more than this share of all records, named or not. Without it the limit of a term that was all but
-/// named would be without bounds.
+/// A limit fails in no more than this share of all records, named or not. Without this, the limit of a term that was
+/// almost named would be unbounded.
 const FAILS_AT_MOST: f64 = 1e-3;
-/// The limit of a term depends on few squares, whose sum takes low values more often than a normal number does. This number of
-/// deviations allows for that. Without it, limits of a walk that is usually named held in 84 % of the records that do not name
-/// it.
+/// The limit of a term depends on few squares, whose sum has low values more often than a normal number. This number of
+/// deviations accounts for that. Without it, limits of a walk that is usually named held in 84 % of the records that do
+/// not name it.
 const FEW_SQUARES: f64 = 0.3;
-/// From so many deviations on a term is named in any record.
+/// From this many deviations on, a term is named in any record.
 const BEYOND_DOUBT: f64 = 8.0;
 /// Roots are found to this share of the distance between two trials.
 const PRECISION: f64 = 1e-4;
 const TRIALS: usize = 60;
 
-/// Whether c belongs to the interval of a term that is named; below 0 if it does.
+/// Returns whether c belongs to the interval of a term that is named; below 0 if it does.
 ///
-/// Of the numbers that naming allows, the 95 % closest to 0 are those that speak for c.
+/// Of the numbers for which the term is named, the 95 % closest to 0 support c.
 fn named(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     let normal = Normal::standard();
     // A term far beyond doubt is not selected: the difference of two large roots would only lose digits.
@@ -40,18 +40,18 @@ fn named(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     Some(closer.max(0.0) - CONFIDENCE * normal.sf(least)).filter(|excess| excess.is_finite())
 }
 
-/// Whether c lies above the limit of a term that is not named; above 0 if it does.
+/// Returns whether c lies above the limit of a term that is not named; above 0 if it does.
 fn limited(r: f64, r_zero: f64, threshold: f64) -> Option<f64> {
     let normal = Normal::standard();
     let unnamed = normal.cdf(threshold - (r_zero - r));
     let allowed = ((1.0 - CONFIDENCE) * unnamed).max(FAILS_AT_MOST);
-    // In logarithms, whose zero is found in fewer trials.
+    // In logarithms, whose zero needs fewer trials.
     let below = normal.cdf(r + FEW_SQUARES).max(f64::MIN_POSITIVE);
     Some(allowed.ln() - below.ln()).filter(|excess| excess.is_finite())
 }
 
-/// The 95 % interval of a named term of the value `value`, above 0; `root`: r(c); `r_zero`: r(0), infinite if the term is beyond
-/// doubt.
+/// Returns the 95 % interval of a named term of the value `value`, above 0; `root` is r(c); `r_zero` is r(0), infinite
+/// if the term is beyond doubt.
 pub(crate) fn interval(
     value: f64,
     r_zero: f64,
@@ -70,14 +70,14 @@ pub(crate) fn interval(
     Some([low, high])
 }
 
-/// The 95 % upper limit of a term that is not named; `least`: a value that is far below any limit.
+/// Returns the 95 % upper limit of a term that is not named; `least` is a value far below any limit.
 pub(crate) fn upper_limit(least: f64, r_zero: f64, threshold: f64, root: &impl Fn(f64) -> Option<f64>) -> Option<f64> {
     let excess = |c: f64| limited(root(c)?, r_zero.min(threshold), threshold);
     crossing(least, 2.0 * least, |c| 2.0 * c, &excess)
 }
 
-/// The value at which `excess` becomes positive on the way from `inside` through `trial` and the further trials that
-/// `further` makes of it.
+/// Returns the value at which `excess` becomes positive on the way from `inside` through `trial` and the further trials
+/// that `further` derives from it.
 fn crossing(
     inside: f64,
     trial: f64,
@@ -133,7 +133,7 @@ mod tests {
 
     const THRESHOLD: f64 = 2.326;
 
-    /// One measurement of c = `truth` in units of its standard deviation.
+    /// Returns the statement for one measurement of c = `truth` in units of its standard deviation.
     fn statement(measured: f64) -> (Option<[f64; 2]>, Option<f64>) {
         let r_zero = measured.max(0.0);
         // The likelihood's maximum over c ≥ 0.

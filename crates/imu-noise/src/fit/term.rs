@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{LN_2, PI};
 use std::sync::OnceLock;
 
-/// One of the terms whose squared coefficients an Allan variance is linear in.
+/// One of the terms in whose squared coefficients an Allan variance is linear.
 #[derive(
     Debug,
     Clone,
@@ -39,15 +39,16 @@ pub enum Term {
 }
 
 impl Term {
-    /// All five.
+    /// All five terms.
     pub const ALL: [Self; 5] = variants();
 
-    /// Letter in JSON.
+    /// Returns the letter in JSON.
     pub fn letter(self) -> &'static str {
         self.into()
     }
 
-    /// Allan variance at averaging factor `m` of sampled data for a coefficient of 1; `dt_s`: sampling interval.
+    /// Returns the Allan variance at averaging factor `m` of sampled data for a coefficient of 1; `dt_s` is the
+    /// sampling interval.
     ///
     /// # Validation
     /// `every_terms_variance_is_its_spectrums_integral`: the closed forms against the integral, 1e-3 or better.
@@ -63,7 +64,8 @@ impl Term {
         }
     }
 
-    /// Two-sided spectrum of the sampled rate for a coefficient of 1 at `u` = f·dt in (0, 1/2]; 0 for the ramp.
+    /// Returns the two-sided spectrum of the sampled rate for a coefficient of 1 at `u` = f·dt in (0, 1/2]; 0 for the
+    /// ramp.
     pub fn spectrum(self, u: f64, dt_s: f64) -> f64 {
         let sine = 2.0 * (PI * u).sin();
         match self {
@@ -76,16 +78,16 @@ impl Term {
     }
 }
 
-/// Two-sided response of the Allan variance of averaging factor `m` at u = f·dt: σ² = ∫ S · response df.
+/// Returns the two-sided response of the Allan variance of averaging factor `m` at u = f·dt: σ² = ∫ S · response df.
 pub(crate) fn response(m: usize, u: f64) -> f64 {
     let m = m as f64;
     2.0 * (PI * u * m).sin().powi(4) / (m * (PI * u).sin()).powi(2)
 }
 
-/// Allan variance of flicker noise that ends at half the sampling rate, for B = 1.
+/// Returns the Allan variance of flicker noise that ends at half the sampling rate, for B = 1.
 ///
-/// (2 ln 2)/π for large m; above it at small m, by 19 % at m = 1: the response of sampled differences does not fall towards
-/// half the rate as the continuous one does.
+/// It is (2 ln 2)/π for large m, and higher at small m, by 19 % at m = 1: the response of sampled differences does not
+/// fall towards half the rate as the continuous one does.
 fn flicker_variance(m: usize) -> f64 {
     /// Beyond this the deviation from the limit falls as 1/m².
     const EXACT: usize = 64;
@@ -98,13 +100,13 @@ fn flicker_variance(m: usize) -> f64 {
     }
 }
 
-/// 2 ∫₀^½ response(u) / (2πu) du by Simpson's rule, 64 panels to a lobe.
+/// Returns 2 ∫₀^½ response(u) / (2πu) du by Simpson's rule, with 64 panels per lobe.
 fn flicker_integral(m: usize) -> f64 {
     let panels = 64 * m.max(4);
     let step = 0.5 / panels as f64;
     let at = |index: usize| {
         let u = index as f64 * step;
-        // The response goes as u² at 0.
+        // The response is proportional to u² near 0.
         if index == 0 { 0.0 } else { response(m, u) / (PI * u) }
     };
     let inner: f64 = (1..panels).map(|index| if index % 2 == 1 { 4.0 } else { 2.0 } * at(index)).sum();
@@ -118,7 +120,7 @@ mod tests {
     fn integral(term: Term, m: usize, dt_s: f64) -> f64 {
         let panels = 200_000;
         let step = 0.5 / f64::from(panels);
-        // Midpoints: the random walk's integrand is finite at 0 but not computable there.
+        // Uses midpoints: the random walk's integrand is finite at 0 but not computable there.
         (0..panels)
             .map(|panel| (f64::from(panel) + 0.5) * step)
             .map(|u| 2.0 * term.spectrum(u, dt_s) * response(m, u) * step / dt_s)

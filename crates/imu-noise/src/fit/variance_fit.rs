@@ -1,9 +1,9 @@
 //! Weighted least squares on Allan variances, with model choice and the sandwich covariance.
 //!
-//! The variances are linear in the squared coefficients. Weights come from the model's own spectrum and are iterated;
-//! uncertainty from the full covariance of the variances, never from the residuals' scatter. The choice of terms and the
-//! residual test use cube roots of the variances, which are nearly normal where the variances, χ² with a few degrees of
-//! freedom at long averaging times, are not.
+//! The variances are linear in the squared coefficients. Weights come from the model's own spectrum and are iterated.
+//! The uncertainty comes from the full covariance of the variances, never from the residuals' scatter. The choice of
+//! terms and the residual test use cube roots of the variances, which are nearly normal even at long averaging times,
+//! where the variances are χ² with a few degrees of freedom.
 //!
 //! # Source
 //! Guerrier, Molinari, Stebler, IEEE SPL 23 (2016) 597, for the cost of a line through the Allan variance; E. B. Wilson and M. M.
@@ -21,11 +21,12 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// 2 Δ log L beyond which a term at its boundary of 0 is real at the 1 % level (50:50 mixture of χ²₀ and χ²₁).
 pub(super) const SIGNIFICANT: f64 = 5.41;
-/// From this the ramp enters the model, which else would take it for a random walk (5 % of χ²₁).
+/// From this value on, the ramp enters the model, which would otherwise take it for a random walk (5 % of χ²₁).
 const WORTH_ADDING_RAMP: f64 = 3.84;
-/// Quantization noise, which few sensors show, has to be plain (0.1 %): named by chance it would take its variance from N.
+/// Quantization noise, which few sensors show, has to be evident (0.1 %): named by chance, it would take its variance
+/// from N.
 const WORTH_ADDING_QUANTIZATION: f64 = 9.55;
-/// A term that exceeds 0 by this number of deviations would be named in any record, so that no selection took place.
+/// A term that exceeds 0 by this number of deviations would be named in any record, so that there is no selection.
 const BEYOND_DOUBT: f64 = 6.0;
 /// Two-sided 95 % of the normal distribution, in standard deviations.
 const TWO_SIDED_95: f64 = 1.959_964;
@@ -36,7 +37,7 @@ const ITERATIONS: usize = 40;
 pub(super) struct VarianceFit {
     points: Vec<AllanPoint>,
     dt_s: f64,
-    /// Per point, the contribution of each of [`Term::ALL`] of coefficient 1 to the variance.
+    /// Per point, the contribution to the variance of each of [`Term::ALL`] with coefficient 1.
     parts: Vec<[f64; Term::ALL.len()]>,
     variances: DVector<f64>,
     form: CovarianceForm,
@@ -54,18 +55,18 @@ pub(super) struct Model {
 /// The model that the data supports.
 #[derive(Debug, Clone)]
 pub(super) struct Choice {
-    /// Its coefficients, all positive.
+    /// The coefficients, all positive.
     pub(super) model: Model,
-    /// Whether each of them is significant.
+    /// Whether each coefficient is significant.
     pub(super) identified: Vec<bool>,
-    /// The residual test, if a degree of freedom is left.
+    /// The residual test, if a degree of freedom remains.
     pub(super) residual: Option<Residual>,
-    /// Factor on standard deviations: above 1 if the residuals are larger than they should be (R. T. Birge, 1932).
+    /// Factor on standard deviations: above 1 if the residuals are larger than expected (R. T. Birge, 1932).
     pub(super) widen: f64,
 }
 
 impl Choice {
-    /// Whether the residuals are of the size that chance allows.
+    /// Returns whether the residuals are of the size that chance allows.
     pub(super) fn describes(&self) -> bool {
         self.residual.is_none_or(|residual| residual.p_value >= MISFIT)
     }
@@ -80,13 +81,13 @@ pub(super) struct Residual {
 }
 
 impl VarianceFit {
-    /// Fewest points for a fit of three terms that leaves a degree of freedom for the residual test.
+    /// Minimum number of points for a fit of three terms with a degree of freedom for the residual test.
     pub(super) const LEAST_POINTS: usize = 5;
 
-    /// Takes the points nearest to octaves: points between them add little but cost, measured at under 1 % of the error. `None`
+    /// Takes the points nearest to octaves: points between them cost time and reduce the error by less than 1 %. `None`
     /// if fewer than [`VarianceFit::LEAST_POINTS`] remain.
     ///
-    /// `filter`: the filter between the noise and the samples, if it is known.
+    /// `filter` is the filter between the noise and the samples, if it is known.
     pub(super) fn new(points: &[AllanPoint], dt_s: f64, filter: Option<&Filter>) -> Option<Self> {
         let points = octaves(points);
         if points.len() < Self::LEAST_POINTS {
@@ -104,7 +105,7 @@ impl VarianceFit {
         Some(Self { points, dt_s, parts, variances, form })
     }
 
-    /// The contribution of a term of coefficient 1 to a point's variance.
+    /// Returns the contribution of a term of coefficient 1 to a point's variance.
     fn part(&self, term: Term, row: usize) -> f64 {
         Term::ALL.iter().position(|own| *own == term).map_or(0.0, |at| self.parts[row][at])
     }
@@ -118,10 +119,10 @@ impl VarianceFit {
         DVector::from_fn(self.points.len(), of)
     }
 
-    /// Fits `terms`; those at their boundary have a square of 0. `None` if no square is positive.
+    /// Fits `terms`; terms at their boundary have a square of 0. `None` if no square is positive.
     pub(super) fn fit(&self, terms: &[Term]) -> Option<Model> {
         let design = self.design(terms);
-        // To begin with, each variance is as certain as its number of independent blocks.
+        // Initially, each variance is as certain as its number of independent blocks.
         let mut deviations: Vec<f64> = self
             .points
             .iter()
@@ -150,7 +151,8 @@ impl VarianceFit {
         Some(Model { squares, covariance })
     }
 
-    /// How far the data lies from `model`, as nearly normal numbers whitened by the model's covariance: residual and design.
+    /// Returns the distance of the data from `model`, as nearly normal numbers whitened by the model's covariance:
+    /// residual and design.
     fn whitened(&self, model: &Model, terms: &[Term]) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let expected = self.variances_of(&model.squares);
         let target = DVector::from_fn(self.points.len(), |row, _| {
@@ -164,7 +166,7 @@ impl VarianceFit {
         Some((design, factor.solve_lower_triangular(&target)?))
     }
 
-    /// 2 Δ log L of adding `term` to `terms`, judged under the fit without it.
+    /// Returns 2 Δ log L of adding `term` to `terms`, judged under the fit without it.
     fn gain(&self, terms: &[Term], term: Term) -> Option<f64> {
         let null = self.fit(terms)?;
         let with: Vec<Term> = terms.iter().copied().chain([term]).collect();
@@ -176,10 +178,10 @@ impl VarianceFit {
 
     /// Chooses the terms that the data supports: N, B and K, which every sensor has, then any other worth adding.
     ///
-    /// A positive term whose gain is below [`SIGNIFICANT`] stays in the model, so that the others' intervals allow for it, but is
-    /// not identified. Leaving it out was measured to let the interval of B hold in 91 % instead of 93 % of records with a weak
-    /// K. Q and R are used only if the data is then described, so that they do not stand for vibration and knocks. `None` if no
-    /// term is positive.
+    /// A positive term whose gain is below [`SIGNIFICANT`] stays in the model, so that the others' intervals allow for
+    /// it, but is not identified. Without it, the interval of B held in 91 % instead of 93 % of records with a weak K.
+    /// Q and R are used only if the data is then described, so that they do not represent vibration and knocks. `None`
+    /// if no term is positive.
     pub(super) fn choose(&self) -> Option<Choice> {
         let base = [Term::N, Term::B, Term::K];
         let extended = self.judge(&self.extend(&base)?)?;
@@ -215,7 +217,7 @@ impl VarianceFit {
         Some(terms)
     }
 
-    /// Fits those of `terms` that are positive and determines which are significant.
+    /// Fits the positive ones of `terms` and determines which are significant.
     fn judge(&self, terms: &[Term]) -> Option<Choice> {
         let model = self.fit(terms)?;
         let terms = self.positive(&model);
@@ -227,7 +229,7 @@ impl VarianceFit {
         };
         let significant = |term: &Term| {
             let others: Vec<Term> = terms.iter().copied().filter(|other| other != term).collect();
-            // If no gain can be computed, the others alone are not a noise model: the term carries the model.
+            // If no gain can be computed, the other terms alone are not a noise model: this term is essential.
             self.gain(&others, *term).is_none_or(|gain| gain / (widen * widen) >= SIGNIFICANT)
         };
         let identified = terms.iter().map(significant).collect();
@@ -238,14 +240,14 @@ impl VarianceFit {
         model.squares.iter().filter(|(_, square)| *square > 0.0).map(|(term, _)| *term).collect()
     }
 
-    /// Covariance of the squared coefficients of `model`: (AᵀWA)⁻¹ AᵀWCWA (AᵀWA)⁻¹.
+    /// Returns the covariance of the squared coefficients of `model`: (AᵀWA)⁻¹ AᵀWCWA (AᵀWA)⁻¹.
     fn sandwich(&self, model: &Model) -> Option<DMatrix<f64>> {
         let terms: Vec<Term> = model.squares.iter().map(|(term, _)| *term).collect();
         let estimator = self.linear_estimator(model, &terms)?;
         Some(&estimator * &model.covariance * estimator.transpose())
     }
 
-    /// (AᵀWA)⁻¹AᵀW, shape terms × points.
+    /// Returns (AᵀWA)⁻¹AᵀW, of shape terms × points.
     fn linear_estimator(&self, model: &Model, terms: &[Term]) -> Option<DMatrix<f64>> {
         let deviations: Vec<f64> = model.covariance.diagonal().iter().map(|variance| variance.sqrt()).collect();
         let mut weighted = self.design(terms);
@@ -259,8 +261,8 @@ impl VarianceFit {
         Some(estimator)
     }
 
-    /// 95 % intervals of the coefficients (not squared) of `model` that hold among the records in which the term is named;
-    /// `widen`: factor on the standard deviations.
+    /// Returns 95 % intervals of the coefficients (not squared) of `model` that hold among the records in which the
+    /// term is named. `widen` is a factor on the standard deviations.
     pub(super) fn intervals(&self, model: &Model, widen: f64) -> Option<Vec<[f64; 2]>> {
         let covariance = self.sandwich(model)?;
         let interval_of = |(index, (term, square)): (usize, &(Term, f64))| {
@@ -280,7 +282,7 @@ impl VarianceFit {
         Some(model.squares.iter().enumerate().map(interval_of).collect())
     }
 
-    /// The 95 % upper limit of a term that is not identified.
+    /// Returns the 95 % upper limit of a term that is not identified.
     pub(super) fn upper_limit(&self, model: &Model, term: Term, widen: f64) -> Option<f64> {
         let root = self.root(model, term, widen);
         let alone = |row: usize| (self.variances[row] / self.part(term, row)).sqrt();
@@ -288,8 +290,8 @@ impl VarianceFit {
         upper_limit(least, root(0.0)?.max(0.0), SIGNIFICANT.sqrt(), &root)
     }
 
-    /// How far the square that is found lies above that of c, in deviations of a model that has the term at c: weights and
-    /// covariance are that model's.
+    /// Returns how far the found square lies above that of c, in deviations of a model that has the term at c: weights
+    /// and covariance are that model's.
     fn root(&self, model: &Model, term: Term, widen: f64) -> impl Fn(f64) -> Option<f64> {
         let others: Vec<(Term, f64)> = model.squares.iter().copied().filter(|(other, _)| *other != term).collect();
         let terms: Vec<Term> = others.iter().map(|(term, _)| *term).chain([term]).collect();
@@ -305,7 +307,7 @@ impl VarianceFit {
         }
     }
 
-    /// The model's Allan deviation and its parts.
+    /// Returns the model's Allan deviation and its parts.
     pub(super) fn curve(&self, model: &Model) -> FittedCurve {
         let factors = self.points.iter().map(|point| point.m).collect();
         let dt_s = self.dt_s;
@@ -318,7 +320,7 @@ impl VarianceFit {
         FittedCurve::at(factors, dt_s, parts)
     }
 
-    /// Whether the residuals of `model` are of the size that its covariance predicts.
+    /// Returns whether the residuals of `model` have the size that its covariance predicts.
     pub(super) fn residual(&self, model: &Model) -> Option<Residual> {
         let terms: Vec<Term> = model.squares.iter().map(|(term, _)| *term).collect();
         let (design, target) = self.whitened(model, &terms)?;
@@ -330,9 +332,9 @@ impl VarianceFit {
     }
 }
 
-/// The points nearest to powers of two times the smallest factor, each once.
+/// Returns the points nearest to powers of two times the smallest factor, each once.
 fn octaves(points: &[AllanPoint]) -> Vec<AllanPoint> {
-    /// Two points that are nearer than this factor carry the same information.
+    /// Two points whose ratio is below this factor carry the same information.
     const APART: f64 = 1.6;
     let usable: Vec<&AllanPoint> = points.iter().filter(|point| point.variance > 0.0 && point.terms > 0).collect();
     let Some(first) = usable.first() else { return Vec::new() };

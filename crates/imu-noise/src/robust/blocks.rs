@@ -1,10 +1,9 @@
-//! Block means: a channel reduced to some dozens of levels over the whole record, for changes that are slower than
-//! noise.
+//! Block means: a channel reduced to some dozens of levels over the whole record, for changes slower than noise.
 
 use super::Part;
 
-/// Mean level of each of `count` equal stretches of time, and the time of its middle; `None` if less than a quarter of its
-/// samples are there.
+/// Mean level of each of `count` equal stretches of time, and the time of its middle; `None` if less than a quarter of
+/// its samples are present.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Blocks {
     pub(super) begin_s: f64,
@@ -24,7 +23,7 @@ impl Blocks {
         if !(length_s > 0.0 && length_s.is_finite()) {
             return None;
         }
-        // About one level first, so that small differences of large values keep their digits.
+        // Relative to one level, so that small differences of large values keep their digits.
         let level = *parts.iter().find_map(|part| part.values.first())?;
         let (mut sums, mut counts) = (vec![0.0; count], vec![0u64; count]);
         for part in parts {
@@ -46,12 +45,13 @@ impl Blocks {
         Some(Self { begin_s, length_s, means: sums.into_iter().zip(counts).map(mean).collect() })
     }
 
-    /// Middle of a block, s.
+    /// Returns the middle of a block, s.
     pub(super) fn middle_s(&self, block: usize) -> f64 {
         self.begin_s + (block as f64 + 0.5) * self.length_s
     }
 
-    /// Differences of neighbours that are both there and have no step (s) in them, with the index of the first.
+    /// Returns differences of neighbours that are both present and have no step (s) between them, with the index of the
+    /// first.
     pub(super) fn increments(&self, steps_s: &[f64]) -> Vec<(usize, f64)> {
         let steps = |index: usize| {
             let (from_s, to_s) =

@@ -1,9 +1,9 @@
 //! Bursts: single wild samples, knocks and handling, detected in the samples less the mean of their neighbours.
 //!
-//! White noise of variance σ² leaves 1.5 σ² there, for any level, drift or walk. The mean square over short windows is χ²
-//! distributed. Its degrees of freedom are estimated from the scatter of the windows, so that coloured noise and the remaining
-//! vibration do not raise the alarm. Slow changes of the noise's size are detected in [`super::dynamic`]: each window is compared
-//! with the windows around it.
+//! White noise of variance σ² leaves a variance of 1.5 σ², for any level, drift or walk. The mean square over short
+//! windows is χ² distributed. Its degrees of freedom are estimated from the scatter of the windows, so that coloured
+//! noise and the remaining vibration do not raise the alarm. Slow changes of the noise's size are detected in
+//! [`super::dynamic`]: each window is compared with the windows around it.
 
 use super::Part;
 use super::event::{Event, Kind};
@@ -15,20 +15,20 @@ const BY_CHANCE: f64 = 2e-4;
 /// Lengths of the windows, s; at least [`LEAST`] samples.
 const WINDOWS_S: [f64; 2] = [0.25, 2.0];
 const LEAST: usize = 8;
-/// Windows around one that it is compared with.
+/// Number of surrounding windows with which a window is compared.
 const AROUND: usize = 256;
 /// Shaking that lasts longer is handling.
 const HANDLING_S: f64 = 2.0;
-/// Alarms nearer than this are one event.
+/// Alarms closer together than this are one event.
 const JOIN_S: f64 = 0.75;
 /// More wild samples than this share are a property of the noise, not events.
 const HEAVY_TAILS: f64 = 1e-3;
 
-/// What was found.
+/// The findings.
 #[derive(Debug, Default)]
 pub(super) struct Bursts {
     pub(super) events: Vec<Event>,
-    /// Wild samples, if they are too many to be events.
+    /// Wild samples, if there are too many to be events.
     pub(super) heavy_tails: Option<HeavyTails>,
 }
 
@@ -41,7 +41,7 @@ pub struct HeavyTails {
     pub core: f64,
 }
 
-/// Sample i less the mean of its neighbours; 0 at the ends.
+/// Returns each sample less the mean of its neighbours; 0 at the ends.
 fn residuals(values: &[f64]) -> Vec<f64> {
     let mut residuals = vec![0.0; values.len()];
     for (residual, three) in residuals.iter_mut().skip(1).zip(values.windows(3)) {
@@ -53,19 +53,19 @@ fn residuals(values: &[f64]) -> Vec<f64> {
 struct Alarm {
     from_s: f64,
     to_s: f64,
-    /// Largest residual over its standard deviation, and how many samples were wild.
+    /// Largest residual over its standard deviation, and number of wild samples.
     peak: f64,
     wild: usize,
 }
 
-/// Finds bursts; parts are of one channel.
+/// Finds bursts; the parts belong to one channel.
 pub(super) fn find(parts: &[Part], rate_hz: f64) -> Bursts {
     let mut residuals: Vec<Vec<f64>> = parts.iter().map(|part| residuals(&part.values)).collect();
     let count: usize = residuals.iter().map(Vec::len).sum();
     let Some(sigma) = deviation(&residuals, count).filter(|sigma| *sigma > 0.0) else { return Bursts::default() };
     let of_all = (residuals.iter().flatten().map(|value| value * value).sum::<f64>() / count as f64).sqrt();
     let tail = BY_CHANCE / (2.0 * count.max(1) as f64);
-    // Down to the smallest tail that the quantile can be computed for.
+    // Down to the smallest tail for which the quantile can be computed.
     let limit = -Normal::standard().inverse_cdf(tail.max(1e-15)) * sigma;
     let spikes = spikes(parts, &mut residuals, rate_hz, limit, sigma);
     let alone: usize = spikes.iter().map(|spike| spike.wild).sum();
@@ -93,8 +93,8 @@ pub(super) fn find(parts: &[Part], rate_hz: f64) -> Bursts {
     Bursts { events, heavy_tails }
 }
 
-/// Standard deviation of the residuals without the wild ones. Excluding values beyond four deviations hardly changes that of
-/// normal values, and coarse steps do not narrow it as they do a quantile.
+/// Returns the standard deviation of the residuals without the wild ones. Excluding values beyond four deviations
+/// hardly changes that of normal values, and coarse steps do not narrow it as they narrow a quantile.
 fn deviation(residuals: &[Vec<f64>], count: usize) -> Option<f64> {
     let thin = count.div_ceil(1 << 18).max(1);
     let some: Vec<f64> = residuals.iter().flat_map(|part| part.iter().step_by(thin)).copied().collect();
@@ -104,13 +104,14 @@ fn deviation(residuals: &[Vec<f64>], count: usize) -> Option<f64> {
     (number > 0).then(|| (squares / number as f64).sqrt())
 }
 
-/// Wild samples that stand alone or in twos and threes. They are removed from the residuals, so that the rest shows shaking.
+/// Finds wild samples that are alone or in twos and threes. They are removed from the residuals, so that the rest shows
+/// shaking.
 fn spikes(parts: &[Part], residuals: &mut [Vec<f64>], rate_hz: f64, limit: f64, sigma: f64) -> Vec<Alarm> {
-    /// Wild samples in a row that are still no shaking.
+    /// Maximum number of successive wild samples that are not shaking.
     const FEW: usize = 3;
     let mut alarms = Vec::new();
     for (part, residuals) in parts.iter().zip(residuals) {
-        // A wild sample leaves half of itself with each neighbour: its place is that of the largest residual.
+        // A wild sample leaves half of itself with each neighbour; its place is that of the largest residual.
         let peaks: Vec<usize> = (0..residuals.len())
             .filter(|index| {
                 let size = residuals[*index].abs();
@@ -136,7 +137,7 @@ fn spikes(parts: &[Part], residuals: &mut [Vec<f64>], rate_hz: f64, limit: f64, 
     alarms
 }
 
-/// Windows of half overlap whose power is beyond chance.
+/// Finds half-overlapping windows whose power is beyond chance.
 fn windows(parts: &[Part], residuals: &[Vec<f64>], rate_hz: f64, window: usize, alarms: &mut Vec<Alarm>) {
     let hop = (window / 2).max(1);
     let powers: Vec<Vec<f64>> = residuals
@@ -147,12 +148,12 @@ fn windows(parts: &[Part], residuals: &[Vec<f64>], rate_hz: f64, window: usize, 
             squares.windows(2).map(|pair| pair[0] + pair[1]).collect()
         })
         .collect();
-    // Over the median around it, to the power 1/3: nearly normal (Wilson and Hilferty).
+    // Divided by the median around it, to the power 1/3: nearly normal (Wilson and Hilferty).
     let scores: Vec<Vec<f64>> = powers.iter().map(|powers| over_median(powers)).collect();
     let all: Vec<f64> = scores.iter().flatten().copied().collect();
     let count = all.len();
     let Some((centre, spread)) = centre_and_spread(all.into_iter()).filter(|(_, spread)| *spread > 0.0) else { return };
-    // cbrt(χ²_ν/ν) has standard deviation √(2/9ν) about 1 − 2/9ν. A window holds less independent values than samples.
+    // cbrt(χ²_ν/ν) has standard deviation √(2/9ν) about 1 − 2/9ν. A window has fewer independent values than samples.
     let degrees = (2.0 / (9.0 * (spread / centre).powi(2))).clamp(1.0, window as f64);
     let Ok(chi_squared) = ChiSquared::new(degrees) else { return };
     let limit =
@@ -174,7 +175,7 @@ fn over_median(powers: &[f64]) -> Vec<f64> {
     for (block, chunk) in scores.chunks_mut(AROUND / 2).enumerate() {
         let from = (block * AROUND / 2).saturating_sub(AROUND / 4);
         let to = (block * AROUND / 2 + 3 * AROUND / 4).min(powers.len());
-        // Near the end the windows before serve instead.
+        // Near the end, the windows before are used instead.
         let from = from.min(to.saturating_sub(AROUND));
         let level = median(powers[from..to].iter().copied()).unwrap_or(0.0);
         for (score, power) in chunk.iter_mut().zip(&powers[block * AROUND / 2..]) {

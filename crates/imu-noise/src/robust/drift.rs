@@ -10,28 +10,29 @@ use super::blocks::Blocks;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Walks that are called a drift, in all.
+/// Total share of walks that are reported as a drift.
 const BY_CHANCE: f64 = 1e-4;
 /// Numbers of blocks: few for small drifts under white noise, many for fast warm-ups.
 const COUNTS: [usize; 2] = [16, 64];
 /// Time constants of the exponentials over the record's length.
 const CONSTANTS: [f64; 7] = [1.0 / 128.0, 1.0 / 64.0, 1.0 / 32.0, 1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0, 1.0 / 2.0];
-/// The time constant of the best exponential is refined to this share: the rest of a warm-up would pass for a walk.
+/// The time constant of the best exponential is refined to this share; otherwise the rest of a warm-up would look like
+/// a walk.
 const PRECISE: f64 = 1e-3;
 /// An exponential has to be better than a line by this much in 2 Δ log L (1 % of χ² with one degree).
 const BETTER: f64 = 6.63;
 
-/// A drift of the level that is no noise.
+/// A drift of the level that is not noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Drift {
-    /// Change over the whole record, channel's unit.
+    /// Change over the whole record, in the channel's unit.
     pub change: f64,
-    /// Time constant of a warm-up, s; absent for a steady creep, which the parameter R holds.
+    /// Time constant of a warm-up, s; absent for a steady creep, which the parameter R describes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_s: Option<f64>,
-    /// How often a random walk would show as much.
+    /// How often a random walk shows as large a drift.
     pub p_value: f64,
-    /// Begin and end of the levels it was found in, s: the exponential counts from there.
+    /// Begin and end of the levels in which it was found, s: the exponential counts from there.
     #[serde(skip)]
     pub(super) span_s: (f64, f64),
 }
@@ -77,12 +78,12 @@ fn of_blocks(parts: &[Part], rate_hz: f64, count: usize, steps_s: &[f64]) -> Opt
     })
 }
 
-/// The amplitude over the record of a line (`tau` None) or an exponential, by least squares on the increments.
+/// Returns the amplitude over the record of a line (`tau` None) or an exponential, by least squares on the increments.
 fn candidate(increments: &[(usize, f64)], count: usize, tau: Option<f64>) -> Option<Candidate> {
     let shape = |index: usize| match tau {
         None => 1.0 / count as f64,
         Some(tau) => {
-            // Means over blocks: a time constant may be shorter than one.
+            // Means over blocks, because a time constant may be shorter than a block.
             let edge = |block: f64| (-block / count as f64 / tau).exp();
             let at = |block: f64| tau * count as f64 * (edge(block) - edge(block + 1.0));
             (at(index as f64) - at(index as f64 + 1.0)) / (1.0 - (-1.0 / tau).exp())
@@ -106,7 +107,7 @@ fn candidate(increments: &[(usize, f64)], count: usize, tau: Option<f64>) -> Opt
     (t.is_finite() && p_value.is_finite()).then_some(Candidate { tau, amplitude: hd / hh, fit, p_value })
 }
 
-/// The time constant between its neighbours on the grid, by golden section.
+/// Returns the time constant between its neighbours on the grid, by golden section.
 fn precise(increments: &[(usize, f64)], count: usize, best: Candidate) -> Candidate {
     const GOLDEN: f64 = 0.618_033_988_749_894_8;
     let Some(tau) = best.tau else { return best };
@@ -129,7 +130,8 @@ fn precise(increments: &[(usize, f64)], count: usize, best: Candidate) -> Candid
     left.filter(|found| found.fit > best.fit).unwrap_or(best)
 }
 
-/// Takes a warm-up out; a creep stays for R. Before the levels it was found in, the level is taken for that at their beginning.
+/// Subtracts a warm-up; a creep is left to R. Before the levels in which it was found, the level counts as that at
+/// their beginning.
 pub(super) fn subtract(parts: &mut [Part], rate_hz: f64, drift: &Drift) {
     let Some(tau_s) = drift.tau_s else { return };
     let (begin_s, end_s) = drift.span_s;
@@ -167,7 +169,7 @@ mod tests {
         assert!(parts[0].values[..4000].iter().sum::<f64>().abs() / 4000.0 < 0.01);
     }
 
-    /// A stretch before the levels, too short for them, does not move the exponential.
+    /// A stretch before the levels, too short for a level, does not move the exponential.
     #[test]
     fn a_warm_up_counts_from_where_it_was_found() {
         let mut values = Noise::new(45).sensor(100_000, 40.0, 2e-3, 5e-4, 1e-5);
@@ -205,7 +207,7 @@ mod tests {
         assert_eq!(found.count(), 0);
     }
 
-    /// For any time constant: the rest is small enough against a walk of the sensor's own size.
+    /// For any time constant, the rest is small compared with a walk of the sensor's own size.
     #[test]
     fn what_is_left_of_a_warm_up_is_less_than_a_walk() {
         for (seed, (amplitude, tau_s)) in

@@ -10,13 +10,13 @@ use crate::allan::{AllanPoint, FixedPoint, Overlapping, TauGrid, noise_by_slope}
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-/// Length of a block if the record holds at least [`LEAST`] of them, s.
+/// Length of a block if the record has at least [`LEAST`] of them, s.
 const HOUR_S: f64 = 3600.0;
 /// Blocks into which a shorter record is cut.
 const LEAST: usize = 4;
-/// Below this p-value a record is called non-stationary.
+/// Below this p-value a record is non-stationary.
 const LEVEL: f64 = 0.01;
-/// Averaging times end at this fraction of a block: the test needs some ten degrees of freedom.
+/// Longest averaging time as a fraction of a block: the test needs some ten degrees of freedom.
 const FRACTION: usize = 16;
 
 /// One block of the record.
@@ -24,13 +24,13 @@ const FRACTION: usize = 16;
 pub struct DynamicBlock {
     /// Begin, s since the start of the capture.
     pub from_s: f64,
-    /// End.
+    /// End, s.
     pub to_s: f64,
-    /// Deviation at each averaging time; null where the block has too little.
+    /// Deviation at each averaging time; null if the block has too little data.
     pub deviation: Vec<Option<f64>>,
 }
 
-/// The deviation block by block, without what was left out.
+/// The deviation block by block, without excluded samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct DynamicAllan {
     /// Length of a block, s.
@@ -39,7 +39,7 @@ pub struct DynamicAllan {
     pub tau_s: Vec<f64>,
     /// The blocks in order.
     pub blocks: Vec<DynamicBlock>,
-    /// Whether the blocks agree within chance; null where there is too little to tell.
+    /// Whether the blocks agree within chance; null if there is too little data.
     pub stationary: Option<bool>,
     /// How often blocks of stationary noise differ as much at any averaging time.
     pub p_value: Option<f64>,
@@ -47,7 +47,7 @@ pub struct DynamicAllan {
     pub worst_tau_s: Option<f64>,
 }
 
-/// The deviation in the making; samples come in order of time.
+/// Computes the deviation; samples come in order of time.
 #[derive(Debug)]
 pub(super) struct Dynamic {
     begin_s: f64,
@@ -56,14 +56,15 @@ pub(super) struct Dynamic {
     scale: FixedPoint,
     grid: TauGrid,
     blocks: usize,
-    /// Points of the blocks that have ended, and the block that has not.
+    /// Points of the completed blocks, and the current block.
     points: Vec<Vec<AllanPoint>>,
     open: Overlapping,
     seam: Seam,
 }
 
 impl Dynamic {
-    /// An accumulator for a record from `begin_s` to `end_s`, without samples; `None` if the record is too short.
+    /// Creates an accumulator for a record from `begin_s` to `end_s`, without samples; `None` if the record is too
+    /// short.
     pub(super) fn new((begin_s, end_s): (f64, f64), rate_hz: f64, scale: FixedPoint) -> Option<Self> {
         let hours = ((end_s - begin_s) / HOUR_S).round() as usize;
         let blocks = if hours >= LEAST { hours } else { LEAST };
@@ -78,7 +79,7 @@ impl Dynamic {
         self.begin_s + block as f64 * self.block_s
     }
 
-    /// Takes the next samples; `continues` as [`Portion::continues`](super::Portion::continues).
+    /// Takes the next samples; `continues` has the meaning of [`Portion::continues`](super::Portion::continues).
     pub(super) fn push(&mut self, parts: &[Part], continues: bool) {
         for (part, joins) in self.seam.joins(parts, continues, self.rate_hz) {
             if !joins {
@@ -104,7 +105,7 @@ impl Dynamic {
         self.points.push(ended.into_sums().points());
     }
 
-    /// The deviation of every block.
+    /// Returns the deviation of every block.
     pub(super) fn finish(mut self) -> DynamicAllan {
         while self.points.len() < self.blocks {
             self.end_block();
@@ -129,7 +130,7 @@ impl Dynamic {
     }
 }
 
-/// How often the variances at `m` of equal noise differ as much as those of the blocks do.
+/// Returns how often the variances at `m` of equal noise differ as much as those of the blocks.
 fn bartlett(blocks: &[Vec<AllanPoint>], m: usize) -> Option<f64> {
     let of_block = |points: &Vec<AllanPoint>| {
         let index = points.iter().position(|point| point.m == m)?;

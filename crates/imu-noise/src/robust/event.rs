@@ -12,14 +12,14 @@ pub enum Kind {
     Knock,
     /// Two seconds of shaking or more.
     Handling,
-    /// A level that went away and came back.
+    /// A level that changed and returned.
     Bump,
     /// A level that changed and stayed.
     Step,
 }
 
 impl Kind {
-    /// The name in JSON.
+    /// Returns the name in JSON.
     pub fn name(self) -> &'static str {
         self.into()
     }
@@ -28,18 +28,18 @@ impl Kind {
 /// An event; its samples are left out of the parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Event {
-    /// What.
+    /// The kind of the event.
     pub kind: Kind,
-    /// From when, s since the start of the capture.
+    /// The start, s since the start of the capture.
     pub from_s: f64,
-    /// Until when.
+    /// The end, s.
     pub to_s: f64,
-    /// One sentence.
+    /// The event in one sentence.
     pub note: String,
 }
 
 impl Event {
-    /// As it stands in the document.
+    /// Returns the event in the form of the document.
     pub fn flag(&self) -> Flag {
         Flag {
             kind: self.kind.name().to_owned(),
@@ -50,12 +50,12 @@ impl Event {
     }
 }
 
-/// Times are reported in ms: no sample is shorter.
+/// Rounds a time to ms: no sample is shorter.
 fn milli(time_s: f64) -> f64 {
     (time_s * 1e3).round() / 1e3
 }
 
-/// Merges intervals that touch or overlap; sorted by time.
+/// Merges intervals that touch or overlap, sorted by time.
 pub(super) fn merged(mut intervals: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
     intervals.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut merged: Vec<(f64, f64)> = Vec::new();

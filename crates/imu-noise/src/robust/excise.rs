@@ -1,7 +1,7 @@
-//! Excision: brings samples with chosen frequencies down to the background, and leaves all else as it is.
+//! Excision: reduces chosen frequencies of samples to the background, and leaves all else unchanged.
 //!
-//! Overlapping windows are transformed, multiplied by a gain per bin that is 1 outside the bands, and added up again. With
-//! a gain of 1 everywhere the samples come back unchanged: the window is a half sine both ways, whose squares add to 1.
+//! Overlapping windows are transformed, multiplied by a gain per bin that is 1 outside the bands, and added again. With
+//! a gain of 1 everywhere, the samples are unchanged: the window is a half sine both ways, whose squares add to 1.
 
 use super::Part;
 use super::lines::Line;
@@ -9,7 +9,7 @@ use super::spectrum::Spectrum;
 use realfft::RealFftPlanner;
 use std::f64::consts::PI;
 
-/// Gains per bin that bring the bands of `lines` down to `quiet`; `None` if no bin needs it.
+/// Returns gains per bin that reduce the bands of `lines` to `quiet`; `None` if no bin needs it.
 pub(super) fn gains(spectrum: &Spectrum, quiet: &[f64], lines: &[Line]) -> Option<Vec<f64>> {
     let mut gains: Vec<f64> = vec![1.0; spectrum.window / 2 + 1];
     for line in lines {
@@ -26,9 +26,9 @@ pub(super) fn gains(spectrum: &Spectrum, quiet: &[f64], lines: &[Line]) -> Optio
 /// The treatment of parts that are shorter than half a window, which cannot be filtered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Short {
-    /// They are left out: vibration in them would pass for knocks.
+    /// They are left out, because vibration in them would look like knocks.
     LeftOut,
-    /// They stay as they are: a fit leaves the bands out anyway.
+    /// They stay unchanged, because a fit leaves the bands out anyway.
     Kept,
 }
 
@@ -54,7 +54,7 @@ fn filtered(values: &[f64], gains: &[f64]) -> Option<Vec<f64>> {
     let sine: Vec<f64> = (0..window).map(|i| (PI * (i as f64 + 0.5) / window as f64).sin()).collect();
     let mean = values.iter().sum::<f64>() / values.len() as f64;
     let last = values.len() - 1;
-    // Beyond the ends the samples are mirrored about the end points, so that there is no step to leak.
+    // Beyond the ends the samples are mirrored about the end points, so that no step causes leakage.
     let at = |i: isize| -> f64 {
         let inside = if i < 0 {
             2.0 * values[0] - values[i.unsigned_abs().min(last)]

@@ -6,7 +6,7 @@ use super::synthetic::Noise;
 use super::*;
 use std::collections::BTreeMap;
 
-/// The findings in `records` records of pure noise of `count` samples at 40 Hz, by kind.
+/// Returns the findings in `records` records of pure noise of `count` samples at 40 Hz, by kind.
 fn found(records: u64, count: usize, b: f64, k: f64) -> (usize, BTreeMap<String, usize>) {
     let mut kinds = BTreeMap::new();
     let mut disturbed = 0;

@@ -1,4 +1,4 @@
-//! Lines: narrow peaks of the spectrum that no noise makes, and bands that vibration fills.
+//! Lines: narrow peaks of the spectrum that noise does not make, and bands filled by vibration.
 
 use super::spectrum::{STRETCHES, Spectrum};
 use serde::{Deserialize, Serialize};
@@ -7,45 +7,45 @@ use std::cmp::Ordering;
 
 /// Lines expected by chance in a record of pure noise.
 const BY_CHANCE: f64 = 1e-4;
-/// A peak lower than this over the background has no material effect and is left alone.
+/// A peak below this multiple of the background has no material effect and is ignored.
 const LEAST_RATIO: f64 = 1.5;
-/// A line reaches as far as its power stands this far above the background.
+/// A line extends as far as its power exceeds this multiple of the background.
 const FOOT: f64 = 1.25;
-/// A stretch of the record has the line where its power there is this far above the background.
+/// A stretch of the record has the line if its power there exceeds this multiple of the background.
 const PRESENT: f64 = 1.5;
-/// Bins that a Hann window spreads a pure tone to, to each side.
+/// Number of bins on each side into which a Hann window spreads a pure tone.
 const SMEAR: usize = 2;
-/// Frequencies of mains and their doubles, Hz.
+/// Mains frequencies and twice these frequencies, Hz.
 const MAINS_HZ: [f64; 4] = [50.0, 60.0, 100.0, 120.0];
 
-/// A line, or a band that vibration fills.
+/// A line, or a band filled by vibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Line {
     /// Frequency of its centre as recorded, Hz: true frequencies beyond half the rate appear folded.
     pub frequency_hz: f64,
-    /// From where to where it is left out of the fit, Hz.
+    /// The band that is left out of the fit, Hz.
     pub band_hz: [f64; 2],
-    /// Peak amplitude of a sinusoid of its power, channel's unit.
+    /// Peak amplitude of a sinusoid of the line's power, in the channel's unit.
     pub amplitude: f64,
     /// Highest power density over the background.
     pub ratio: f64,
-    /// Whether it is there in at least three quarters of the record.
+    /// Whether the line is present in at least three quarters of the record.
     pub persistent: bool,
-    /// True for a band of vibration rather than a line.
+    /// Whether this is a band of vibration, not a line.
     pub broad: bool,
-    /// Mains frequencies and their doubles that sampling folds there.
+    /// Mains frequencies, or twice these, that sampling folds to this frequency.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub may_be_mains_hz: Vec<f64>,
 }
 
-/// The lines of a spectrum, by frequency.
+/// Returns the lines of a spectrum, by frequency.
 pub(super) fn find(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
     let bins = spectrum.power.len();
     let Some(threshold) = threshold(spectrum) else { return Vec::new() };
     let ratio = |bin: usize| spectrum.power[bin] / spectrum.background[bin];
     let mut lines = Vec::new();
     let mut bin = Spectrum::FIRST;
-    // The bin at half the rate has half the degrees of freedom: a line reaches into it, but does not begin there.
+    // The bin at half the rate has half the degrees of freedom: a line may extend into it, but does not begin there.
     while bin + 1 < bins {
         if ratio(bin) < threshold {
             bin += 1;
@@ -55,7 +55,7 @@ pub(super) fn find(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
         while from > Spectrum::FIRST && ratio(from - 1) > FOOT {
             from -= 1;
         }
-        // A peak goes on as long as one of the next three bins stands out.
+        // A peak continues as long as one of the next three bins stands out.
         while (1..=3).any(|ahead| to + ahead < bins && ratio(to + ahead) > FOOT) {
             to += 1;
         }
@@ -65,12 +65,12 @@ pub(super) fn find(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
     lines
 }
 
-/// How far above the background chance lifts a bin once in 1 / [`BY_CHANCE`] records.
+/// Returns the ratio to the background that a bin exceeds by chance once in 1 / [`BY_CHANCE`] records.
 fn threshold(spectrum: &Spectrum) -> Option<f64> {
     let degrees = 2.0 * spectrum.windows;
     let tail = BY_CHANCE / spectrum.power.len() as f64;
     let quantile = ChiSquared::new(degrees).ok()?.inverse_cdf(1.0 - tail) / degrees;
-    // The background is a median, which lies below the mean, and is itself known to some 10 %.
+    // The background is a median, which lies below the mean, and is itself only known to some 10 %.
     let median = (1.0 - 2.0 / (9.0 * degrees)).powi(3);
     Some((1.1 * quantile / median).max(LEAST_RATIO))
 }
@@ -101,26 +101,26 @@ fn line(spectrum: &Spectrum, from: usize, to: usize, rate_hz: f64) -> Line {
     }
 }
 
-/// The mains frequencies that sampling at `rate_hz` folds to `frequency_hz`.
+/// Returns the mains frequencies that sampling at `rate_hz` folds to `frequency_hz`.
 fn mains(frequency_hz: f64, step_hz: f64, rate_hz: f64) -> Vec<f64> {
     let folds = |mains: &f64| {
         let folded = (mains - (mains / rate_hz).round() * rate_hz).abs();
-        // Mains wander by some 0.1 Hz in 50, and the sensor's clock by 20 ppm.
+        // Mains wander by some 0.1 Hz in 50 Hz, and the sensor's clock by 20 ppm.
         (folded - frequency_hz).abs() < 1e-3 * mains + 2.0 * step_hz
     };
     MAINS_HZ.into_iter().filter(folds).collect()
 }
 
-/// Bands in which the background itself rises above the level of the frequencies below: vibration, resonances.
+/// Returns bands in which the background itself rises above the level of the frequencies below: vibration, resonances.
 ///
 /// A sensor's own spectrum falls with frequency (N, B, K) or rises as sin²(πf/rate) (Q). A band that neither describes belongs to
 /// the environment.
 pub(super) fn vibration(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
-    /// Bands from 0 to half the rate.
+    /// Number of bands from 0 to half the rate.
     const BANDS: usize = 24;
-    /// White noise is read off these: above flicker, below the upper half.
+    /// Bands that show the level of white noise: above flicker, below the upper half.
     const LEVEL: std::ops::Range<usize> = 1..8;
-    /// A band belongs to vibration from this ratio of densities on.
+    /// A band belongs to vibration if the ratio of densities is at least this.
     const RISE: f64 = 1.35;
     let bins = spectrum.power.len();
     if bins < 8 * BANDS {
@@ -134,7 +134,7 @@ pub(super) fn vibration(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
         .collect();
     let Some(level) = super::scale::median(levels[LEVEL].iter().copied()) else { return Vec::new() };
     let sine = |band: usize| (std::f64::consts::PI * (band as f64 + 0.5) / (2.0 * BANDS as f64)).sin().powi(2);
-    // Q from the uppermost bands, where it is strongest; it has to describe all bands to count.
+    // Q from the uppermost bands, where it is strongest; it counts only if it describes all bands.
     let slope = (LEVEL.start..BANDS).map(|band| (levels[band] / level - 1.0) * sine(band)).sum::<f64>()
         / (LEVEL.start..BANDS).map(|band| sine(band).powi(2)).sum::<f64>();
     let expected = |band: usize| level * (1.0 + slope.max(0.0) * sine(band));
@@ -168,7 +168,8 @@ pub(super) fn vibration(spectrum: &Spectrum, rate_hz: f64) -> Vec<Line> {
     found
 }
 
-/// The lines of a record that was looked through in `blocks`, of which each has its own: those whose bands overlap are one.
+/// Joins the lines of a record that was examined in `blocks`, each with its own lines: lines whose bands overlap become
+/// one.
 pub(super) fn joined(mut lines: Vec<Line>, blocks: usize) -> Vec<Line> {
     if blocks <= 1 {
         return lines;
@@ -187,7 +188,7 @@ pub(super) fn joined(mut lines: Vec<Line>, blocks: usize) -> Vec<Line> {
     groups.into_iter().filter_map(|group| one(&group, blocks)).collect()
 }
 
-/// One line, from the blocks that have it.
+/// Joins the lines of the blocks that have them to one line.
 fn one(group: &[Line], blocks: usize) -> Option<Line> {
     let first = group.first()?;
     let power = |line: &Line| line.amplitude * line.amplitude;
@@ -199,7 +200,7 @@ fn one(group: &[Line], blocks: usize) -> Option<Line> {
         band_hz: group
             .iter()
             .fold(first.band_hz, |band, line| [band[0].min(line.band_hz[0]), band[1].max(line.band_hz[1])]),
-        // Of the whole record: blocks that lack it count.
+        // Relative to the whole record: blocks without the line count.
         amplitude: (sum / blocks.max(group.len()) as f64).sqrt(),
         ratio: group.iter().fold(0.0, |most, line| most.max(line.ratio)),
         persistent: lasting * 4 >= 3 * blocks,
@@ -212,7 +213,8 @@ fn one(group: &[Line], blocks: usize) -> Option<Line> {
     })
 }
 
-/// The density without lines and vibration, per bin: the level to which [`super::excise`] brings the bands down.
+/// Returns the density without lines and vibration, per bin: the level to which [`super::excise`] brings the bands
+/// down.
 pub(super) fn quiet(spectrum: &Spectrum, lines: &[Line]) -> Vec<f64> {
     let mut quiet = spectrum.background.clone();
     let from = Spectrum::FIRST.max(spectrum.power.len() / 24);

@@ -1,13 +1,14 @@
 //! Robustness: the disturbances of a channel while its noise was recorded, and the parameters with and without them.
 //!
-//! [`examine`] finds spectral lines and vibration. With these brought down to the background, it then finds spikes, knocks and
-//! handling by time, and then steps, bumps and drift of the level. A [`Record`] holds the sums of the remaining samples, and the
-//! deviation hour by hour; parameters are fitted with and without the disturbances. A record is examined twice, block by block
-//! ([`BLOCK`]): memory does not grow with its length. All findings are reported as flags of docs/formats.md.
+//! [`examine`] finds spectral lines and vibration. With these reduced to the background, it finds spikes, knocks and
+//! handling by time, and then steps, bumps and drift of the level. A [`Record`] holds the sums of the remaining
+//! samples, and the deviation hour by hour; parameters are fitted with and without the disturbances. A record is
+//! examined twice, block by block ([`BLOCK`]): memory does not grow with its length. All findings are reported as flags
+//! of docs/formats.md.
 //!
 //! # Validation
-//! Each detector's test has its synthetic case; `recordings.rs` holds the real ones; `false_alarms.rs` counts the findings in
-//! pure noise.
+//! The test of each detector has a synthetic case; `recordings.rs` has the real ones; `false_alarms.rs` counts the
+//! findings in pure noise.
 
 mod blocks;
 mod bursts;
@@ -47,16 +48,17 @@ use imu_core::sample::Channel;
 use serde::{Deserialize, Serialize};
 use survey::Survey;
 
-/// Samples of a block: 7 h at 40 Hz, 22 min at 800 Hz. A block takes about a hundred bytes a sample while it is looked through.
+/// Samples of a block: 7 h at 40 Hz, 22 min at 800 Hz. A block takes about a hundred bytes per sample while it is
+/// examined.
 pub const BLOCK: u64 = 1 << 20;
 
-/// The number of blocks in which a record of that many samples is examined. The blocks are of equal length, because a short one
-/// would carry little information.
+/// Returns the number of blocks in which a record of that many samples is examined. The blocks are of equal length,
+/// because a short one would carry little information.
 pub fn blocks_of(samples: u64) -> usize {
     usize::try_from(samples.div_ceil(BLOCK)).unwrap_or(usize::MAX).max(1)
 }
 
-/// The findings in a channel, and the samples to be left out for its noise alone.
+/// The findings in a channel, and the samples to leave out for its noise alone.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Examination {
     /// Disturbances by time.
@@ -67,23 +69,23 @@ pub struct Examination {
     pub drift: Option<Drift>,
     /// Samples far outside the noise, if they are too many to be events.
     pub heavy_tails: Option<HeavyTails>,
-    /// Times to be left out, s since the start of the capture, sorted and disjoint.
+    /// Times to leave out, s since the start of the capture, sorted and disjoint.
     pub excluded_intervals: Vec<(f64, f64)>,
-    /// Frequencies to be left out of a fit to the spectrum, Hz, sorted and disjoint.
+    /// Frequencies to leave out of a fit to the spectrum, Hz, sorted and disjoint.
     pub excluded_bands_hz: Vec<(f64, f64)>,
     /// Begin and end of the record, s since the start of the capture; `None` without samples.
     span_s: Option<(f64, f64)>,
-    /// Per block the gain per bin that brings its bands down to the background.
+    /// Per block, the gain per bin that reduces its bands to the background.
     gains: Vec<Option<Vec<f64>>>,
 }
 
 impl Examination {
-    /// Whether the samples are pure noise, as far as can be determined.
+    /// Returns whether the samples are pure noise, as far as can be determined.
     pub fn is_clean(&self) -> bool {
         self.excluded_intervals.is_empty() && self.gains.iter().all(Option::is_none) && self.drift.is_none()
     }
 
-    /// All findings as flags of the document, in order of time.
+    /// Returns all findings as flags of the document, in order of time.
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let unit = channel.unit();
         let mut flags: Vec<Flag> = self.events.iter().map(Event::flag).collect();
@@ -132,15 +134,15 @@ impl Examination {
     }
 }
 
-/// Looks a channel through in one block. `parts`: its samples without gaps, in order of time, in the channel's unit; `rate_hz`
-/// above 0.
+/// Examines a channel in one block. `parts` are its samples without gaps, in order of time, in the channel's unit;
+/// `rate_hz` is above 0.
 pub fn examine(parts: &[Part], rate_hz: f64) -> Examination {
     let mut survey = Survey::new(rate_hz, parts.iter().map(|part| part.values.len() as u64).sum());
     survey.look(&Portion { parts: parts.to_vec(), continues: false });
     survey.settle().0
 }
 
-/// Spectral sums of parts: the input of the Whittle fit.
+/// Returns the spectral sums of parts: the input of the Whittle fit.
 pub fn spectral_sums(parts: &[Part], scale: FixedPoint) -> DstSums {
     let mut transform = Transform::new();
     let mut estimator = DstEstimator::new(scale);
@@ -151,23 +153,23 @@ pub fn spectral_sums(parts: &[Part], scale: FixedPoint) -> DstSums {
     estimator.into_sums(&mut transform)
 }
 
-/// What a channel's document says beside its parameters.
+/// The statements about a channel beside its parameters.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Disturbances {
-    /// Parameters of all samples, disturbances included; null where nothing was found that is left out or told apart from noise.
-    /// A creep alone, of which nothing is left out, counts: they are then those of the channel, once more.
+    /// Parameters of all samples, disturbances included; null if no finding is left out or separated from noise. A
+    /// creep alone counts, although nothing is left out for it: these parameters then equal those of the channel.
     pub with_disturbances: Option<NoiseParameters>,
-    /// Time left out, s.
+    /// Excluded time, s.
     pub excluded_s: f64,
-    /// Intervals left out, s since the start of the capture.
+    /// Excluded intervals, s since the start of the capture.
     pub excluded_intervals_s: Vec<[f64; 2]>,
-    /// Frequencies left out, Hz.
+    /// Excluded frequencies, Hz.
     pub excluded_bands_hz: Vec<[f64; 2]>,
     /// Lines and bands of vibration.
     pub lines: Vec<Line>,
-    /// Warm-up or creep; null where there is none.
+    /// Warm-up or creep; null if there is none.
     pub drift: Option<Drift>,
-    /// Dependence on temperature; null where it is not recorded or hardly changes.
+    /// Dependence on temperature; null if it is not recorded or hardly changes.
     pub temperature: Option<TemperatureDependence>,
     /// Rate random walk without the temperature's part; null without a significant one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -175,18 +177,18 @@ pub struct Disturbances {
     /// Rate ramp without the temperature's part.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r_without_temperature: Option<Estimate>,
-    /// Deviation hour by hour; null where the record is too short.
+    /// Deviation hour by hour; null if the record is too short.
     pub dynamic: Option<DynamicAllan>,
-    /// Lowest point of the Allan deviation without what was left out; null where there is none of five degrees of freedom.
+    /// Lowest point of the Allan deviation without excluded samples; null if no point has five degrees of freedom.
     pub allan_minimum: Option<AllanMinimum>,
 }
 
-/// The lowest point of an Allan deviation: what datasheets call bias stability in run.
+/// The lowest point of an Allan deviation, which datasheets call bias stability in run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct AllanMinimum {
-    /// The deviation, channel's unit.
+    /// The deviation, in the channel's unit.
     pub deviation: f64,
-    /// Lower end of its 68.3 % interval.
+    /// Lower end of the deviation's 68.3 % interval.
     pub ci68_low: f64,
     /// Averaging time, s.
     pub tau_s: f64,

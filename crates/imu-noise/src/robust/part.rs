@@ -1,4 +1,4 @@
-//! Parts: a channel's samples without gaps, with the time at which each begins.
+//! Parts: a channel's samples without gaps, with the time at which each part begins.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// The time of sample `index`, s since the start of the capture.
+    /// Returns the time of sample `index`, s since the start of the capture.
     pub(super) fn time_s(&self, index: usize, rate_hz: f64) -> f64 {
         self.start_s + index as f64 / rate_hz
     }
@@ -21,13 +21,13 @@ impl Part {
 /// Samples of a portion of a record.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Portion {
-    /// The parts, in order of time. Each is independent, however close to the next.
+    /// The parts, in order of time. Each is independent, however close the next one is.
     pub parts: Vec<Part>,
-    /// Whether the first sample continues the stretch that the portion before ended with.
+    /// Whether the first sample continues the last stretch of the portion before.
     pub continues: bool,
 }
 
-/// The intervals (s, sorted, disjoint) that reach into a part.
+/// Returns the intervals (s, sorted, disjoint) that overlap a part.
 fn reaching<'a>(
     part: &Part,
     intervals: &'a [(f64, f64)],
@@ -38,7 +38,7 @@ fn reaching<'a>(
     intervals.get(first..).unwrap_or_default().iter().take_while(move |(from_s, _)| *from_s < end_s)
 }
 
-/// Cuts the intervals (s, sorted, disjoint) out of parts; remainders of less than two samples are left out.
+/// Cuts the intervals (s, sorted, disjoint) out of parts; remainders of fewer than two samples are left out.
 pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     let mut kept = Vec::new();
     for part in parts {
@@ -58,8 +58,9 @@ pub fn without_intervals(parts: &[Part], intervals: &[(f64, f64)], rate_hz: f64)
     kept
 }
 
-/// Replaces intervals (s, sorted, disjoint) inside a part by the straight line between the levels before and after, of a second
-/// or as long as the interval, if it is longer; a part that is inside an interval altogether is left out.
+/// Replaces intervals (s, sorted, disjoint) inside a part by a straight line between the levels before and after. These
+/// levels are means over a second, or over the length of the interval if that is longer. A part that lies inside an
+/// interval entirely is left out.
 pub fn bridged(parts: Vec<Part>, intervals: &[(f64, f64)], rate_hz: f64) -> Vec<Part> {
     parts.into_iter().filter_map(|part| bridge(part, intervals, rate_hz)).collect()
 }
@@ -81,11 +82,12 @@ fn bridge(mut part: Part, intervals: &[(f64, f64)], rate_hz: f64) -> Option<Part
         };
         // The samples inside the neighbouring intervals are not a level.
         let disturbed_from = disturbed.get(index + 1).map_or(last, |next| next.start);
-        // A long bridge hangs on as many samples: otherwise its ends' white noise would pass for a slow change.
+        // A long bridge uses as many samples for its levels; otherwise the white noise of its ends would look like a
+        // slow change.
         let reach = reach.max(to.saturating_sub(from));
         let before = mean(from.saturating_sub(reach).max(undisturbed_from).min(from)..from);
         let after = mean(to..(to + reach).min(disturbed_from).max(to));
-        // Between two that touch, no level is left: the bridge before ends at a level.
+        // Between two touching intervals there is no level: the bridge before ends at a level.
         let before = before.or(after).or_else(|| from.checked_sub(1).map(|end| part.values[end]));
         let (before, after) = before.zip(after.or(before))?;
         undisturbed_from = to;
@@ -104,7 +106,7 @@ fn push(kept: &mut Vec<Part>, part: &Part, range: Range<usize>, rate_hz: f64) {
     }
 }
 
-/// Samples `range` of parts, counted over all of them one after the other.
+/// Returns the samples `range` of parts, counted over all parts in order.
 pub fn samples_of(parts: &[Part], range: &Range<usize>, rate_hz: f64) -> Portion {
     let mut first = 0;
     let mut found = Portion::default();
@@ -120,15 +122,15 @@ pub fn samples_of(parts: &[Part], range: &Range<usize>, rate_hz: f64) -> Portion
     found
 }
 
-/// Determines whether the first part of a portion continues the last one of the portion before. It does when a record is read in
-/// portions, unless its beginning or the other's end was removed.
+/// Determines whether the first part of a portion continues the last one of the portion before. It does if a record is
+/// read in portions, unless the part's beginning or the other's end was removed.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Seam {
     end_s: Option<f64>,
 }
 
 impl Seam {
-    /// Of every part whether it continues the one before it; remembers where the last one ends.
+    /// Returns, for every part, whether it continues the one before it, and remembers the end of the last part.
     pub(super) fn joins<'a>(
         &mut self,
         parts: &'a [Part],
@@ -153,40 +155,40 @@ pub struct Levels {
     samples_hz: f64,
     parts: Vec<Part>,
     seam: Seam,
-    /// Sum and count of the level in the making, and whether it goes on with the last part.
+    /// Sum and count of the present level, and whether it continues with the last part.
     open: (f64, usize, bool),
 }
 
 impl Levels {
-    /// Levels per second, at least, where samples come faster and are not too many.
+    /// Minimum number of levels per second, if samples come faster and there are not too many.
     const RATE_HZ: f64 = 20.0;
-    /// Levels of the longest record.
+    /// Maximum number of levels of a record.
     const MOST: u64 = 1 << 20;
 
-    /// None yet, of a record of so many samples.
+    /// Creates levels for a record of `samples` samples.
     pub fn new(rate_hz: f64, samples: u64) -> Self {
         let least = usize::try_from(samples.div_ceil(Self::MOST)).unwrap_or(usize::MAX);
         let per_level = ((rate_hz / Self::RATE_HZ).floor() as usize).max(least).max(1);
         Self { per_level, samples_hz: rate_hz, parts: Vec::new(), seam: Seam::default(), open: (0.0, 0, false) }
     }
 
-    /// Levels per second.
+    /// Returns the number of levels per second.
     pub(super) fn rate_hz(&self) -> f64 {
         self.samples_hz / self.per_level as f64
     }
 
-    /// The levels; no part is empty.
+    /// Returns the levels; no part is empty.
     pub(super) fn parts(&self) -> &[Part] {
         &self.parts
     }
 
-    /// The same without some times.
+    /// Returns the levels without some times.
     pub(super) fn without(&self, intervals: &[(f64, f64)]) -> Vec<Part> {
         without_intervals(&self.parts, intervals, self.rate_hz())
     }
 
-    /// Takes the next samples, in order of time; `continues` as [`Portion::continues`]. The samples that a stretch leaves over
-    /// are fewer than a level needs and are left out.
+    /// Takes the next samples, in order of time; `continues` has the meaning of [`Portion::continues`]. Samples at the
+    /// end of a stretch that are too few for a level are left out.
     pub fn push(&mut self, parts: &[Part], continues: bool) {
         for (part, joins) in self.seam.joins(parts, continues, self.samples_hz) {
             if !joins {
@@ -276,7 +278,7 @@ mod tests {
             pieces.push(&[of(from, to)], continues);
         }
         assert_eq!((whole.rate_hz(), whole.parts()), (20.0, pieces.parts()), "four samples are less than a level");
-        // A stretch that begins where another one ended is another one.
+        // A stretch that begins at another one's end is still another stretch.
         let mut apart = Levels::new(100.0, 1000);
         apart.push(&[of(0, 400), of(400, 403)], false);
         apart.push(&[of(500, 700)], true);
@@ -285,7 +287,7 @@ mod tests {
         assert_eq!(whole.parts().iter().map(|part| part.values.len()).collect::<Vec<_>>(), [80, 100]);
         assert_eq!(whole.parts()[0].values[0], 2.0);
         assert!((whole.parts()[1].start_s - 10.02).abs() < 1e-12);
-        // However long the record, levels are no more than so many.
+        // The number of levels is limited for records of any length.
         assert_eq!(Levels::new(100.0, 1 << 40).per_level, 1 << 20);
     }
 

@@ -19,9 +19,9 @@ use std::convert::Infallible;
 #[derive(Debug, Clone)]
 pub struct Record {
     found: Examination,
-    /// Sums of the noise alone; none if nothing was removed and no caller needs them separately.
+    /// Sums of the noise alone; `None` if nothing was removed and no caller needs them separately.
     noise: Option<DstSums>,
-    /// The same without the temperature's part, if that is significant.
+    /// The sums without the temperature's part, if that is significant.
     without_temperature: Option<DstSums>,
     /// Octaves of the Allan variance.
     points: Vec<AllanPoint>,
@@ -29,12 +29,12 @@ pub struct Record {
     dynamic: Option<DynamicAllan>,
 }
 
-/// Whether a record's sums are needed even if nothing was removed from it: to be added to those of other captures.
+/// Whether a record's sums are needed even if nothing was removed from it, to add them to those of other captures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Company {
-    /// Its parameters are its own.
+    /// The record stands alone.
     Alone,
-    /// It is one of several.
+    /// The record is one of several.
     Several,
 }
 
@@ -43,25 +43,26 @@ pub enum Company {
 pub struct All<'a> {
     sums: &'a DstSums,
     sampling: Option<&'a Sampling>,
-    /// Their parameters as they are.
+    /// The parameters of all samples.
     pub parameters: NoiseParameters,
 }
 
 impl<'a> All<'a> {
-    /// The parameters of sums; `rate_hz` finite and above 0. `sampling`: how the samples came about, if that is known.
+    /// Returns the parameters of sums; `rate_hz` is finite and above 0. `sampling` states how the samples were made, if
+    /// that is known.
     pub fn of(channel: Channel, rate_hz: f64, sums: &'a DstSums, sampling: Option<&'a Sampling>) -> Self {
         Self { sums, sampling, parameters: fit_as_sampled(sums, rate_hz, channel, sampling) }
     }
 }
 
 impl Record {
-    /// Examines a channel of a capture. `temperature`: empty if it was not recorded.
+    /// Examines a channel of a capture. `temperature` is empty if it was not recorded.
     ///
-    /// `read` gives the samples of each of `blocks` portions of the record ([`blocks_of`]) in order of time; it is
-    /// called once per block where there is one, twice otherwise.
+    /// `read` returns the samples of each of `blocks` portions of the record ([`blocks_of`]) in order of time. It is
+    /// called once if there is one block, otherwise twice per block.
     ///
     /// # Errors
-    /// Those of `read`.
+    /// The errors of `read`.
     pub fn read<E>(
         channel: Channel,
         rate_hz: f64,
@@ -105,7 +106,7 @@ impl Record {
         })
     }
 
-    /// [`Self::read`] of samples that are in memory.
+    /// Examines samples in memory as [`Self::read`] does.
     pub fn of(channel: Channel, rate_hz: f64, mut parts: Vec<Part>, temperature: &Levels, company: Company) -> Self {
         let samples: usize = parts.iter().map(|part| part.values.len()).sum();
         let blocks = blocks_of(samples as u64);
@@ -120,9 +121,9 @@ impl Record {
         record
     }
 
-    /// The parameters of this record alone without its disturbances, and the disturbances.
+    /// Returns the parameters of this record alone without its disturbances, and the disturbances.
     ///
-    /// `all`: all its samples. The parameters that come back carry the flags.
+    /// `all` has all samples of the record. The returned parameters have the flags.
     pub fn alone(self, channel: Channel, rate_hz: f64, all: &All<'_>) -> (NoiseParameters, Disturbances) {
         let records = [self];
         let (mut main, fitted) = parameters_together(channel, rate_hz, &records, all);
@@ -137,12 +138,12 @@ impl Record {
         (main, disturbances)
     }
 
-    /// Octaves of the Allan variance without the excluded samples.
+    /// Returns octaves of the Allan variance without the excluded samples.
     pub fn points(&self) -> &[AllanPoint] {
         &self.points
     }
 
-    /// The lowest frequencies of the bands of vibration, Hz.
+    /// Returns the lowest frequencies of the bands of vibration, Hz.
     fn foot_hz(&self) -> impl Iterator<Item = f64> {
         self.found.lines.iter().filter(|line| line.broad).map(|line| line.band_hz[0])
     }
@@ -151,7 +152,7 @@ impl Record {
         self.found.excluded_bands_hz.iter().copied()
     }
 
-    /// The findings, as flags of the document; times count from the capture's start.
+    /// Returns the findings, as flags of the document; times count from the capture's start.
     pub fn flags(&self, channel: Channel) -> Vec<Flag> {
         let mut flags = self.found.flags(channel);
         if let Some(dynamic) = self.dynamic.as_ref().filter(|dynamic| dynamic.stationary == Some(false)) {
@@ -165,7 +166,7 @@ impl Record {
         flags
     }
 
-    /// The document's statement about this capture alone, besides its parameters.
+    /// Returns the document's statement about this capture alone, besides its parameters.
     pub fn disturbances(&self, rate_hz: f64) -> Disturbances {
         let found = &self.found;
         Disturbances {
@@ -184,11 +185,11 @@ impl Record {
     }
 }
 
-/// The parameters of several captures of one sensor, each examined separately: the sums of their noise are added and
-/// fitted as one.
+/// Returns the parameters of several captures of one sensor, each examined separately: the sums of their noise are
+/// added and fitted as one.
 ///
-/// `all`: all samples of all of them. Flags with times stand with each capture. This result holds the time left out
-/// altogether, the bands, and the findings in the sums.
+/// `all` has all samples of all captures. Flags with times belong to each capture. This result has the total excluded
+/// time, the bands, and the findings in the sums.
 pub fn parameters_together(
     channel: Channel,
     rate_hz: f64,
@@ -218,7 +219,8 @@ pub fn parameters_together(
     let said: Vec<Flag> = said.cloned().collect();
     main.flags.extend(said);
     if let Some(foot_hz) = records.iter().flat_map(Record::foot_hz).reduce(f64::min) {
-        // A vibration's skirts reach beyond its band: below half of where that begins there is least of them.
+        // The skirts of a vibration extend beyond its band; they are weakest below half of the frequency at which the
+        // band begins.
         let below: Vec<[f64; 2]> = bands.iter().copied().chain([[0.5 * foot_hz, rate_hz]]).collect();
         let mut sums = DstSums::new();
         records.iter().filter_map(|record| record.noise.as_ref()).for_each(|own| sums.merge(own));
@@ -227,7 +229,8 @@ pub fn parameters_together(
             *ends = [ends[0].min(least), ends[1].max(most)];
         }
     }
-    // Whether samples far out are noise or faulty measurements is not known. Other exclusions may have removed some of them.
+    // It is not known whether samples that are far out are noise or faulty measurements. Other exclusions may have
+    // removed some of them.
     let tails = records.iter().filter_map(|record| record.found.heavy_tails).map(|tails| tails.core).reduce(f64::min);
     if let (Some(core), Some(ends)) = (tails, &mut main.n.ci95) {
         let of_all = all.parameters.n.ci95.map_or(ends[1], |ends| ends[1]);
@@ -254,7 +257,7 @@ pub fn parameters_together(
     (main, disturbances)
 }
 
-/// The octaves of all records: variances weighted with the numbers of their terms.
+/// Returns the octaves of all records: variances are weighted by the numbers of their terms.
 fn pooled(records: &[Record]) -> Vec<AllanPoint> {
     let mut pooled: BTreeMap<usize, AllanPoint> = BTreeMap::new();
     for point in records.iter().flat_map(|record| &record.points) {

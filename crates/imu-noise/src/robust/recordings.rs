@@ -59,7 +59,7 @@ fn a_desk_recordings_disturbances_are_found_and_its_densities_remain() {
     for time_s in [7.0, 79.0, 102.0, 137.0, 211.0, 366.0, 467.0] {
         let near = |flag: &&Flag| flag.from_s.is_some_and(|from| (from - time_s).abs() < 2.0 && flag.to_s.is_some());
         assert!(
-            // One as short as a sample is a spike.
+            // A disturbance as short as a sample is a spike.
             gyro.iter().filter(near).any(|flag| matches!(flag.kind.as_str(), "knock" | "handling" | "spike")),
             "{time_s} s in {gyro:?}"
         );

@@ -1,5 +1,4 @@
-//! The rest: a channel's samples without the disturbances found in them, block by block, and the sums computed from
-//! them.
+//! The rest: a channel's samples without their disturbances, block by block, and the sums computed from them.
 
 use super::dynamic::{Dynamic, DynamicAllan};
 use super::part::Seam;
@@ -12,16 +11,18 @@ use std::collections::BTreeMap;
 /// The rest of one block.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cleaned {
-    /// Cut at every interval left out: right for averaging times that are short beside the intervals' distance.
+    /// Cut at every excluded interval: valid for averaging times that are short compared with the distance of
+    /// intervals.
     pub(super) cut: Vec<Part>,
-    /// Bridged across knocks and spikes, cut at steps: right for averaging times that are long beside the intervals.
+    /// Bridged across knocks and spikes, and cut at steps: valid for averaging times that are long compared with the
+    /// intervals.
     pub(super) bridged: Vec<Part>,
 }
 
-/// Removes from a block of the record the disturbances found in it.
+/// Removes the disturbances found in a block of the record.
 pub(super) fn clean(parts: Vec<Part>, block: usize, rate_hz: f64, found: &Examination) -> Cleaned {
     let mut quiet = match found.gains.get(block).and_then(Option::as_ref) {
-        // Knocks first: filtered, they would ring on beyond their interval.
+        // Knocks first: filtering would let them ring beyond their interval.
         Some(gains) => excise::apply(bridged(parts, &found.excluded_intervals, rate_hz), gains, excise::Short::Kept),
         None => parts,
     };
@@ -33,13 +34,13 @@ pub(super) fn clean(parts: Vec<Part>, block: usize, rate_hz: f64, found: &Examin
     Cleaned { cut, bridged }
 }
 
-/// Sums in the making.
+/// The sums so far.
 pub(super) struct Rest<'a> {
     rate_hz: f64,
     found: &'a Examination,
     transform: Transform,
     main: Option<Spectral>,
-    /// Without the temperature's part too.
+    /// The spectral sums without the temperature's part.
     cool: Option<(Spectral, &'a Course, f64)>,
     short: Octaves,
     long: Octaves,
@@ -50,9 +51,9 @@ pub(super) struct Rest<'a> {
 
 /// The sums of the rest.
 pub(super) struct Outcome {
-    /// Spectral sums, if they were wanted.
+    /// Spectral sums, if requested.
     pub(super) sums: Option<DstSums>,
-    /// The same without the temperature's part, if that matters.
+    /// The spectral sums without the temperature's part, if that matters.
     pub(super) cool: Option<DstSums>,
     /// Octaves of the overlapping Allan variance.
     pub(super) points: Vec<AllanPoint>,
@@ -60,8 +61,8 @@ pub(super) struct Outcome {
 }
 
 impl<'a> Rest<'a> {
-    /// `course`: the temperature and the channel's dependence on it, if that is significant. `sums`: whether spectral sums are
-    /// wanted.
+    /// Creates the rest. `course` is the temperature with the channel's dependence on it, if that is significant;
+    /// `sums` is whether spectral sums are needed.
     pub(super) fn new(
         rate_hz: f64,
         scale: FixedPoint,
@@ -87,7 +88,7 @@ impl<'a> Rest<'a> {
         }
     }
 
-    /// Takes the next block of the record as it was recorded.
+    /// Takes the next block of the original record.
     pub(super) fn push(&mut self, block: usize, portion: Portion) {
         let Portion { parts, continues } = portion;
         let mut cleaned = if self.found.is_clean() {
@@ -112,7 +113,7 @@ impl<'a> Rest<'a> {
         }
     }
 
-    /// The sums of all blocks that were pushed.
+    /// Returns the sums of all blocks pushed.
     pub(super) fn finish(mut self) -> Outcome {
         let points = Octaves::joined(self.short.finish(), self.long.finish(), self.longest_bridge);
         let transform = &mut self.transform;
@@ -125,8 +126,9 @@ impl<'a> Rest<'a> {
     }
 }
 
-/// Spectral sums of blocks, which stretches go across: of bridged samples for frequencies that are low beside the bridges, of
-/// cut ones for the others. A bridge has no noise: of 1 % bridged samples N would come out 0.5 % too small.
+/// Spectral sums of blocks, across which stretches continue: of bridged samples for frequencies that are low compared
+/// with the bridges, of cut samples for the others. A bridge has no noise: with 1 % of bridged samples, N would be 0.5
+/// % too small.
 struct Spectral {
     bridged: Stretches,
     /// The places of the bridges.
@@ -148,7 +150,7 @@ impl Spectral {
     }
 
     fn finish(self, transform: &mut Transform) -> DstSums {
-        /// Half periods that a cut stretch of mean length should hold at the least.
+        /// Minimum number of half periods in a cut stretch of mean length.
         const HALF_PERIODS: f64 = 8.0;
         let mut sums = self.bridged.estimator.into_sums(transform);
         if let Some(cut) = self.cut {
@@ -186,19 +188,19 @@ impl Stretches {
     }
 }
 
-/// Octaves of the overlapping Allan variance of blocks, which stretches go across.
+/// Octaves of the overlapping Allan variance of blocks, across which stretches continue.
 struct Octaves {
     estimator: Option<Overlapping>,
     seam: Seam,
 }
 
 impl Octaves {
-    /// A bridge this many times shorter than an averaging time changes its variance by a few percent of those windows that
-    /// hold it.
+    /// A bridge shorter than an averaging time by at least this factor changes the variance by a few percent of the
+    /// windows that contain it.
     const LONGER: usize = 16;
 
-    /// Of cut stretches the points at averaging times that are not long beside the longest bridge, as long as they have half of
-    /// the terms that bridged ones have; of bridged stretches the others.
+    /// Joins the points of cut stretches at averaging times that are not long compared with the longest bridge, as long
+    /// as they have half of the terms of bridged ones, and the other points of bridged stretches.
     fn joined(cut: Vec<AllanPoint>, bridged: Vec<AllanPoint>, longest_bridge: usize) -> Vec<AllanPoint> {
         let mut points: BTreeMap<usize, AllanPoint> = bridged.into_iter().map(|point| (point.m, point)).collect();
         for point in cut.into_iter().filter(|point| point.m < Self::LONGER * longest_bridge) {
@@ -210,7 +212,7 @@ impl Octaves {
         points.into_values().collect()
     }
 
-    /// Of stretches of at most that many samples.
+    /// Creates octaves for stretches of at most that many samples.
     fn new(scale: FixedPoint, longest: u64) -> Self {
         let estimator = TauGrid::octave(longest).ok().map(|grid| Overlapping::new(scale, grid));
         Self { estimator, seam: Seam::default() }
@@ -242,7 +244,7 @@ mod tests {
 
     const RATE_HZ: f64 = 40.0;
 
-    /// A record with a spike, a knock, a step, a tone and a warm-up, and when they were.
+    /// Returns a record with a spike, a knock, a step, a tone and a warm-up, and their times.
     fn disturbed(count: usize) -> Vec<f64> {
         let mut noise = Noise::new(71);
         let mut values = noise.sensor(count, RATE_HZ, 2e-3, 5e-4, 2e-6);
@@ -259,8 +261,8 @@ mod tests {
         values
     }
 
-    /// The part of the document that does not depend on how often the record is read: kinds and times of flags, N and
-    /// its like with all.
+    /// Returns the part of the document that does not depend on how often the record is read: kinds and times of flags,
+    /// N and similar values with all samples.
     fn of(values: &[f64], blocks: usize) -> (crate::NoiseParameters, super::super::Disturbances) {
         let part = Part { start_s: 0.0, values: values.to_vec() };
         let sums = spectral_sums(std::slice::from_ref(&part), FixedPoint::for_channel(Channel::GyroX));
@@ -300,7 +302,7 @@ mod tests {
             assert!((low..=high).contains(&2e-3), "{:?}", parameters.n);
             let with = about.with_disturbances.as_ref().unwrap();
             assert!(with.n.value.unwrap() > 1.05 * 2e-3, "the tone alone adds an eighth to N²");
-            // No part of the step or the warm-up passes for a walk: 0.02 in 1.7 h would be 2.6e-4.
+            // No part of the step or the warm-up counts as a walk: 0.02 in 1.7 h would be 2.6e-4.
             assert!(parameters.k.upper_limit95.or(parameters.k.value).unwrap() < 5e-5, "{:?}", parameters.k);
         }
         let ratio = whole.n.value.unwrap() / blocks.n.value.unwrap();
@@ -316,7 +318,7 @@ mod tests {
         let (blocks, about_blocks) = of(&values, 3);
         assert!(about.with_disturbances.is_none() && about_blocks.with_disturbances.is_none(), "{:?}", blocks.flags);
         assert_eq!(whole.n, blocks.n);
-        // Integers: blocks that go on where the last one ended are one stretch.
+        // Integers: blocks that continue at the end of the last one are one stretch.
         assert_eq!(about.allan_minimum, about_blocks.allan_minimum);
         assert_eq!(about.dynamic, about_blocks.dynamic);
     }
@@ -326,7 +328,7 @@ mod tests {
         let mut noise = Noise::new(74);
         let mut values = noise.sensor(200_000, RATE_HZ, 2e-3, 0.0, 0.0);
         let sigma = 2e-3 * RATE_HZ.sqrt();
-        // Handled for half a minute once, knocked every 100 s.
+        // Handled once for half a minute, and knocked every 100 s.
         for value in &mut values[30_000..31_200] {
             *value += 20.0 * sigma * noise.normal();
         }
@@ -362,7 +364,7 @@ mod tests {
         let (found, about) = of(&values, 1);
         assert!(about.excluded_s > 0.02 * 10_000.0, "{}", about.excluded_s);
         let n = found.n.value.unwrap();
-        // The interval of 400,000 samples is ±0.24 %; bridges without noise would take 1 % and more.
+        // The interval of 400,000 samples is ±0.24 %; bridges without noise would reduce N by 1 % and more.
         assert!((n / 2e-3 - 1.0).abs() < 4e-3, "{n}");
         let [low, high] = found.n.ci95.unwrap();
         assert!((low..=high).contains(&2e-3), "{:?}", found.n);

@@ -1,13 +1,13 @@
-//! Scales that a few wild values do not move: medians, quantiles, robust spreads.
+//! Scales that a few wild values do not affect: medians, quantiles, robust spreads.
 
-/// More values than this are thinned out evenly: a median of so many is good to 0.3 %.
+/// Maximum number of values; more are thinned out evenly. A median of this many is accurate to 0.3 %.
 const ENOUGH: usize = 1 << 18;
 /// Distance of the quartiles of a normal distribution from its median, in standard deviations.
 const NORMAL_QUARTILE: f64 = 0.674_489_750_196_081_7;
-/// The same of the 2.5 % and 97.5 % quantiles.
+/// Distance of the 2.5 % and 97.5 % quantiles from the median, in standard deviations.
 const NORMAL_95: f64 = 1.959_963_984_540_054;
 
-/// An even selection of at most [`ENOUGH`] values; those that are not finite are left out.
+/// Returns an even selection of at most [`ENOUGH`] values; those that are not finite are left out.
 fn thinned(values: impl ExactSizeIterator<Item = f64>) -> Vec<f64> {
     let stride = values.len().div_ceil(ENOUGH).max(1);
     values.step_by(stride).filter(|value| value.is_finite()).collect()
@@ -19,12 +19,12 @@ fn quantile_of(values: &mut [f64], fraction: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(at.min(last), f64::total_cmp).1)
 }
 
-/// The median; `None` if there are no values.
+/// Returns the median; `None` if there are no values.
 pub(super) fn median(values: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     quantile_of(&mut thinned(values), 0.5)
 }
 
-/// Median and standard deviation by the median absolute deviation.
+/// Returns the median, and the standard deviation from the median absolute deviation.
 pub(super) fn centre_and_spread(values: impl ExactSizeIterator<Item = f64>) -> Option<(f64, f64)> {
     let mut values = thinned(values);
     let centre = quantile_of(&mut values, 0.5)?;
@@ -34,7 +34,8 @@ pub(super) fn centre_and_spread(values: impl ExactSizeIterator<Item = f64>) -> O
     Some((centre, quantile_of(&mut values, 0.5)? / NORMAL_QUARTILE))
 }
 
-/// Standard deviation by the middle 95 %: holds for data of few steps too, where the median deviation may be 0.
+/// Returns the standard deviation from the middle 95 %, which also holds for data of few steps, whose median deviation
+/// may be 0.
 pub(super) fn spread_of_95(values: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let mut values = thinned(values);
     let (low, high) = (quantile_of(&mut values, 0.025)?, quantile_of(&mut values, 0.975)?);

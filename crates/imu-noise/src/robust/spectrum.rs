@@ -1,4 +1,4 @@
-//! The spectrum: Welch's averaged periodogram, its background, and how far chance may lift a bin above it.
+//! The spectrum: Welch's averaged periodogram, its background, and the excess over it that chance may cause.
 //!
 //! # Source
 //! P. D. Welch, IEEE Trans. Audio Electroacoustics AU-15 (1967) 70, for the estimate and the degrees of freedom that
@@ -9,34 +9,35 @@ use super::scale::{median, spread_of_95};
 use crate::welch::Windows;
 use crate::whittle::boxcar;
 
-/// Windows that a spectrum should at least be averaged from.
+/// Minimum number of windows averaged in a spectrum.
 const LEAST_WINDOWS: usize = 16;
 const SHORTEST: usize = 256;
 const LONGEST: usize = 1 << 16;
-/// The record is divided into so many stretches of equal time, to see whether a line lasts.
+/// Number of stretches of equal time into which the record is divided, to see whether a line lasts.
 pub(super) const STRETCHES: usize = 4;
-/// Windows whose samples jump about this many times more than those of the usual window are left out.
+/// Windows in which samples jump by more than about this multiple of the usual window's jumps are left out.
 const WILD: f64 = 4.0;
 
 /// An averaged one-sided spectrum.
 #[derive(Debug, Clone)]
 pub(super) struct Spectrum {
-    /// Samples of a window.
+    /// Samples per window.
     pub(super) window: usize,
     /// Distance of bins, Hz.
     pub(super) step_hz: f64,
-    /// Power density per bin, U²/Hz; bin 0 is the mean, which was taken out, the last is half the rate.
+    /// Power density per bin, U²/Hz; bin 0 is the mean, which was subtracted, and the last bin is half the rate.
     pub(super) power: Vec<f64>,
-    /// The same for each quarter of the record; empty if it had no window.
+    /// The power density for each quarter of the record; empty if the quarter had no window.
     pub(super) stretches: [Vec<f64>; STRETCHES],
-    /// Windows that count as independent.
+    /// Effective number of independent windows.
     pub(super) windows: f64,
     /// The density without lines: the running median.
     pub(super) background: Vec<f64>,
 }
 
 impl Spectrum {
-    /// The spectrum of parts; `None` if none is long enough for [`LEAST_WINDOWS`] windows of 256 samples in all.
+    /// Returns the spectrum of parts; `None` if they are too short for [`LEAST_WINDOWS`] windows of 256 samples in
+    /// total.
     pub(super) fn of(parts: &[Part], rate_hz: f64) -> Option<Self> {
         let longest = parts.iter().map(|part| part.values.len()).max()?;
         let most = (longest / LEAST_WINDOWS).clamp(SHORTEST, LONGEST);
@@ -81,11 +82,11 @@ impl Spectrum {
         Some(Self { window, step_hz: rate_hz / window as f64, power, stretches, windows, background })
     }
 
-    /// The first bin at which lines are looked for: below it the background cannot be determined.
+    /// The first bin in which lines are searched: below it, the background cannot be determined.
     pub(super) const FIRST: usize = 8;
 }
 
-/// Windows of half overlap: part and first sample.
+/// Returns half-overlapping windows: part and first sample.
 fn places(parts: &[Part], window: usize) -> Vec<(usize, usize)> {
     let of = |(index, part): (usize, &Part)| {
         let last = part.values.len().checked_sub(window);
@@ -95,7 +96,7 @@ fn places(parts: &[Part], window: usize) -> Vec<(usize, usize)> {
     parts.iter().enumerate().flat_map(of).collect()
 }
 
-/// Which windows hold a knock: steps from sample to sample far beyond those of the others.
+/// Returns which windows contain a knock: steps from sample to sample far beyond those of the others.
 fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<bool> {
     let roughness: Vec<f64> = places
         .iter()
@@ -107,12 +108,13 @@ fn wildness(parts: &[Part], places: &[(usize, usize)], window: usize) -> Vec<boo
         .collect();
     let centre = median(roughness.iter().copied()).unwrap_or(0.0);
     let below = roughness.iter().map(|value| value.min(centre)).collect::<Vec<_>>();
-    // The spread of the calm half: knocks must not widen the scale by which they are measured.
+    // The spread of the calm half: knocks must not widen the scale that measures them.
     let spread = (2.0 * spread_of_95(below.iter().copied()).unwrap_or(0.0)).max((2.0 / window as f64).sqrt());
     roughness.iter().map(|value| value - centre > WILD * spread + 0.1).collect()
 }
 
-/// The density without lines: its running median, under the lobes of a moving average if the samples are means of many.
+/// Returns the density without lines: its running median, with the lobes of a moving average if the samples are means
+/// of many.
 fn background(power: &[f64]) -> Vec<f64> {
     let plain = running_median(power);
     let Some(gain) = lobes(power) else { return plain };
@@ -123,23 +125,23 @@ fn background(power: &[f64]) -> Vec<f64> {
 
 /// Windows whose lobes are narrow enough for lines.
 const WINDOWS: std::ops::RangeInclusive<u32> = 6..=64;
-/// By how much lobes have to better the mean square of logarithms.
+/// How much lobes have to improve the mean square of logarithms.
 const LOBED: f64 = 0.02;
-/// Logarithms of ratios to the background beyond are lines.
+/// Larger logarithms of ratios to the background belong to lines.
 const LINE: f64 = 1.5;
 
-/// Squared logarithms of densities over the background; lines count little.
+/// Returns squared logarithms of densities over the background; lines count little.
 fn misfit(power: &[f64], background: &[f64]) -> f64 {
     let bins = power.iter().zip(background).skip(Spectrum::FIRST);
     bins.map(|(power, level)| (power.max(f64::MIN_POSITIVE) / level).ln().clamp(-LINE, LINE).powi(2)).sum()
 }
 
-/// The gain of the moving average under which the density is most nearly flat, of [`WINDOWS`]; `None` if the density
-/// does not fall as theirs do.
+/// Returns the gain of the moving average among [`WINDOWS`] that makes the density most nearly flat; `None` if the
+/// density does not fall like these gains.
 fn lobes(power: &[f64]) -> Option<Vec<f64>> {
-    /// Windows are compared on so many means of bins.
+    /// Windows are compared on this many means of bins.
     const COARSE: usize = 1024;
-    /// The upper half of the band holds less than this share of the lowest eighth's density.
+    /// The upper half of the band has less than this share of the density of the lowest eighth.
     const FALLS: f64 = 0.2;
     let last = power.len().checked_sub(1).filter(|last| *last > 4 * Spectrum::FIRST)?;
     let level = |from: usize, to: usize| median(power.get(from..to)?.iter().copied());
@@ -147,7 +149,7 @@ fn lobes(power: &[f64]) -> Option<Vec<f64>> {
         return None;
     }
     let gain_of = |window: u32, bins: &mut dyn Iterator<Item = f64>| -> Vec<f64> {
-        // A Hann window smears a bin over its neighbours.
+        // A Hann window spreads a bin over its neighbours.
         let at = |bin: f64| boxcar(window, 0.5 * bin / last as f64);
         bins.map(|bin| (0.5 * at(bin) + 0.25 * (at(bin - 1.0) + at(bin + 1.0))).max(1e-6)).collect()
     };
@@ -163,10 +165,11 @@ fn lobes(power: &[f64]) -> Option<Vec<f64>> {
     Some(gain_of(window, &mut (0..power.len()).map(|bin| bin as f64)))
 }
 
-/// Running median of the density, at least a fortieth of the band to both sides but never beyond half the frequency.
+/// Returns the running median of the density, at least a fortieth of the band to both sides but never beyond half the
+/// frequency.
 fn running_median(power: &[f64]) -> Vec<f64> {
     let bins = power.len();
-    // Only rounding lies below this value: it keeps ratios finite.
+    // Only rounding is below this value: it keeps ratios finite.
     let floor = (1e-12 * power.iter().copied().fold(0.0, f64::max)).max(f64::MIN_POSITIVE);
     let widest = (bins / 20).max(24);
     let mut at = Vec::new();
@@ -228,7 +231,7 @@ mod tests {
                 super::super::lines::find(&spectrum, 100.0)
             };
             assert!(found(&values).is_empty(), "{window}: {:?}", found(&values));
-            // A line on a lobe is one all the same.
+            // A line on a lobe is still a line.
             values.iter_mut().enumerate().for_each(|(i, value)| *value += 0.05 * (1.1 * i as f64).sin());
             let lines = found(&values);
             assert!(lines.len() == 1 && (lines[0].frequency_hz - 17.507).abs() < 0.1, "{window}: {lines:?}");

@@ -1,19 +1,19 @@
-//! Steps: levels that change between one sample and the next, and stay or come back.
+//! Steps: levels that change between one sample and the next, and stay or return.
 //!
-//! The difference of the means of m samples before and after a point is, for noise of any mixture of N, B and K, normal with
-//! one variance over the whole record: the Allan variance. Its robust spread gives the measure, and a difference far beyond
-//! it that stays is a step.
+//! The difference of the means of m samples before and after a point is normally distributed for any mixture of N, B
+//! and K, with one variance over the whole record: the Allan variance. The robust spread of the difference is the
+//! scale; a lasting difference far beyond it is a step.
 
 use super::Part;
 use super::event::{Event, Kind};
 use super::scale::centre_and_spread;
 
-/// Averaging times that are looked at, s.
+/// The examined averaging times, s.
 const TIMES_S: [f64; 4] = [1.0, 4.0, 16.0, 64.0];
-/// A record has to hold this many averaging times.
+/// Minimum number of averaging times in a record.
 const LEAST_TIMES: usize = 40;
-/// Differences beyond this many standard deviations are none of the noise: 3·10⁻⁹ of a normal distribution, ten times
-/// wider where the spread rests on few independent differences.
+/// Differences beyond this many standard deviations are not noise: 3·10⁻⁹ of a normal distribution, and ten times as
+/// many if the spread is based on few independent differences.
 const LIMIT: f64 = 6.0;
 
 /// Finds steps and bumps.
@@ -32,9 +32,9 @@ pub(super) fn find(parts: &[Part], rate_hz: f64) -> Vec<Event> {
     pairs(found)
 }
 
-/// Two steps that undo each other within a minute are one bump.
+/// Joins two steps that undo each other within a minute to one bump.
 fn pairs(found: Vec<(Event, f64)>) -> Vec<Event> {
-    /// Time between them, s, and how alike they have to be.
+    /// Maximum time between them, s, and maximum difference of their sizes.
     const WITHIN_S: f64 = 64.0;
     let mut events: Vec<(Event, f64)> = Vec::new();
     for (event, change) in found {
@@ -55,7 +55,7 @@ fn pairs(found: Vec<(Event, f64)>) -> Vec<Event> {
     events.into_iter().map(|(event, _)| event).collect()
 }
 
-/// Sums of values less their mean, with a leading 0.
+/// Returns running sums of values less their mean, with a leading 0.
 fn running_sums(values: &[f64]) -> Vec<f64> {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let mut sums = Vec::with_capacity(values.len() + 1);
@@ -84,7 +84,7 @@ fn at(parts: &[Part], sums: &[Vec<f64>], rate_hz: f64, m: usize, found: &mut Vec
         return;
     };
     let independent = (differences.len() * stride / (2 * m)).max(1) as f64;
-    // The spread itself is known to 1.2/√n only.
+    // The spread itself is only known to 1.2/√n.
     let limit = LIMIT * (1.0 + 2.0 * 1.2 / independent.sqrt());
     let score = |index: usize| (differences[index] - centre) / spread;
     let mut index = 0;
@@ -93,7 +93,7 @@ fn at(parts: &[Part], sums: &[Vec<f64>], rate_hz: f64, m: usize, found: &mut Vec
             index += 1;
             continue;
         }
-        // The highest of all that lie beyond the limit within one averaging time.
+        // The largest difference beyond the limit within one averaging time.
         let end = (index..differences.len())
             .take_while(|next| places[*next].0 == places[index].0 && places[*next].1 <= places[index].1 + 2 * m)
             .last()
@@ -112,7 +112,7 @@ fn at(parts: &[Part], sums: &[Vec<f64>], rate_hz: f64, m: usize, found: &mut Vec
     }
 }
 
-/// A step, or a bump where the level after it is that of before.
+/// Returns a step, or a bump if the level returns to the one before.
 fn event(sums: &[f64], m: usize, middle: usize, part: &Part, rate_hz: f64, score: f64) -> (Event, f64) {
     let last = sums.len() - 1;
     let mean = |from: usize, to: usize| (to > from).then(|| (sums[to] - sums[from]) / (to - from) as f64);

@@ -1,4 +1,4 @@
-//! The survey: examines a channel block by block, so that a record of any length takes the memory of one block.
+//! The survey: examines a channel block by block, so that a record of any length needs the memory of one block.
 //!
 //! Lines, vibration and fast disturbances (spikes, knocks, handling) are found within a block. Slow ones (steps, drift) are found
 //! in the levels of all blocks.
@@ -8,7 +8,7 @@ use super::spectrum::Spectrum;
 use super::{Examination, HeavyTails, Kind, Levels, Line, Portion, bridged};
 use super::{bursts, drift, excise, lines, steps};
 
-/// A channel's examination in the making.
+/// A channel's examination in progress.
 #[derive(Debug)]
 pub(super) struct Survey {
     rate_hz: f64,
@@ -18,12 +18,12 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    /// An examination without samples, for a record of so many samples.
+    /// Creates an examination for a record of `samples` samples.
     pub(super) fn new(rate_hz: f64, samples: u64) -> Self {
         Self { rate_hz, found: Examination::default(), lines: Vec::new(), levels: Levels::new(rate_hz, samples) }
     }
 
-    /// Looks through the next block.
+    /// Examines the next block.
     pub(super) fn look(&mut self, portion: &Portion) {
         let (rate_hz, found) = (self.rate_hz, &mut self.found);
         let (parts, continues) = (portion.parts.as_slice(), portion.continues);
@@ -52,7 +52,7 @@ impl Survey {
         }
     }
 
-    /// All findings, and the levels without them.
+    /// Returns all findings, and the levels without them.
     pub(super) fn settle(self) -> (Examination, Levels) {
         let (mut found, levels) = (self.found, self.levels);
         found.lines = lines::joined(self.lines, found.gains.len());
@@ -68,13 +68,13 @@ impl Survey {
 }
 
 impl Examination {
-    /// When the level stepped, s.
+    /// Returns the times of the level's steps, s.
     pub(super) fn steps_s(&self) -> Vec<f64> {
         let steps = self.events.iter().filter(|event| event.kind == Kind::Step);
         steps.map(|event| 0.5 * (event.from_s + event.to_s)).collect()
     }
 
-    /// Times of steps and bumps, or those of all other events.
+    /// Returns the times of steps and bumps, or those of all other events.
     pub(super) fn times(&self, of_levels: bool) -> Vec<(f64, f64)> {
         let chosen = self.events.iter().filter(|event| matches!(event.kind, Kind::Step | Kind::Bump) == of_levels);
         merged(chosen.map(|event| (event.from_s, event.to_s)).collect())

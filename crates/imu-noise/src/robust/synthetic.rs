@@ -19,11 +19,11 @@ impl Noise {
         (0..count).map(|_| sigma * self.normal()).collect()
     }
 
-    /// White noise of density `n`, flicker of coefficient `b` (first-order processes, one to the octave of time) and a walk
-    /// of coefficient `k`.
+    /// Returns white noise of density `n`, flicker of coefficient `b` (first-order processes, one per octave of time)
+    /// and a walk of coefficient `k`.
     pub(super) fn sensor(&mut self, count: usize, rate_hz: f64, n: f64, b: f64, k: f64) -> Vec<f64> {
         let dt = 1.0 / rate_hz;
-        // Σ 2σ²T/(1+(2πfT)²) over T = 2^i comes to σ²·(π/ln 2)/(2πf)·… : σ² = B² ln 2/π gives B²/(2πf).
+        // Σ 2σ²T/(1+(2πfT)²) over T = 2^i is σ²·(π/ln 2)/(2πf)·… : σ² = B² ln 2/π gives B²/(2πf).
         let sigma = b * (std::f64::consts::LN_2 / std::f64::consts::PI).sqrt();
         let octaves = ((count as f64).log2().ceil() as i32 + 2).max(1);
         let phis: Vec<f64> = (0..octaves).map(|octave| (-dt / (dt * 2f64.powi(octave))).exp()).collect();

@@ -1,35 +1,37 @@
 //! Temperature: the dependence of a channel's level on the sensor's temperature.
 //!
-//! Changes of the level from block to block are regressed on changes of the temperature. For a level that walks the changes are
-//! independent, and the coefficient's interval holds. The dependence is removed only if it differs from 0 at the 1 % level.
+//! Changes of the level from block to block are regressed on changes of the temperature. For a random walk of the
+//! level, the changes are independent, and the coefficient's interval holds. The dependence is removed only if it
+//! differs from 0 at the 1 % level.
 
 use super::blocks::Blocks;
 use super::{Levels, Part};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Blocks of the record.
+/// Number of blocks in the record.
 const BLOCKS: usize = 64;
-/// Least range of the temperature, °C: below it only the sensor's own resolution changes.
+/// Minimum range of the temperature, °C: below it, only the sensor's own resolution shows.
 const LEAST_RANGE_C: f64 = 0.2;
-/// Level at which the coefficient counts.
+/// Significance level of the coefficient.
 const LEVEL: f64 = 0.01;
 
 /// A channel's dependence on temperature.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct TemperatureDependence {
-    /// Change of the level per °C, channel's unit.
+    /// Change of the level per °C, in the channel's unit.
     pub per_c: f64,
-    /// Its 95 % interval.
+    /// The 95 % interval of `per_c`.
     pub ci95: [f64; 2],
-    /// Whether it differs from 0 (1 % level) and was taken out of the parameters called `without_temperature`.
+    /// Whether `per_c` differs from 0 (1 % level), so that it was subtracted for the parameters called
+    /// `without_temperature`.
     pub significant: bool,
     /// Lowest and highest mean temperature of a block, °C.
     pub range_c: [f64; 2],
 }
 
-/// The regression of parts on the temperature; `None` if that is not recorded, hardly changes, or too few blocks have both.
-/// Increments across a step (s) do not count.
+/// Returns the regression of parts on the temperature; `None` if the temperature is not recorded or hardly changes, or
+/// if too few blocks have both. Increments across a step (s) do not count.
 pub(super) fn regress(
     parts: &[Part],
     rate_hz: f64,
@@ -80,7 +82,7 @@ pub(super) fn regress(
 pub(super) struct Course(Blocks);
 
 impl Course {
-    /// Takes `per_c` times the temperature out; between the middles of blocks it goes straight.
+    /// Subtracts `per_c` times the temperature, interpolated linearly between the middles of blocks.
     pub(super) fn subtract(&self, parts: &mut [Part], rate_hz: f64, per_c: f64) {
         let known: Vec<(f64, f64)> = self
             .0

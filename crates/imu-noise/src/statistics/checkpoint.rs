@@ -1,12 +1,13 @@
-//! The accumulator as bytes: a fold that goes on from a checkpoint comes to the same statistics, bit for bit, because values
-//! enter one by one and every number is kept with all its bits.
+//! The accumulator as bytes: a fold that continues from a checkpoint has the same statistics, bit for bit, because
+//! values enter one by one and every number is kept with all its bits.
 
 use super::{Accumulator, BINS, Bins, Moments};
 
 const VERSION: u8 = 1;
 
 impl Accumulator {
-    /// The checkpoint: little-endian, versioned, about a kilobyte (more while fewer than 64 different values came).
+    /// Returns the checkpoint: little-endian, versioned, about a kilobyte (more before 64 different values have
+    /// arrived).
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         let moments = &self.moments;
@@ -15,7 +16,7 @@ impl Accumulator {
             bytes.extend(value.to_le_bytes());
         }
         bytes.extend(self.not_finite.to_le_bytes());
-        // A long seed is a constant: one value stands for all.
+        // A long seed is constant: one value represents all.
         let constant = self.seed.windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits());
         bytes.extend((self.seed.len() as u64).to_le_bytes());
         bytes.push(u8::from(constant));
@@ -34,7 +35,7 @@ impl Accumulator {
         bytes
     }
 
-    /// The accumulator that wrote `bytes`; `None` if they are damaged or of another version.
+    /// Returns the accumulator that wrote `bytes`; `None` if the bytes are damaged or have another version.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let mut rest = bytes;
         if take::<1>(&mut rest)? != [VERSION] {

@@ -1,11 +1,12 @@
 //! Bandwidth: which filter, if any, lies between the noise and the samples.
 //!
-//! If the plain law misfits, a moving average and low passes compete with it by likelihood, each with and without white noise
-//! behind it. If none of them describes the spectrum, a smooth shape does as far up as it can. A known sampling, a boxcar and a
-//! decimation, is not a candidate but the law itself.
+//! If the plain law misfits, a moving average and low passes compete with it by likelihood, each with and without white
+//! noise behind it. If none of them describes the spectrum, a smooth shape describes it up to as high a frequency as
+//! possible. A known sampling (a boxcar and a decimation) is not a candidate but part of the law.
 //!
 //! # Validation
-//! `tests::filters` has worlds in small; `examples/noise_worlds.rs` is the large form, with its table in docs/validation.md.
+//! `tests::filters` has small cases; `examples/noise_worlds.rs` is the large form, with its table in
+//! docs/validation.md.
 
 use super::choice::{Choice, PLAIN, SIGNIFICANT, choose};
 use super::likelihood::{BEHIND, FineBins, Held, Likelihood, Model, SIGMA};
@@ -14,38 +15,39 @@ use super::shape::{Gains, Shape, TILTS, boxcar};
 use super::sums::DstSums;
 use crate::fit::{Bandwidth, Term};
 
-/// Moving averages tried.
+/// Candidate windows of moving averages.
 const WINDOWS: std::ops::RangeInclusive<u32> = 2..=32;
-/// Orders of low passes tried.
+/// Candidate orders of low passes.
 const ORDERS: std::ops::RangeInclusive<u32> = 1..=4;
-/// Moving averages of which a closer look is taken.
+/// Number of moving averages that are examined closely.
 const CLOSELY: usize = 2;
-/// Cutoffs that a search begins at, cycles a sample.
+/// Cutoffs at which a search begins, cycles per sample.
 const CUTOFFS: [f64; 6] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.42];
-/// Filters reach this far up at least, cycles a sample: a sensor does not send samples 125 times as often as they
-/// change.
+/// Filters extend at least to this frequency, cycles per sample: a sensor does not send samples 125 times as often as
+/// they change.
 const LOWEST: f64 = 0.004;
-/// A shape has to better 2 log L by this beyond its price, in units of the plain law's misfit.
+/// A shape has to improve 2 log L by this beyond its price, in units of the plain law's misfit.
 const PLAINLY: f64 = 10.0;
-/// A shape whose score is worse by less is a rival: white noise behind a filter that was not worth its price moves N
-/// all the same.
+/// A shape whose score is worse by less than this is a rival: white noise behind a filter that was not worth its price
+/// still changes N.
 const RIVALS: f64 = 9.0;
-/// Slopes are computed again at most this often.
+/// Maximum number of times that slopes are computed again.
 const ROUNDS: usize = 24;
 
-/// How the samples came about, if that is known: the sensor takes the mean of `window` samples at its internal rate.
+/// How the samples were made, if known: the sensor takes the mean of `window` samples at its internal rate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// Rate at which the sensor samples, Hz.
     pub internal_rate_hz: f64,
-    /// Samples to a mean; 0 and 1 are no averaging.
+    /// Samples per mean; 0 and 1 are no averaging.
     pub window: u32,
-    /// The source of that knowledge, for the document: `register 85`, `option`.
+    /// The source of this knowledge, for the document: `register 85`, `option`.
     pub source: String,
 }
 
 impl Sampling {
-    /// Internal samples to an output sample; none if the rates are no multiples of each other, to 1 in 1,000.
+    /// Returns the number of internal samples per output sample; `None` if the rates are not multiples of each other,
+    /// to 1 in 1,000.
     pub fn every(&self, rate_hz: f64) -> Option<u32> {
         let ratio = self.internal_rate_hz / rate_hz;
         let whole = ratio.round();
@@ -56,7 +58,7 @@ impl Sampling {
         Some(Shape::Decimated { window: self.window.max(1), every: self.every(rate_hz)? })
     }
 
-    /// The document's description of the sampling.
+    /// Returns the document's description of the sampling.
     pub(crate) fn bandwidth(&self) -> Bandwidth {
         Bandwidth {
             kind: "moving_average".to_owned(),
@@ -77,15 +79,16 @@ impl Sampling {
         self.shape(rate_hz).filter(colours_white).map(|shape| Filter { shape })
     }
 
-    /// Factor from the sensor's own white density to the one that the samples show at low frequencies: √Σ|H(kR)|² over the images
-    /// k of the output rate R. None if the rates do not fit.
+    /// Returns the factor from the sensor's own white density to that of the samples at low frequencies: √Σ|H(kR)|²
+    /// over the images k of the output rate R. `None` if the rates do not fit.
     pub fn density_factor(&self, rate_hz: f64) -> Option<f64> {
         Some(density_factor(self.window, self.every(rate_hz)?))
     }
 }
 
-/// Factor from the white density of a sequence to that, at low frequencies, of every `every`th mean of `window` of its samples:
-/// √Σ|H|² over the images that fold onto zero. For windows no longer than `every` that is √(every / window).
+/// Returns the factor from the white density of a sequence to that, at low frequencies, of every `every`th mean of
+/// `window` of its samples: √Σ|H|² over the images that fold onto zero. For windows no longer than `every`, this is
+/// √(every / window).
 pub fn density_factor(window: u32, every: u32) -> f64 {
     (0..every).map(|image| boxcar(window, f64::from(image) / f64::from(every))).sum::<f64>().sqrt()
 }
@@ -107,17 +110,17 @@ impl Filter {
             Term::N | Term::Q => |gains| gains.white,
             Term::B => |gains| gains.flicker,
             Term::K => |gains| gains.walk,
-            // Deterministic: it passes.
+            // Deterministic: the ramp passes.
             Term::R => |_| 1.0,
         }
     }
 
-    /// Power gain at u cycles a sample.
+    /// Returns the power gain at u cycles per sample.
     pub(crate) fn gain(&self, term: Term, u: f64) -> f64 {
         Self::gain_of(term)(self.shape.gains(u))
     }
 
-    /// The part of the Allan variance that the filter leaves at averaging factors.
+    /// Returns the part of the Allan variance that the filter leaves at averaging factors.
     pub(crate) fn ratios(&self, term: Term, factors: &[usize], dt_s: f64) -> Vec<f64> {
         match term {
             Term::R => vec![1.0; factors.len()],
@@ -126,7 +129,7 @@ impl Filter {
     }
 }
 
-/// The law that a fit begins with: the plain one, or that of the known sampling where it shapes white noise.
+/// Returns the law with which a fit begins: the plain one, or that of the known sampling if it shapes white noise.
 pub(super) fn basic(
     sums: &DstSums,
     rate_hz: f64,
@@ -139,8 +142,8 @@ pub(super) fn basic(
     }
 }
 
-/// A better law than that of `basic`, if that misfits and there is one. A known sampling is given up only for a law
-/// that describes the record.
+/// Returns a better law than `basic` if that misfits and a better one exists. A known sampling is abandoned only for a
+/// law that describes the record.
 pub(super) fn compete(
     sums: &DstSums,
     rate_hz: f64,
@@ -152,7 +155,7 @@ pub(super) fn compete(
     if !misfits && !is_filter(basic, rate_hz) {
         return None;
     }
-    // The first-order filter that has the spectrum of the process: far from it a search may end elsewhere.
+    // The first-order filter with the spectrum of the process: a search that starts far from it may end elsewhere.
     let process =
         basic.model.terms.has_gauss_markov().then(|| 1.0 / (std::f64::consts::TAU * rate_hz * basic.model.tc_s));
     let search = Search { bins: FineBins::new(sums, rate_hz, excluded_bands_hz), process };
@@ -186,14 +189,15 @@ pub(super) struct Law {
     pub(super) rivals: Vec<(Likelihood, Choice)>,
 }
 
-/// White noise behind the filter is a part of the plateau. If it is more than half of it, the shape is not a filter: the skirt of
-/// a vibration looks like that.
+/// Returns whether the white noise behind the filter, which is a part of the plateau, is at most half of it. If it is
+/// more, the shape is not a filter, but looks like the skirt of a vibration.
 fn is_behind(model: &Model) -> bool {
     2.0 * model.squares[BEHIND] <= model.squares[0]
 }
 
-/// Whether a law has a Gauss–Markov process that may be white noise behind a low pass of first order, which has the
-/// same spectrum: there is hardly any white noise beside it; or it is as short as a filter's, and most of the plateau.
+/// Returns whether a law has a Gauss–Markov process that may be white noise behind a low pass of first order, which has
+/// the same spectrum: either there is hardly any white noise beside it, or it is as short as that of a filter and makes
+/// most of the plateau.
 fn is_filter(choice: &Choice, rate_hz: f64) -> bool {
     /// White noise is at most this share of the process at half the rate.
     const SHARE: f64 = 0.1;
@@ -223,17 +227,17 @@ impl Candidate {
 
 struct Search {
     bins: FineBins,
-    /// Cutoff of a first-order filter that is to be tried, cycles a sample.
+    /// Cutoff of a first-order filter to try, cycles per sample.
     process: Option<f64>,
 }
 
 impl Search {
-    /// The best N, B and K under a shape whose numbers are fitted.
+    /// Returns the best N, B and K under a shape whose numbers are fitted.
     ///
-    /// The slope of a low pass of first order is so gentle that flicker may take its place for good. So these are
-    /// sought from the shape that white noise alone has as well.
+    /// The slope of a low pass of first order is so gentle that flicker may permanently take its place. The search
+    /// therefore also starts from the shape fitted with white noise alone.
     ///
-    /// `best`: the score of another shape. None if this one will not come near it.
+    /// `best` is the score of another shape. `None` if this one will not come near it.
     fn of(&self, shape: &Shape, behind: bool, best: f64) -> Option<Candidate> {
         let gentle = matches!(shape, Shape::Butterworth { order: 1, .. } | Shape::Exponential { .. });
         let from_white = gentle.then(|| self.from(shape, behind, 4, best)).flatten();
@@ -241,11 +245,11 @@ impl Search {
         all.min_by(|a, b| a.score().total_cmp(&b.score()))
     }
 
-    /// The same from this shape on, with white noise alone in so many first rounds.
+    /// Fits as [`Self::of`] does, starting from this shape, with white noise alone in the first rounds.
     fn from(&self, shape: &Shape, behind: bool, white: usize, best: f64) -> Option<Candidate> {
-        /// The remaining gain of further rounds is less than this many times the last gain.
+        /// The remaining gain of further rounds is less than this multiple of the last gain.
         const STILL: f64 = 20.0;
-        /// The best numbers are so near.
+        /// The best numbers are within this distance.
         const NEAR: f64 = 0.1;
         let mut shape = shape.clone();
         let mut last: Option<Model> = None;
@@ -260,15 +264,15 @@ impl Search {
                 if !is_behind(&model) {
                     return None;
                 }
-                // Nor is a spectrum that falls off at frequencies at which no sensor's output does: a slow motion looks
-                // like that.
+                // A spectrum that falls off at frequencies at which no sensor's output does is rejected too: a slow
+                // motion looks like that.
                 if shape.gains(LOWEST).white < 0.5 {
                     return None;
                 }
                 let price = price(&shape, behind);
                 return Some(Candidate { likelihood, model, price });
             }
-            // Far from its best numbers a shape gains little first and much later.
+            // Far from its best numbers, a shape gains little at first and much later.
             let gained = last.filter(|_| round > white && moved < NEAR).map(|last| last.deviance - model.deviance);
             if gained.is_some_and(|gained| gained >= 0.0 && model.deviance - STILL * gained > best + RIVALS) {
                 return None;
@@ -279,7 +283,7 @@ impl Search {
         None
     }
 
-    /// The best of the named shapes, and its rivals.
+    /// Returns the best of the named shapes, and its rivals.
     fn best(&self) -> Option<(Candidate, Vec<Candidate>)> {
         let mut all: Vec<Candidate> = Vec::new();
         for (shape, behind) in self.shapes().iter().flat_map(|shape| [(shape, false), (shape, true)]) {
@@ -293,9 +297,9 @@ impl Search {
         Some((best, all.take_while(|other| other.score() < most).collect()))
     }
 
-    /// The named shapes that deserve a closer look.
+    /// Returns the named shapes that are worth a closer examination.
     fn shapes(&self) -> Vec<Shape> {
-        // Each with white noise behind it, which holds the one without; the best few are looked at closely.
+        // Each shape with white noise behind it, which includes the one without; the best few are examined closely.
         let glance = |shape: Shape| {
             let likelihood = Likelihood::filtered(&self.bins, &shape, true);
             let terms = likelihood.least_terms().with(Term::B).with(Term::K);
@@ -316,16 +320,17 @@ impl Search {
         shapes
     }
 
-    /// A smooth shape over as much of the band as it describes; `plain`: how the law without one does.
+    /// Returns a smooth shape over as much of the band as it describes; `plain` is the residual of the law without one.
     ///
-    /// In one of a thousand records the plain law misfits by chance. A shape then has to be worth as much as a named one.
+    /// In one of a thousand records, the plain law misfits by chance. A shape then has to be worth as much as a named
+    /// one.
     fn smooth(&self, plain: Option<Residual>) -> Option<(Likelihood, Choice)> {
-        /// No chance does this.
+        /// A p-value below this is not due to chance.
         const BEYOND_CHANCE: f64 = 1e-6;
         let is_chance = plain.is_none_or(|plain| plain.p_value > BEYOND_CHANCE);
-        /// A band is described by a shape from this p-value on: a shape that nearly misfits already moves N.
+        /// A shape describes a band if the p-value is at least this: a shape that nearly misfits already changes N.
         const DESCRIBED: f64 = 0.05;
-        /// The ends of the band tried, cycles a sample.
+        /// Candidate ends of the band, cycles per sample.
         const ENDS: [f64; 8] = [0.5, 0.42, 0.34, 0.26, 0.18, 0.12, 0.08, 0.05];
         for up_to in ENDS {
             let mut best: Option<Candidate> = None;
@@ -344,7 +349,7 @@ impl Search {
                 }
             }
             let Some(best) = best else { continue };
-            // The change by the next coefficient is part of the error: it stays in.
+            // The change by the next coefficient is part of the error, so that the coefficient is kept.
             let finer = match best.likelihood.shape() {
                 Shape::Smooth { coefficients, .. } if coefficients.len() < TILTS => {
                     let coefficients = coefficients.iter().copied().chain([0.0]).collect();
@@ -369,12 +374,12 @@ impl Search {
     }
 }
 
-/// The gain that a shape needs in 2 log L.
+/// Returns the gain that a shape needs in 2 log L.
 fn price(shape: &Shape, behind: bool) -> f64 {
     let windows = 2.0 * f64::from(WINDOWS.end() - WINDOWS.start() + 1).ln();
     let own = match shape {
         Shape::Open | Shape::Decimated { .. } => 0.0,
-        // One of so many. Low passes come close to any of them, with a number more that is free.
+        // One of many. Low passes come close to any of them, with one more free number.
         Shape::MovingAverage(_) => windows,
         Shape::Butterworth { .. } | Shape::Exponential { .. } => windows + SIGNIFICANT + 2.0 * 5f64.ln(),
         Shape::Smooth { coefficients, .. } => SIGNIFICANT * coefficients.len() as f64,
@@ -382,7 +387,8 @@ fn price(shape: &Shape, behind: bool) -> f64 {
     own + if behind { PLAIN } else { 0.0 }
 }
 
-/// The document's description of the shape under which `choice` was made; none if noise is white up to half the rate.
+/// Returns the document's description of the shape under which `choice` was made; `None` if noise is white up to half
+/// the rate.
 pub(super) fn statement(
     likelihood: &Likelihood,
     choice: &Choice,
@@ -425,12 +431,12 @@ pub(super) fn statement(
     }
 }
 
-/// An interval of cutoffs in Hz; none if it reaches half the rate, where the shapes are those of no filter.
+/// Returns an interval of cutoffs in Hz; `None` if it reaches half the rate, where shapes no longer act as filters.
 fn below_half(ends: [f64; 2], rate_hz: f64) -> Option<[f64; 2]> {
     (ends[1] < 0.5).then_some(ends.map(|end| end * rate_hz))
 }
 
-/// The 95 % interval of a cutoff over its value, by its profile likelihood.
+/// Returns the 95 % interval of a cutoff over its value, by its profile likelihood.
 fn interval(likelihood: &Likelihood, choice: &Choice) -> Option<[f64; 2]> {
     const CHI2: f64 = 3.841_459;
     let model = &choice.model;
@@ -461,15 +467,15 @@ fn interval(likelihood: &Likelihood, choice: &Choice) -> Option<[f64; 2]> {
     Some([end(-1.0)?, end(1.0)?])
 }
 
-/// The Allan variance that a filter leaves of a term of two-sided spectrum `spectrum`(u) (that of white noise is 1) at averaging
-/// factor `m`, over that without the filter, for every octave of `factors`.
+/// Returns, for every octave of `factors`, the ratio of the Allan variance at averaging factor `m` with the filter to
+/// that without, for a term of two-sided spectrum `spectrum`(u) (1 for white noise).
 pub(super) fn variance_ratios(
     shape: &Shape,
     factors: &[usize],
     gain: fn(Gains) -> f64,
     spectrum: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    /// Up to here by quadrature; beyond, the part that a filter removes falls with m.
+    /// Up to this factor by quadrature; beyond it, the part that a filter removes falls with m.
     const EXACT: usize = 256;
     const POINTS: u32 = 16_384;
     let grid: Vec<(f64, f64, f64)> = (0..POINTS)
@@ -501,7 +507,7 @@ mod tests {
     use rand::SeedableRng as _;
     use rand_distr::{Distribution as _, StandardNormal};
 
-    /// Shapes that are given up would have come nowhere near the best one.
+    /// Abandoned shapes would not have come near the best one.
     #[test]
     fn what_is_given_up_is_no_rival() {
         let fir = [1.0, 3.0, 6.0, 3.0, 1.0].map(|tap| tap / 14.0);

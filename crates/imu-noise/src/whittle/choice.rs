@@ -6,37 +6,38 @@ use crate::fit::Term;
 
 /// The gain that a term needs in 2 log L: 1 % of a 50:50 mixture of χ²₀ and χ²₁ for a term at its boundary of 0.
 pub(super) const SIGNIFICANT: f64 = 5.41;
-/// The same for a walk: 5.41 names one in about 1.2 % of records without a walk, because few low frequencies are not a large
-/// sample. A walk that is barely there comes out at twice its size (scenario D of the Monte Carlo); 6.5 keeps that under a tenth
-/// of such records.
+/// The gain that a walk needs: 5.41 names a walk in about 1.2 % of records without one, because a few low frequencies
+/// are not a large sample. A walk that is barely present is estimated at twice its size (scenario D of the Monte
+/// Carlo); 6.5 keeps that under a tenth of such records.
 pub(super) const SIGNIFICANT_WALK: f64 = 6.5;
-/// The correlation time of a Gauss–Markov process, whose inverse is 0 for a random walk: between 5.41, which names a process in
-/// 2.2 % of the records of a walk (scenario B), and 9.55, which names one that is there (scenario C) in only 80 %.
+/// The gain that the correlation time of a Gauss–Markov process needs, whose inverse is 0 for a random walk: a value
+/// between 5.41, which names a process in 2.2 % of the records of a walk (scenario B), and 9.55, which names an actual
+/// process (scenario C) in only 80 %.
 pub(super) const PLAIN_TIME: f64 = 7.0;
-/// Other explanations of low frequencies have to be plainer (0.1 %, of two signs 0.2 %): a ramp, and flicker or a walk beside a
-/// Gauss–Markov process. At 1 % one of them took the place of a true random walk too often.
+/// Other explanations of low frequencies need more evidence (0.1 %; 0.2 % for two signs): a ramp, and flicker or a walk
+/// beside a Gauss–Markov process. At 1 % one of them took the place of a true random walk too often.
 pub(super) const PLAIN: f64 = 9.55;
-/// Quantization noise, which few sensors show, is separated from N by the highest frequencies alone and there beyond doubt if it
-/// is real (5e-5). If it were named by chance, it would take its variance from N, whose error is small.
+/// Quantization noise, which few sensors show, is only separated from N by the highest frequencies; if it is real, it
+/// is evident there (5e-5). If it were named by chance, it would take its variance from N, whose error is small.
 pub(super) const PLAIN_QUANTIZATION: f64 = 15.1;
-/// A process of fewer samples is a filter's work: white noise behind a first-order low pass has the same spectrum.
+/// A process of fewer samples is caused by a filter: white noise behind a first-order low pass has the same spectrum.
 pub(super) const SHORTEST_PROCESS: f64 = 8.0;
-/// Correlation times tried to the decade before the best is made precise.
+/// Number of correlation times per decade that are tried before the best one is refined.
 const PER_DECADE: f64 = 6.0;
 
 /// The model that the data supports.
 #[derive(Debug, Clone)]
 pub(super) struct Choice {
     pub(super) model: Model,
-    /// The model that values are taken from: where B is named and K is not, with K free. Without it a weak K would pass for
-    /// B (5 % of it at most, but more than B's own error). K's value is its best without a B that is not named, whose error
-    /// would else be a third larger, and between both readings where B is named with little to spare; intervals allow for both.
+    /// The model from which values are taken. If B is named and K is not, K is free: otherwise a weak K would count as
+    /// B (at most 5 % of it, but more than B's own error). K's value is the best one without an unnamed B, with which
+    /// K's error would be a third larger. If B is only just named, K lies between both readings; intervals allow for
+    /// both.
     pub(super) values: Model,
     pub(super) residual: Option<Residual>,
 }
 
-/// The price of naming `term` in a model of `terms`: the same price for choosing it and for the later statements about
-/// it.
+/// Returns the price of naming `term` in a model of `terms`, both for choosing it and for later statements about it.
 pub(super) fn price(term: Term, terms: Terms) -> f64 {
     match term {
         Term::B | Term::K if terms.has_gauss_markov() => PLAIN,
@@ -47,7 +48,7 @@ pub(super) fn price(term: Term, terms: Terms) -> f64 {
     }
 }
 
-/// −2 log L with every term's price.
+/// Returns −2 log L with every term's price.
 fn score(model: &Model) -> f64 {
     let terms: f64 =
         Term::ALL.into_iter().filter(|term| model.terms.has(*term)).map(|term| price(term, model.terms)).sum();
@@ -63,9 +64,9 @@ fn better(best: Option<Model>, other: Option<Model>) -> Option<Model> {
     }
 }
 
-/// Chooses among N, B and K, with which every sensor begins. Then tests whether a ramp, a Gauss–Markov process in place of one or
-/// both of B and K, or quantization noise is worth its price. These are used only if the data is then described, so that they do
-/// not stand for vibration and knocks. None if no model fits.
+/// Chooses among N, B and K, with which every sensor begins. Then tests whether a ramp, a Gauss–Markov process in place
+/// of one or both of B and K, or quantization noise is worth its price. These are used only if the data is then
+/// described, so that they do not represent vibration and knocks. `None` if no model fits.
 pub(super) fn choose(likelihood: &Likelihood) -> Option<Choice> {
     let bases = [&[][..], &[Term::B], &[Term::K], &[Term::B, Term::K]];
     let models: Vec<Option<Model>> = bases
@@ -78,7 +79,7 @@ pub(super) fn choose(likelihood: &Likelihood) -> Option<Choice> {
         let terms = model.as_ref()?.terms.with(Term::R);
         likelihood.maximise(terms, 1.0, Held::Nothing, model.as_ref())
     };
-    // A walk's lowest frequencies look like a ramp's: it has to be worth its price where there may be a walk.
+    // A walk's lowest frequencies look like a ramp's, so that a ramp has to be worth its price beside a possible walk.
     let mut best = plain;
     let widest = models.last().copied().flatten();
     let ramp = with_ramp(&widest).zip(widest).is_some_and(|(with, without)| score(&with) < score(&without));
@@ -109,8 +110,8 @@ pub(super) fn choose(likelihood: &Likelihood) -> Option<Choice> {
     Some(if extended && !described { plain } else { best })
 }
 
-/// Of a model with flicker and a walk: K between its value beside that flicker and its value without, each as likely as the
-/// data makes it at flicker's price. Flicker that is not there but was named by luck would else have taken its part of K.
+/// Sets K in a model with flicker and a walk between its value beside that flicker and its value without flicker,
+/// weighted by their likelihoods at flicker's price. Otherwise, flicker that was named by chance would reduce K.
 fn average_walk(likelihood: &Likelihood, values: &mut Model) {
     let Some(walk) = place(Term::K) else { return };
     if !values.terms.has(Term::B) || !values.terms.has(Term::K) || values.terms.has_gauss_markov() {
@@ -123,7 +124,7 @@ fn average_walk(likelihood: &Likelihood, values: &mut Model) {
     values.squares[walk] = k * k;
 }
 
-/// The shortest correlation time of a process: behind a filter that is fitted, ten times the filter's own, which is
+/// Returns the shortest correlation time of a process: behind a fitted filter, ten times the filter's own, which is
 /// 1/2πf at its half-power frequency f. A shorter one and the filter would share the white noise between them in any
 /// proportion.
 fn shortest_process_s(likelihood: &Likelihood) -> f64 {
@@ -134,7 +135,7 @@ fn shortest_process_s(likelihood: &Likelihood) -> f64 {
     SHORTEST_PROCESS.max(own) * likelihood.dt_s()
 }
 
-/// The best model with a Gauss–Markov process.
+/// Returns the best model with a Gauss–Markov process.
 fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
     let (least, most) = (shortest_process_s(likelihood), likelihood.longest_s());
     let steps = ((most / least).log10() * PER_DECADE).ceil();
@@ -159,9 +160,10 @@ fn with_gauss_markov(likelihood: &Likelihood, ramp: bool) -> Option<Model> {
     best
 }
 
-/// Maximises over the correlation time too, beginning at that of `start`.
+/// Maximises over the correlation time as well, starting at that of `start`.
 ///
-/// Parabolas through three points, the deviance being nearly one in log Tc; as precise as roots of deviances need.
+/// Uses parabolas through three points, because the deviance is nearly parabolic in log Tc; as precise as roots of
+/// deviances need.
 pub(super) fn correlation_time(likelihood: &Likelihood, held: Held, start: &Model) -> Option<Model> {
     const STEP: f64 = 0.25;
     const MOVES: usize = 40;
@@ -205,7 +207,7 @@ mod tests {
         Model { terms, squares: [1.0; 6], tc_s: 1.0, ramp: 1.0, tilt: [0.0; 6], deviance: 0.0 }
     }
 
-    /// The choice and the statements charge the same price for a term, beside a process too.
+    /// Choice and statements charge the same price for a term, also beside a process.
     #[test]
     fn a_term_has_one_price_for_choice_and_statement() {
         let white = Terms::of(&[Term::N]);

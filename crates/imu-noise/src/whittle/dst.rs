@@ -5,7 +5,7 @@ use realfft::{RealFftPlanner, RealToComplex};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
-/// Lengths planned before the planner's memory of them is dropped.
+/// Number of planned lengths after which the planner is dropped.
 const PLANS: usize = 32;
 
 /// The transform of one length at a time, with its tables and work space: about 45 bytes per sample, shared by all channels.
@@ -18,7 +18,7 @@ pub struct Transform {
 
 struct Plan {
     length: usize,
-    /// sin(πj/2n), j from 0 to n.
+    /// sin(πj/2n), for j from 0 to n.
     sines: Vec<f64>,
     fft: Arc<dyn RealToComplex<f64>>,
     input: Vec<f64>,
@@ -33,16 +33,17 @@ impl std::fmt::Debug for Transform {
 }
 
 impl Transform {
-    /// A transform without plans.
+    /// Creates a transform without plans.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The DST-I of the differences of `samples`: z_k = √(2/n) Σ d_j sin(πjk/n) with d_j = y_j − y_{j−1} and n samples. Calls
-    /// `each` for k = 1 … n−1 in this order with (k, z_k, sin²(πk/2n), √(2/n) cot(πk/2n) for odd k and 0 for even).
+    /// Computes the DST-I of the differences of `samples`: z_k = √(2/n) Σ d_j sin(πjk/n) with d_j = y_j − y_{j−1} and n
+    /// samples. Calls `each` for k = 1 … n−1 in this order with (k, z_k, sin²(πk/2n), √(2/n) cot(πk/2n) for odd k and 0
+    /// for even).
     ///
-    /// The last of these is the transform of a constant 1. `samples.len()` is even and at least 2; for other lengths `each` is
-    /// not called.
+    /// The last value is the transform of a constant 1. `samples.len()` is even and at least 2; for other lengths
+    /// `each` is not called.
     ///
     /// # Source
     /// Press et al., Numerical Recipes (2007), section 12.4.1, for the sine transform by a real FFT of length n.
@@ -63,7 +64,7 @@ impl Transform {
             plan.input[j] = sine * (rising + falling) + 0.5 * (rising - falling);
         }
         if plan.fft.process_with_scratch(&mut plan.input, &mut plan.output, &mut plan.scratch).is_err() {
-            // Only for buffers of a wrong length, and these are the plan's own.
+            // Fails only for buffers of a wrong length; these are the plan's own.
             return;
         }
         let scale = (2.0 / n as f64).sqrt();
@@ -102,8 +103,8 @@ impl Transform {
     }
 }
 
-/// The largest even number up to `samples` whose prime factors are at most 7; 0 below 2. Such lengths transform fast, and
-/// they lie closer than 2 % to one another from ten thousand on.
+/// Returns the largest even number up to `samples` whose prime factors are at most 7; 0 below 2. Such lengths transform
+/// fast, and from ten thousand on they are less than 2 % apart.
 pub(super) fn efficient_length(samples: usize) -> usize {
     let mut best = 0;
     let limit = samples / 2;

@@ -1,13 +1,13 @@
-//! Ends: the addition of a stretch's ends to the expected squares of noise that a filter correlates.
+//! Ends: the contribution of a stretch's ends to the expected squares of noise that a filter correlates.
 //!
-//! Let d be the differences of a stretch of n samples, D their autocovariance, and θ = πk/n the angle of a coefficient of the
-//! DST-I. Then exactly E z² = Σ D(l) cos lθ − (1/n) Σ D(l) g(|l|) over l from −n to n, with g(l) = l cos lθ − cot θ sin lθ. The
-//! first sum is the spectrum. The second one is the addition of the ends; it vanishes if D ends at l = 1, as that of white noise
-//! does. With R the autocovariance of the samples and z²/4 sin²(θ/2), the power, the second one is (1/n) times −2 Σ R(l) (l cos
-//! lθ + sin lθ / sin θ) over l from 1 on.
+//! Let d be the differences of a stretch of n samples, D their autocovariance, and θ = πk/n the angle of a coefficient
+//! of the DST-I. Then exactly E z² = Σ D(l) cos lθ − (1/n) Σ D(l) g(|l|) over l from −n to n, with g(l) = l cos lθ −
+//! cot θ sin lθ. The first sum is the spectrum. The second one is the contribution of the ends; it vanishes if D ends
+//! at l = 1, as for white noise. With R the autocovariance of the samples, the second sum for the power, z²/4
+//! sin²(θ/2), is (1/n) times −2 Σ R(l) (l cos lθ + sin lθ / sin θ) over l from 1 on.
 //!
 //! # Validation
-//! `tests` hold both forms against the covariance matrix itself.
+//! `tests` compare both forms with the covariance matrix itself.
 
 use super::shape::Shape;
 use super::sums::DstSums;
@@ -15,22 +15,22 @@ use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
-/// Intervals of u from 0 to 1/2.
+/// Number of intervals of u from 0 to 1/2.
 const GRID: usize = 2048;
-/// Lags of a filter's autocovariance.
+/// Number of lags of a filter's autocovariance.
 const LAGS: usize = 1024;
-/// Lags of a record's own: more are mostly chance.
+/// Number of lags of a record's own autocovariance: more are mostly chance.
 const OWN_LAGS: usize = 64;
 
-/// By how much the power of white noise behind a filter exceeds its gain, times the stretch's length.
+/// The excess of the power of white noise behind a filter over its gain, times the stretch's length.
 #[derive(Debug)]
 pub(super) struct Excess {
-    /// At u = place/2/GRID.
+    /// Values at u = place/2/GRID.
     grid: Vec<f64>,
 }
 
 impl Excess {
-    /// For a filter; `None` if it does not correlate white noise.
+    /// Computes the excess for a filter; `None` if it does not correlate white noise.
     pub(super) fn of(shape: &Shape) -> Option<Self> {
         if *shape == Shape::Open {
             return None;
@@ -51,7 +51,7 @@ impl Excess {
         };
         let cosines = transformed(&|lag| lag as f64 * covariance(lag))?;
         let sines = transformed(&covariance)?;
-        // At both ends sin lθ / sin θ is ±l.
+        // At both ends, sin lθ / sin θ is ±l.
         let at_end =
             |sign: f64| (1..LAGS).map(|lag| -(sign.powi(lag as i32)) * lag as f64 * covariance(lag)).sum::<f64>();
         let ratio = |place: usize, sum: f64| match place {
@@ -65,7 +65,7 @@ impl Excess {
         Some(Self { grid: cosines.iter().zip(&sines).enumerate().map(excess).collect() })
     }
 
-    /// At u cycles a sample.
+    /// Returns the excess at u cycles per sample.
     pub(super) fn at(&self, u: f64) -> f64 {
         let place = (2.0 * GRID as f64 * u).clamp(0.0, GRID as f64);
         let below = (place as usize).min(GRID - 1);
@@ -82,7 +82,7 @@ pub(super) struct Own {
 }
 
 impl Own {
-    /// From its spectrum.
+    /// Computes the autocovariance from the record's spectrum.
     pub(super) fn of(sums: &DstSums) -> Self {
         let mut lags = vec![0.0; OWN_LAGS];
         for ([low, high], bin) in sums.finely_filled() {
@@ -95,7 +95,7 @@ impl Own {
         Self { lags }
     }
 
-    /// The addition of a stretch's ends to z² at u cycles a sample, times the stretch's length.
+    /// Returns the contribution of a stretch's ends to z² at u cycles per sample, times the stretch's length.
     pub(super) fn excess(&self, u: f64) -> f64 {
         let theta = TAU * u;
         let over = theta.cos() / theta.sin().max(1e-9);
@@ -104,17 +104,17 @@ impl Own {
     }
 }
 
-/// cos lθ for l from 0 on.
+/// Returns cos lθ for l from 0 on.
 fn cosines(theta: f64) -> impl Iterator<Item = f64> {
     turned(theta, 1.0, theta.cos())
 }
 
-/// sin lθ for l from 0 on.
+/// Returns sin lθ for l from 0 on.
 fn sines(theta: f64) -> impl Iterator<Item = f64> {
     turned(theta, 0.0, theta.sin())
 }
 
-/// Chebyshev's recurrence.
+/// Returns the terms of Chebyshev's recurrence.
 fn turned(theta: f64, first: f64, second: f64) -> impl Iterator<Item = f64> {
     let twice = 2.0 * theta.cos();
     std::iter::successors(Some((first, second)), move |(one, other)| Some((*other, twice * other - one)))
@@ -125,8 +125,8 @@ fn turned(theta: f64, first: f64, second: f64) -> impl Iterator<Item = f64> {
 mod tests {
     use super::*;
 
-    /// E z²/(4 sin²(πu)) of coefficient k of a stretch of n samples with this autocovariance, by the covariance matrix
-    /// of its differences.
+    /// Returns E z²/(4 sin²(πu)) of coefficient k of a stretch of n samples with this autocovariance, from the
+    /// covariance matrix of its differences.
     fn exact(covariance: impl Fn(usize) -> f64, n: usize, k: usize) -> f64 {
         let of_difference = |lag: usize| 2.0 * covariance(lag) - covariance(lag + 1) - covariance(lag.abs_diff(1));
         let theta = PI * k as f64 / n as f64;

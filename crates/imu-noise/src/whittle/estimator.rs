@@ -1,4 +1,4 @@
-//! The estimator: samples of one channel become spectral sums, stretch by stretch, in bounded memory.
+//! The estimator: turns samples of one channel into spectral sums, stretch by stretch, in bounded memory.
 
 use super::dst::{Transform, efficient_length};
 use super::sums::{Bin, DstSums, edge, fine_edge, fine_index_of, index_of};
@@ -7,55 +7,57 @@ use std::f64::consts::PI;
 
 /// Folds the samples of one channel into [`DstSums`].
 ///
-/// A stretch without a gap is transformed as a whole up to [`DstEstimator::CHUNK`] samples. It is cut only if its length would
-/// transform slowly (less than 1 % is then transformed separately). A longer one is transformed chunk by chunk for the
-/// frequencies that a chunk resolves, and as a whole, averaged over 64 samples or more, for the lowest. For the lowest
-/// frequencies alone, the end of the stretch is lost: up to 2 % of it, for a length that transforms fast, and the samples that do
-/// not fill the last mean. A channel needs at most 9.4 MB for any length.
+/// A stretch without a gap is transformed as a whole up to [`DstEstimator::CHUNK`] samples. It is cut only if its
+/// length would transform slowly (less than 1 % is then transformed separately). A longer stretch is transformed chunk
+/// by chunk for the frequencies that a chunk resolves, and as a whole, averaged over 64 samples or more, for the lowest
+/// frequencies. Only for the lowest frequencies, the end of the stretch is lost: up to 2 % of it, for a length that
+/// transforms fast, and the samples that do not fill the last mean. A channel needs at most 9.4 MB for any length.
 #[derive(Debug, Clone)]
 pub struct DstEstimator {
     sums: DstSums,
-    /// Values beyond this are no measurements and end a stretch, as for Allan sums.
+    /// Larger values are not measurements and end a stretch, as for Allan sums.
     range: f64,
     /// Samples of the open stretch that were not transformed yet.
     buffer: Vec<f64>,
-    /// The open stretch averaged, once it is longer than a chunk.
+    /// The averaged open stretch, once it is longer than a chunk.
     low: Option<Averaged>,
-    /// Samples of the open stretch.
+    /// Number of samples in the open stretch.
     open: u64,
 }
 
 impl DstEstimator {
-    /// Samples transformed at a time: 7 h at 40 Hz, 22 min at 800 Hz.
+    /// Number of samples transformed at a time: 7 h at 40 Hz, 22 min at 800 Hz.
     pub const CHUNK: usize = 1 << 20;
     /// Frequencies below this k of a chunk come from the averaged stretch.
     const FIRST_OF_CHUNK: usize = 16;
-    /// Shorter pieces carry less information than their ends cost.
+    /// Minimum length of a piece: shorter ones carry less information than their ends cost.
     const SHORTEST: usize = 16;
 
-    /// An estimator without samples; `scale`: that of the channel's Allan sums, so that both refuse the same values.
+    /// Creates an estimator without samples; `scale` is that of the channel's Allan sums, so that both refuse the same
+    /// values.
     pub fn new(scale: FixedPoint) -> Self {
         Self::resume(scale, DstSums::new())
     }
 
-    /// Continues at the beginning of a stretch with the sums that [`Self::sums`] returned before it: the samples of a
-    /// stretch that was open then are pushed again.
+    /// Continues at the beginning of a stretch with the earlier result of [`Self::sums`]: samples of a stretch that was
+    /// open then are pushed again.
     pub fn resume(scale: FixedPoint, sums: DstSums) -> Self {
         Self { sums, range: scale.range(), buffer: Vec::new(), low: None, open: 0 }
     }
 
-    /// Bytes that a channel takes whose longest stretch has that many samples.
+    /// Returns the memory of a channel whose longest stretch has that many samples, in bytes.
     pub fn bytes(longest: usize) -> usize {
         let low = if longest > Self::CHUNK { 8 * Averaged::MOST } else { 0 };
         8 * longest.min(Self::CHUNK) + low
     }
 
-    /// Makes room for a stretch of that many samples at once.
+    /// Reserves memory for a stretch of that many samples at once.
     pub fn reserve(&mut self, samples: usize) {
         self.buffer.reserve_exact(samples.min(Self::CHUNK).saturating_sub(self.buffer.len()));
     }
 
-    /// Takes the next samples of the stretch, in the channel's unit; one that is not finite or out of range ends it.
+    /// Takes the next samples of the stretch, in the channel's unit; a sample that is not finite or out of range ends
+    /// it.
     pub fn push(&mut self, transform: &mut Transform, samples: &[f64]) {
         let range = self.range;
         let refused = |value: &f64| value.is_nan() || value.abs() > range;
@@ -110,24 +112,24 @@ impl DstEstimator {
         self.open = 0;
     }
 
-    /// Samples of the stretch that has not ended.
+    /// Returns the number of samples in the stretch that has not ended.
     pub fn open_samples(&self) -> u64 {
         self.open
     }
 
-    /// The sums of the stretches that have ended.
+    /// Returns the sums of the stretches that have ended.
     pub fn sums(&self) -> &DstSums {
         &self.sums
     }
 
-    /// Ends the stretch and gives the sums.
+    /// Ends the stretch and returns the sums.
     pub fn into_sums(mut self, transform: &mut Transform) -> DstSums {
         self.break_segment(transform);
         self.sums
     }
 }
 
-/// Which frequencies of a piece are taken, u above the first and up to the second.
+/// The frequencies of a piece that are used: u above the first and up to the second.
 #[derive(Debug, Clone, Copy)]
 struct Band(f64, f64);
 
@@ -138,8 +140,8 @@ impl Band {
     const BELOW: Self = Self(0.0, Self::SPLIT);
 }
 
-/// Flicker's variance of z_k over λ_k = 4 sin²(πu)·S: the spectrum of flicker's differences rises with f, not f², and leakage
-/// from higher frequencies is not compensated at the first few k.
+/// Returns the ratio of flicker's variance of z_k to λ_k = 4 sin²(πu)·S: the spectrum of flicker's differences rises
+/// with f, not f², and leakage from higher frequencies is not compensated at the first few k.
 ///
 /// # Source
 /// The ratio of ∫ x (1 ∓ cos πx) / (x² − k²)² dx to its value for white noise (x²); the series' first term is 2/(π²k).
@@ -159,7 +161,8 @@ fn transform_piece(sums: &mut DstSums, transform: &mut Transform, values: &[f64]
     let (length, per) = (2.0 * n as f64 * per_value as f64, per_value as f64);
     let (mut index, mut upper, mut bin) = (usize::MAX, 0.0, Bin::default());
     let (mut fine_index, mut fine_upper, mut fine) = (usize::MAX, 0.0, Bin::default());
-    // A mean's spectrum is the same at low frequencies, its sampling interval longer; the ramp climbs more from one to the next.
+    // The spectrum of means is the same at low frequencies, their sampling interval is longer, and the ramp climbs more
+    // from one mean to the next.
     transform.differences(values, |k, z, sine_squared, constant| {
         let u = k as f64 / length;
         if u <= band.0 || u > band.1 {
@@ -196,13 +199,13 @@ fn transform_piece(sums: &mut DstSums, transform: &mut Transform, values: &[f64]
     sums.add_fine(fine_index, &fine);
 }
 
-/// A stretch of any length in one transform, to compare with.
+/// Transforms a stretch of any length at once, for comparison.
 #[cfg(test)]
 pub(super) fn transform_whole(sums: &mut DstSums, transform: &mut Transform, values: &[f64]) {
     transform_piece(sums, transform, values, 1, Band::ALL);
 }
 
-/// A long stretch averaged over so many samples that it stays short.
+/// A long stretch, averaged over so many samples that it stays short.
 #[derive(Debug, Clone)]
 struct Averaged {
     per_value: usize,
@@ -212,9 +215,9 @@ struct Averaged {
 }
 
 impl Averaged {
-    /// Samples to the first mean: the frequencies wanted lie a thousand times below half the means' rate.
+    /// Number of samples in the first mean: the wanted frequencies lie a thousand times below half the means' rate.
     const FIRST: usize = 64;
-    /// Means kept: then two become one.
+    /// Maximum number of means; then two become one.
     const MOST: usize = 1 << 17;
 
     fn new() -> Self {

@@ -1,9 +1,9 @@
 //! The likelihood of spectral sums under a noise model, and its maximum over coefficients that are not negative.
 //!
-//! The z_k of a stretch are independent and normal with mean Rdt·μ_k and variance 4 sin²(πu)·S(f)/dt. That holds exactly for
-//! white noise and random walks, and to leading order for flicker and Gauss–Markov noise, whose end effects are allowed for. A
-//! bin of n of them is a gamma variable of shape n/2, so that −2 log L = Σ n (log λ + P/λ). P is the mean square, and λ, linear
-//! in the squared coefficients, is the mean of the expected squares.
+//! The z_k of a stretch are independent and normal with mean Rdt·μ_k and variance 4 sin²(πu)·S(f)/dt. This holds
+//! exactly for white noise and random walks, and to leading order for flicker and Gauss–Markov noise, whose end effects
+//! are included. A bin of n of them is a gamma variable of shape n/2, so that −2 log L = Σ n (log λ + P/λ). P is the
+//! mean square, and λ, linear in the squared coefficients, is the mean of the expected squares.
 //!
 //! # Source
 //! P. Whittle, Ark. Mat. 2 (1953) 423, for the likelihood; P. McCullagh, J. A. Nelder, Generalized Linear Models (1989),
@@ -15,8 +15,8 @@ use super::sums::{Bin, DstSums};
 use crate::fit::Term;
 use std::borrow::Cow;
 
-/// Coefficients whose squares the spectrum is linear in: N, B, K, Q of [`Term`], a Gauss–Markov process' σ, and the density of
-/// white noise behind the filter.
+/// Number of coefficients in whose squares the spectrum is linear: N, B, K, Q of [`Term`], the σ of a Gauss–Markov
+/// process, and the density of white noise behind the filter.
 pub(super) const SQUARES: usize = 6;
 /// The place of σ.
 pub(super) const SIGMA: usize = 4;
@@ -25,12 +25,12 @@ pub(super) const BEHIND: usize = 5;
 /// Unknowns of a scoring step: squares, then the shape's numbers.
 const UNKNOWNS: usize = SQUARES + TILTS;
 const SCORING_STEPS: usize = 60;
-/// −2 log L is known to this; intervals are made of roots of differences of it.
+/// Accuracy of −2 log L; intervals are computed from roots of its differences.
 const SETTLED: f64 = 1e-8;
-/// The shape's numbers move by no more than this in one step.
+/// Maximum change of the shape's numbers in one step.
 const FARTHEST: f64 = 0.5;
 
-/// A place among the squares.
+/// Returns a term's place among the squares.
 pub(super) fn place(term: Term) -> Option<usize> {
     match term {
         Term::N => Some(0),
@@ -41,7 +41,7 @@ pub(super) fn place(term: Term) -> Option<usize> {
     }
 }
 
-/// Which terms a model has.
+/// The terms of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Terms {
     pub(super) squares: [bool; SQUARES],
@@ -84,7 +84,7 @@ impl Terms {
     pub(super) fn has_gauss_markov(self) -> bool {
         self.squares[SIGMA]
     }
-    /// How many numbers are fitted.
+    /// Returns the number of fitted numbers.
     pub(super) fn parameters(self) -> usize {
         self.squares.iter().filter(|has| **has).count() + usize::from(self.ramp) + usize::from(self.has_gauss_markov())
     }
@@ -98,11 +98,11 @@ pub(super) enum Held {
     Square(usize, f64),
     /// The ramp, U per s.
     Ramp(f64),
-    /// A number of the shape, from where the likelihood has it.
+    /// A number of the shape, relative to its value in the likelihood.
     Tilt(usize, f64),
 }
 
-/// Coefficients of a model and how likely they make the data.
+/// Coefficients of a model, and their likelihood.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Model {
     pub(super) terms: Terms,
@@ -112,7 +112,7 @@ pub(super) struct Model {
     pub(super) tc_s: f64,
     /// The ramp, U per s, with its sign.
     pub(super) ramp: f64,
-    /// The shape's numbers, from where the likelihood has them.
+    /// The shape's numbers, relative to their values in the likelihood.
     pub(super) tilt: [f64; TILTS],
     /// −2 log L less a constant of the data.
     pub(super) deviance: f64,
@@ -122,7 +122,7 @@ impl Model {
     fn point(&self) -> Point {
         Point { squares: self.squares, tilt: self.tilt }
     }
-    /// The coefficient of a term; the ramp's with its sign.
+    /// Returns the coefficient of a term; the ramp's with its sign.
     pub(super) fn coefficient(&self, term: Term) -> f64 {
         place(term).map_or(self.ramp, |at| self.squares[at].sqrt())
     }
@@ -134,14 +134,14 @@ struct Row {
     count: f64,
     power: f64,
     basis: [f64; SQUARES],
-    /// 4 sin²(πu) and one over the stretch's length.
+    /// 4 sin²(πu), and one over the stretch's length.
     sine: f64,
     ends: f64,
     cross: f64,
     ramp: f64,
-    /// A rough level: of the bin and its neighbours.
+    /// A rough level of the bin and its neighbours.
     level: f64,
-    /// The part of white noise and of a process that the filter leaves, and d ln(gain)/dp.
+    /// The part of white noise and of a process that passes the filter, and d ln(gain)/dp.
     white_gain: f64,
     process_gain: f64,
     slopes: [f64; TILTS],
@@ -171,11 +171,11 @@ impl Row {
         }
     }
 
-    /// Puts a filter before the row: the mean of its gains over the bin's frequencies, with the addition of a stretch's ends to
-    /// white noise.
+    /// Applies a filter to the row: the mean of its gains over the bin's frequencies, with the contribution of a
+    /// stretch's ends to white noise.
     fn filtered(&self, [low, high]: [f64; 2], shape: &Shape, excess: Option<&Excess>, dt_s: f64) -> Self {
         let mut row = *self;
-        /// Gauss–Legendre of three points.
+        /// Gauss–Legendre quadrature with three points.
         const POINTS: [(f64, f64); 3] =
             [(-0.774_596_669_241_483, 5.0 / 18.0), (0.0, 8.0 / 18.0), (0.774_596_669_241_483, 5.0 / 18.0)];
         let (mut white, mut flicker, mut walk, mut slopes) = (0.0, 0.0, 0.0, [0.0; TILTS]);
@@ -191,7 +191,7 @@ impl Row {
         }
         row.slopes = slopes.map(|slope| if white > 0.0 { slope / white } else { 0.0 });
         let added = excess.map_or(0.0, |excess| excess.at(0.5 * (low + high)) * self.ends);
-        // Of a stretch shorter than the filter the sum is none.
+        // For a stretch shorter than the filter, the sum is not valid.
         let white = f64::max(white + added, 0.1 * white);
         (row.white_gain, row.process_gain) = (white, walk);
         row.basis[0] *= white;
@@ -202,7 +202,7 @@ impl Row {
         row
     }
 
-    /// The expected squares of each term with the shape's numbers moved.
+    /// Returns the expected squares of each term with the shape's numbers moved.
     fn basis_at(&self, tilt: &[f64; TILTS], dt_s: f64) -> [f64; SQUARES] {
         if tilt.iter().all(|by| *by == 0.0) {
             return self.basis;
@@ -214,29 +214,29 @@ impl Row {
     }
 }
 
-/// Coefficients at which the spectrum is looked at.
+/// Coefficients at which the spectrum is evaluated.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     squares: [f64; SQUARES],
     tilt: [f64; TILTS],
 }
 
-/// A record's bins, over which filters compete.
+/// A record's bins, on which filters compete.
 #[derive(Debug)]
 pub(super) struct FineBins {
-    /// The range of u of each, and what it holds.
+    /// The range of u of each bin, and its contents.
     rows: Vec<([f64; 2], Row)>,
     dt_s: f64,
 }
 
 impl FineBins {
-    /// Takes the bins that touch none of `excluded_bands_hz`, nor neighbour one that does.
+    /// Takes the bins that touch none of `excluded_bands_hz` and have no neighbour that does.
     ///
-    /// Frequencies at which a filter leaves almost no noise take no part: the part that a stretch's ends add there is larger, and
-    /// has few independent numbers. The data alone determines these frequencies, so that all shapes are compared on the same
-    /// bins.
+    /// Frequencies at which a filter leaves almost no noise take no part: the contribution of a stretch's ends is
+    /// larger there, and has few independent numbers. The data alone determines these frequencies, so that all shapes
+    /// are compared on the same bins.
     pub(super) fn new(sums: &DstSums, rate_hz: f64, excluded_bands_hz: &[[f64; 2]]) -> Self {
-        /// The ends add at most this share of a power that takes part.
+        /// Maximum share of a bin's power contributed by the ends.
         const ADDED_MOST: f64 = 0.1;
         let dt_s = 1.0 / rate_hz;
         let bins = sums.finely_filled().filter(|(range, _)| !excluded(*range, rate_hz, excluded_bands_hz));
@@ -257,12 +257,12 @@ pub(super) struct Likelihood {
     rows: Vec<Row>,
     dt_s: f64,
     shape: Shape,
-    /// Whether white noise comes in behind the filter.
+    /// Whether white noise enters behind the filter.
     behind: bool,
 }
 
 impl Likelihood {
-    /// Takes the bins that touch none of `excluded_bands_hz`, nor neighbour one that does.
+    /// Takes the bins that touch none of `excluded_bands_hz` and have no neighbour that does.
     pub(super) fn new(sums: &DstSums, rate_hz: f64, excluded_bands_hz: &[[f64; 2]]) -> Self {
         let dt_s = 1.0 / rate_hz;
         let rows = sums.filled().filter(|(range, _)| !excluded(*range, rate_hz, excluded_bands_hz));
@@ -271,7 +271,8 @@ impl Likelihood {
         Self { rows, dt_s, shape: Shape::Open, behind: false }
     }
 
-    /// The same with a filter behind the noise, over finer bins; `behind`: white noise may come in behind the filter.
+    /// Returns the likelihood with a filter on the noise, over finer bins. `behind` is whether white noise may enter
+    /// behind the filter.
     pub(super) fn filtered(bins: &FineBins, shape: &Shape, behind: bool) -> Self {
         let up_to = if let Shape::Smooth { up_to, .. } = shape { *up_to } else { 0.5 };
         let excess = Excess::of(shape);
@@ -280,23 +281,23 @@ impl Likelihood {
         Self { rows, dt_s: bins.dt_s, shape: shape.clone(), behind }
     }
 
-    /// The filter behind the noise.
+    /// Returns the filter on the noise.
     pub(super) fn shape(&self) -> &Shape {
         &self.shape
     }
 
-    /// The terms that every model has: N, and white noise behind the filter where that is allowed.
+    /// Returns the terms that every model has: N, and white noise behind the filter if that is allowed.
     pub(super) fn least_terms(&self) -> Terms {
         let terms = Terms::of(&[Term::N]);
         if self.behind { terms.with_behind() } else { terms }
     }
 
-    /// How many squares there are, and whether any differs from 0.
+    /// Returns the number of squares, and whether any differs from 0.
     pub(super) fn extent(&self) -> (f64, bool) {
         (self.rows.iter().map(|row| row.count).sum(), self.rows.iter().any(|row| row.power > 0.0))
     }
 
-    /// The longest stretch, s; 0 without data.
+    /// Returns the longest stretch, s; 0 without data.
     pub(super) fn longest_s(&self) -> f64 {
         self.rows.iter().map(|row| self.dt_s / row.ends).fold(0.0, f64::max)
     }
@@ -305,7 +306,8 @@ impl Likelihood {
         self.dt_s
     }
 
-    /// The largest likelihood of `terms`, beginning from `start` if there is one. None if no model fits.
+    /// Returns the model of `terms` with the largest likelihood, starting from `start` if given. `None` if no model
+    /// fits.
     pub(super) fn maximise(&self, terms: Terms, tc_s: f64, held: Held, start: Option<&Model>) -> Option<Model> {
         let rows = self.with_gauss_markov(terms, tc_s);
         let mut ramp = match held {
@@ -344,7 +346,7 @@ impl Likelihood {
                 } else {
                     deviance = before;
                 }
-                // The first step from another law's maximum may well lead nowhere, but the ramp's has been taken.
+                // The first step from another law's maximum may lead nowhere, but the ramp's step has been taken.
                 if step > 0 || !terms.ramp {
                     break;
                 }
@@ -368,7 +370,7 @@ impl Likelihood {
         rows
     }
 
-    /// The smallest coefficient of `term` that by itself would make up `model` at some frequency.
+    /// Returns the smallest coefficient of `term` that alone would equal `model` at some frequency.
     pub(super) fn whole(&self, term: Term, model: &Model) -> Option<f64> {
         let rows = self.with_gauss_markov(model.terms, model.tc_s);
         let of = |row: &Row| match place(term) {
@@ -378,7 +380,8 @@ impl Likelihood {
         rows.iter().map(of).filter(|c| c.is_finite() && *c > 0.0).min_by(f64::total_cmp)
     }
 
-    /// Expected mean squares over found ones by groups of bins: count, found and expected, from low to high frequency.
+    /// Returns groups of bins from low to high frequency: the number of squares, and the sum of found over expected
+    /// squares.
     pub(super) fn groups(&self, model: &Model, least: f64, ratio: f64) -> Vec<(f64, f64)> {
         let rows = self.with_gauss_markov(model.terms, model.tc_s);
         let mut groups: Vec<(f64, f64)> = Vec::new();
@@ -404,8 +407,8 @@ impl Likelihood {
     }
 }
 
-/// Spectrum over dt of a Gauss–Markov process with σ = 1 at s = 4 sin²(πu), sampled, with the first-order effect of a
-/// stretch's ends: a process as long as the stretch looks smaller than it is.
+/// Returns the spectrum over dt of a sampled Gauss–Markov process with σ = 1 at s = 4 sin²(πu), with the first-order
+/// effect of a stretch's ends: a process as long as the stretch looks smaller.
 ///
 /// # Source
 /// The sampled process is an AR(1) with φ = e^(−dt/Tc). Ends: the variance of ∫ y cos(ωt) dt over T is
@@ -416,7 +419,7 @@ fn gauss_markov(s: f64, ends: f64, decay: f64) -> f64 {
     rest * (1.0 + phi) / (rest * rest + phi * s) * (1.0 - ends).max(0.0)
 }
 
-/// Means over bins until ten squares are in: weights to begin with.
+/// Averages over bins until there are ten squares, for initial weights.
 fn level(rows: &mut [Row]) {
     let mut from = 0;
     let mut last = 0.0;
@@ -435,14 +438,14 @@ fn level(rows: &mut [Row]) {
     }
     let top = rows.iter().map(|row| row.level).fold(0.0, f64::max);
     for row in rows {
-        // A band without noise would else weigh more than all others.
+        // Otherwise, a band without noise would have more weight than all others.
         row.level = row.level.max(1e-12 * top);
     }
 }
 
-/// Whether a bin touches a band that is left out, or neighbours one that does.
+/// Returns whether a bin or its neighbour touches an excluded band.
 fn excluded([low, high]: [f64; 2], rate_hz: f64, bands_hz: &[[f64; 2]]) -> bool {
-    /// A bin is 3.7 % wide: the leakage of a line beyond its neighbour falls with the square of the distance.
+    /// A bin is 3.7 % wide; the leakage of a line beyond its neighbour falls with the square of the distance.
     const MARGIN: f64 = 1.037;
     bands_hz.iter().any(|[from, to]| high * rate_hz >= from / MARGIN && low * rate_hz <= to * MARGIN)
 }
@@ -455,7 +458,7 @@ fn residual_power(row: &Row, ramp: f64) -> f64 {
     (row.power + ramp * (ramp * row.ramp - 2.0 * row.cross)).max(0.0)
 }
 
-/// −2 log L against that of the rough levels, which keeps the sum small and its digits.
+/// Returns −2 log L relative to that of the rough levels, which keeps the sum small and its digits.
 fn deviance_of(rows: &[Row], point: &Point, ramp: f64, dt_s: f64) -> f64 {
     let of = |row: &Row| {
         let lambda = spectrum(row, point, dt_s);
@@ -465,7 +468,7 @@ fn deviance_of(rows: &[Row], point: &Point, ramp: f64, dt_s: f64) -> f64 {
     if sum.is_nan() { f64::INFINITY } else { sum }
 }
 
-/// The ramp by generalised least squares.
+/// Returns the ramp by generalised least squares.
 fn generalised_mean(rows: &[Row], lambda: &impl Fn(&Row) -> f64) -> Option<f64> {
     let (cross, ramp) = rows.iter().fold((0.0, 0.0), |(cross, ramp), row| {
         let weight = row.count / lambda(row);
@@ -474,8 +477,8 @@ fn generalised_mean(rows: &[Row], lambda: &impl Fn(&Row) -> f64) -> Option<f64> 
     Some(cross / ramp).filter(|mean| mean.is_finite())
 }
 
-/// One step of Fisher scoring: weighted least squares over squares that are not negative, and over the first `tilts` of the
-/// shape's numbers, which may have any sign.
+/// Takes one step of Fisher scoring: weighted least squares over squares that are not negative, and over the first
+/// `tilts` of the shape's numbers, which may have any sign.
 #[expect(clippy::too_many_arguments, reason = "one step of one loop")]
 fn scoring_step(
     rows: &[Row],
@@ -530,8 +533,8 @@ fn scoring_step(
     Some(next)
 }
 
-/// Goes towards the proposed values as far as the likelihood rises; `base`: the deviance at `from`, infinite before the first
-/// step.
+/// Moves towards the proposed values as long as the likelihood rises. `base` is the deviance at `from`, infinite before
+/// the first step.
 fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, base: f64, dt_s: f64) -> (Point, f64) {
     const HALVINGS: i32 = 30;
     let (mut next, mut reached) = (proposed, deviance_of(rows, &proposed, ramp, dt_s));
@@ -550,9 +553,9 @@ fn shorten(rows: &[Row], from: Point, proposed: Point, ramp: f64, base: f64, dt_
     (next, reached)
 }
 
-/// Least squares from normal equations (lower triangles) over x ≥ 0 for `free` columns and any x for `signed` ones: of all sets
-/// of `free` columns that give positive numbers, the one that explains most. Exact, and with six columns cheaper than being
-/// clever.
+/// Solves least squares from normal equations (lower triangles) over x ≥ 0 for `free` columns and any x for `signed`
+/// ones: of all sets of `free` columns with positive numbers, it takes the one that explains most. This is exact and,
+/// with six columns, cheap enough.
 fn non_negative(
     normal: &[[f64; UNKNOWNS]; UNKNOWNS],
     right: &[f64; UNKNOWNS],
@@ -564,7 +567,7 @@ fn non_negative(
     if right.iter().any(|value| !value.is_finite()) {
         return None;
     }
-    // With no square at all the signed ones move all the same.
+    // Without any square, the signed columns still move.
     for chosen in u32::from(signed.is_empty())..1 << free.len() {
         let set: Vec<usize> =
             free.iter().enumerate().filter(|(index, _)| chosen & 1 << index != 0).map(|(_, at)| *at).collect();
@@ -583,7 +586,7 @@ fn non_negative(
     Some(best)
 }
 
-/// Cholesky's solution for a set of columns scaled to a diagonal of 1; None if they depend on one another.
+/// Returns Cholesky's solution for a set of columns scaled to a diagonal of 1; `None` if they depend on one another.
 fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[usize]) -> Option<[f64; UNKNOWNS]> {
     /// If the rest of a column is smaller than this share of it, the columns cannot be separated.
     const DEPENDENT: f64 = 1e-12;
@@ -618,7 +621,8 @@ fn solve(normal: &[[f64; UNKNOWNS]; UNKNOWNS], right: &[f64; UNKNOWNS], set: &[u
 mod tests {
     use super::*;
 
-    /// It stood still if N was held and neither B nor K was there: intervals of N were those of a known filter.
+    /// The step stood still if N was held and neither B nor K was present: intervals of N were then those of a known
+    /// filter.
     #[test]
     fn a_signed_column_moves_where_no_square_does() {
         let mut normal = [[0.0; UNKNOWNS]; UNKNOWNS];

@@ -1,12 +1,13 @@
 //! The Whittle fit: noise parameters from the spectrum of a record's differences, as precise as the data allows.
 //!
-//! Samples enter a [`DstEstimator`] stretch by stretch. The outputs are [`DstSums`], which add over segments and captures. From
-//! these [`fit`] returns N, B, K, Q, R or a Gauss–Markov process with 95 % intervals, or limits for parameters that the data does
-//! not support. The basis is the DST-I of the differences, in which white noise and random walks are independent exactly. Their
-//! mean is not removed, since that would move the ends' white noise to the lowest frequencies.
+//! Samples enter a [`DstEstimator`] stretch by stretch. The outputs are [`DstSums`], which are added over segments and
+//! captures. From these [`fit`] returns N, B, K, Q, R or a Gauss–Markov process with 95 % intervals, or limits for
+//! parameters that the data does not support. The basis is the DST-I of the differences, in which white noise and
+//! random walks are independent exactly. Their mean is not removed, since that would move the ends' white noise to the
+//! lowest frequencies.
 //!
 //! # Validation
-//! `examples/noise_monte_carlo.rs` with its table in docs/validation.md; `tests` has a small form of it.
+//! `examples/noise_monte_carlo.rs` with its table in docs/validation.md; `tests` has a small form.
 
 mod bandwidth;
 mod choice;
@@ -42,15 +43,15 @@ use statement::{Profile, Statement};
 
 /// Name of the method in JSON.
 pub const METHOD: &str = "whittle-dst";
-/// Fewest squares for a fit.
+/// Minimum number of squares for a fit.
 const LEAST: f64 = 48.0;
 
-/// Fits the noise parameters of a channel; `rate_hz` finite and above 0.
+/// Fits the noise parameters of a channel; `rate_hz` is finite and above 0.
 ///
-/// `excluded_bands_hz`: frequencies that are not noise, such as those of vibration lines; they, and 4 % beside them, take no
-/// part. `sampling`: how the samples came about, if that is known; its filter is then part of the law. If the law misfits,
-/// filters inside the band compete with it. The function never fails: a parameter that cannot be determined is not identified,
-/// and a flag states why.
+/// `excluded_bands_hz` are frequencies that are not noise, such as those of vibration lines; they, and 4 % beside them,
+/// take no part. `sampling` states how the samples were made, if known; its filter is then part of the law. If the law
+/// misfits, filters inside the band compete with it. The function never fails: a parameter that cannot be determined is
+/// not identified, and a flag states why.
 pub fn fit(
     sums: &DstSums,
     rate_hz: f64,
@@ -61,7 +62,8 @@ pub fn fit(
     of_law(sums, rate_hz, channel, excluded_bands_hz, sampling, Search::Filters)
 }
 
-/// The same without a search for filters: for samples that hold more than noise, which a filter would explain away.
+/// Fits as [`fit`] does, without a search for filters, for samples that contain more than noise, which a filter would
+/// explain away.
 pub fn fit_as_sampled(sums: &DstSums, rate_hz: f64, channel: Channel, sampling: Option<&Sampling>) -> NoiseParameters {
     of_law(sums, rate_hz, channel, &[], sampling, Search::Nothing)
 }
@@ -124,7 +126,7 @@ fn of_law(
         }
     }
     parameters.bandwidth = bandwidth::statement(&likelihood, &choice, rate_hz, sampling);
-    // A law that was found in place of the known sampling denies it.
+    // A law in place of the known sampling contradicts it.
     let is_known = parameters.bandwidth.as_ref().is_none_or(|of| of.internal_rate_hz.is_some());
     let factor = sampling.filter(|_| is_known).and_then(|sampling| sampling.density_factor(rate_hz));
     parameters.n.internal = parameters.n.value.zip(factor).map(|(density, factor)| density / factor);
@@ -160,7 +162,8 @@ fn of_choice(likelihood: &Likelihood, choice: &Choice, channel: Channel) -> Nois
     NoiseParameters { gauss_markov, ..NoiseParameters::of(channel, estimate, summary, flags) }
 }
 
-/// The chosen model's Allan deviation and its parts, from where the filter is described.
+/// Returns the chosen model's Allan deviation and its parts, from the averaging time on at which the filter is
+/// described.
 fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
     let (model, dt_s) = (&choice.model, likelihood.dt_s());
     let shape = likelihood.shape().moved(&model.tilt);
@@ -169,7 +172,7 @@ fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
         factors.retain(|m| *m as f64 * up_to >= 1.0);
     }
     let at = |m: usize| factors.iter().position(|own| *own == m);
-    // By Shape::Open all are 1.
+    // For Shape::Open, all ratios are 1.
     let ratios = |gain: fn(shape::Gains) -> f64, spectrum: &dyn Fn(f64) -> f64| match shape {
         Shape::Open => vec![1.0; factors.len()],
         _ => bandwidth::variance_ratios(&shape, &factors, gain, spectrum),
@@ -184,7 +187,7 @@ fn curve(likelihood: &Likelihood, choice: &Choice) -> FittedCurve {
             Term::K => ratios(walk_like, &spectrum),
             Term::R => vec![1.0; factors.len()],
         };
-        // The part of the plateau that lies behind the filter stays as it is.
+        // The part of the plateau behind the filter is unchanged.
         let behind = if term == Term::N { model.squares[likelihood::BEHIND] } else { 0.0 };
         let variance = move |m: usize| {
             let ratio = at(m).and_then(|at| ratio.get(at).copied()).unwrap_or(1.0);

@@ -5,11 +5,11 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 /// Below this p-value the model does not describe the data, and intervals are widened to the scatter.
 pub(crate) const MISFIT: f64 = 1e-3;
-/// Squares to a group, and how far apart in frequency squared its ends are: sixteen groups to the decade.
+/// Minimum number of squares in a group, and ratio of its ends in squared frequency: sixteen groups per decade.
 const LEAST: f64 = 10.0;
 const RATIO: f64 = 1.333_521;
 
-/// The outcome.
+/// The outcome of the test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Residual {
     pub(super) chi2: f64,
@@ -18,8 +18,9 @@ pub(super) struct Residual {
 }
 
 impl Residual {
-    /// A group of n squares over their expectation is χ² of n degrees; its cube root is nearly normal (E. B. Wilson and
-    /// M. M. Hilferty, PNAS 17 (1931) 684), and squares of these numbers add. None without a degree of freedom left.
+    /// Tests the residuals in groups. A group of n squares over their expectation is χ² of n degrees; its cube root is
+    /// nearly normal (E. B. Wilson and M. M. Hilferty, PNAS 17 (1931) 684), and the squares of these numbers are added.
+    /// `None` if no degree of freedom is left.
     pub(super) fn of(likelihood: &Likelihood, model: &Model) -> Option<Self> {
         let groups = likelihood.groups(model, LEAST, RATIO);
         let chi2: f64 = groups
@@ -37,7 +38,8 @@ impl Residual {
         (chi2.is_finite() && p_value.is_finite()).then_some(Self { chi2, degrees_of_freedom, p_value })
     }
 
-    /// Factor on standard deviations: above 1 if the residuals are larger than they should be (R. T. Birge, 1932).
+    /// Returns the factor on standard deviations: above 1 if the residuals are larger than expected (R. T. Birge,
+    /// 1932).
     pub(super) fn widen(residual: Option<Self>) -> f64 {
         match residual {
             Some(residual) if residual.p_value < MISFIT => {

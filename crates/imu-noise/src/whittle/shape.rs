@@ -1,44 +1,45 @@
 //! Shapes: the effect of a filter inside the recorded band on the noise in front of it.
 //!
-//! A shape is a power gain over u = f·dt that is 1 at low frequencies, so that N stays the plateau of the spectrum as
-//! sampled. Its numbers (a cutoff, coefficients) are fitted by their slopes d ln(gain)/dp.
+//! A shape is a power gain over u = f·dt that is 1 at low frequencies, so that N stays the plateau of the sampled
+//! spectrum. Its numbers (a cutoff, coefficients) are fitted by their slopes d ln(gain)/dp.
 
 use std::f64::consts::PI;
 
-/// Numbers of a shape at most.
+/// Maximum number of a shape's numbers.
 pub(super) const TILTS: usize = 6;
 
-/// One family of filters.
+/// A family of filters.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Shape {
-    /// Noise reaches half the rate as it is.
+    /// No filter: noise reaches half the rate unchanged.
     Open,
-    /// The mean of so many samples.
+    /// The mean of this many samples.
     MovingAverage(u32),
     /// A Butterworth filter, bilinear, −3 dB at u = `cutoff`.
     Butterworth {
-        /// 1 to 4.
+        /// Order, 1 to 4.
         order: u32,
-        /// In cycles a sample.
+        /// Cutoff, cycles per sample.
         cutoff: f64,
     },
     /// y += a (x − y), −3 dB at u = `cutoff`.
     Exponential {
-        /// In cycles a sample.
+        /// Cutoff, cycles per sample.
         cutoff: f64,
     },
-    /// The mean of `window` samples of which every `every`th is kept: a sensor's boxcar and decimation, folding included.
+    /// The mean of `window` samples, of which every `every`th is kept: a sensor's boxcar and decimation, folding
+    /// included.
     Decimated {
-        /// Samples at the internal rate.
+        /// Samples per mean, at the internal rate.
         window: u32,
-        /// Internal samples to an output sample.
+        /// Internal samples per output sample.
         every: u32,
     },
-    /// exp(−Σ c_j sin²ʲ(πu)): any smooth filter, for as far up as it is used.
+    /// exp(−Σ c_j sin²ʲ(πu)): any smooth filter, up to the highest frequency used.
     Smooth {
-        /// c_1 and on.
+        /// The coefficients from c_1 on.
         coefficients: Vec<f64>,
-        /// Frequencies above are not described.
+        /// Frequencies above this are not described.
         up_to: f64,
     },
 }
@@ -52,7 +53,7 @@ pub(super) struct Gains {
 }
 
 impl Shape {
-    /// The gains at u in (0, 1/2].
+    /// Returns the gains at u in (0, 1/2].
     pub(super) fn gains(&self, u: f64) -> Gains {
         let alike = |gain: f64| Gains { white: gain, flicker: gain, walk: gain };
         match self {
@@ -69,7 +70,7 @@ impl Shape {
             }
             Self::Decimated { window, every } => decimated(*window, *every, u),
             Self::Smooth { coefficients, up_to } => {
-                // A polynomial leaves all bounds beyond the range to which it was fitted.
+                // A polynomial diverges beyond the range to which it was fitted.
                 let x = (PI * u.min(*up_to)).sin().powi(2);
                 let sum: f64 = coefficients.iter().rev().fold(0.0, |sum, c| (sum + c) * x);
                 alike((-sum).exp())
@@ -77,7 +78,7 @@ impl Shape {
         }
     }
 
-    /// How many numbers are fitted.
+    /// Returns the number of fitted numbers.
     pub(super) fn tilts(&self) -> usize {
         match self {
             Self::Open | Self::MovingAverage(_) | Self::Decimated { .. } => 0,
@@ -86,7 +87,7 @@ impl Shape {
         }
     }
 
-    /// The shape with its numbers moved: cutoffs by a logarithm, coefficients as they are.
+    /// Returns the shape with its numbers moved: cutoffs logarithmically, coefficients linearly.
     pub(super) fn moved(&self, by: &[f64; TILTS]) -> Self {
         let of = |cutoff: f64| (cutoff * by[0].exp()).clamp(1e-4, 0.4999);
         match self {
@@ -100,7 +101,7 @@ impl Shape {
         }
     }
 
-    /// d ln(gain)/dp at u.
+    /// Returns d ln(gain)/dp at u.
     pub(super) fn slopes(&self, u: f64) -> [f64; TILTS] {
         let mut slopes = [0.0; TILTS];
         match self {
@@ -126,7 +127,7 @@ impl Shape {
     }
 }
 
-/// Returns a of y += a (x − y), which passes half the power at `cutoff` cycles a sample.
+/// Returns a of y += a (x − y), which passes half the power at `cutoff` cycles per sample.
 ///
 /// |H|² is a²/(a² + 2(1 − a)c) with c = 1 − cos(2π·cutoff).
 pub fn exponential_weight(cutoff: f64) -> f64 {
@@ -134,14 +135,14 @@ pub fn exponential_weight(cutoff: f64) -> f64 {
     (c * c + 2.0 * c).sqrt() - c
 }
 
-/// |H|² of the mean of `window` samples; 0 is no mean.
+/// Returns |H|² of the mean of `window` samples; a window of 0 does not average.
 pub(crate) fn boxcar(window: u32, u: f64) -> f64 {
     let sine = (PI * u).sin();
     let window = f64::from(window.max(1));
     if sine.abs() < 1e-12 { 1.0 } else { ((PI * u * window).sin() / (window * sine)).powi(2) }
 }
 
-/// Gains of a boxcar and decimation: the images k of the output rate add.
+/// Returns the gains of a boxcar and decimation: the images k of the output rate are added.
 fn decimated(window: u32, every: u32, u: f64) -> Gains {
     let every = every.max(1);
     let (mut white, mut plateau, mut flicker, mut walk) = (0.0, 0.0, 0.0, 0.0);

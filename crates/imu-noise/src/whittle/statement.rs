@@ -7,10 +7,10 @@ use super::shape::Shape;
 use crate::fit::Term;
 use crate::fit::selection::{interval, upper_limit};
 
-/// The information of the data about one coefficient.
+/// The information in the data about one coefficient.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Statement {
-    /// A value and its 95 % interval; a ramp's with its sign.
+    /// A value and its 95 % interval; for a ramp, with its sign.
     Named(f64, [f64; 2]),
     /// A 95 % upper limit, if there is one.
     Limited(Option<f64>),
@@ -26,20 +26,21 @@ pub(super) struct Profile<'a> {
 
 impl<'a> Profile<'a> {
     pub(super) fn new(likelihood: &'a Likelihood, choice: &'a Choice) -> Self {
-        // That a degree was chosen is no part of its likelihood. Without this 91 of 100 intervals held behind an FIR filter.
+        // The likelihood does not include the choice of a degree. Without this factor, 91 of 100 intervals held behind
+        // an FIR filter.
         const CHOSEN: f64 = 1.25;
         let chosen = if matches!(likelihood.shape(), Shape::Smooth { .. }) { CHOSEN } else { 1.0 };
         Self { likelihood, choice, widen: chosen * Residual::widen(choice.residual) }
     }
 
-    /// The model that intervals are read from: the chosen terms, with B and K whether named or not, since a term that
-    /// is too weak to be named is not thereby absent. A Gauss–Markov process stands in their place.
+    /// Returns the model from which intervals are read: the chosen terms, with B and K whether named or not, because a
+    /// term that is too weak to be named may still be present. A Gauss–Markov process takes their place.
     fn family(&self) -> Terms {
         let chosen = self.choice.model.terms;
         if chosen.has_gauss_markov() { chosen } else { self.plain_family() }
     }
 
-    /// The same without a process.
+    /// Returns the model without a process.
     fn plain_family(&self) -> Terms {
         self.choice.model.terms.without_gauss_markov().with(Term::B).with(Term::K)
     }
@@ -53,12 +54,12 @@ impl<'a> Profile<'a> {
         }
     }
 
-    /// The root of the likelihood ratio of two deviances, in widened deviations.
+    /// Returns the root of the likelihood ratio of two deviances, in widened deviations.
     fn root(&self, held: f64, maximum: f64) -> f64 {
         (held - maximum).max(0.0).sqrt() / self.widen
     }
 
-    /// N, B, K, Q or R.
+    /// Returns the statement about N, B, K, Q or R.
     pub(super) fn statement(&self, term: Term) -> Statement {
         let chosen = &self.choice.model;
         let Some(course) = Course::new(self, term, self.family()) else { return Statement::Limited(None) };
@@ -66,7 +67,7 @@ impl<'a> Profile<'a> {
         let named = chosen.terms.has(term) && value > 0.0 && self.stands(term);
         if named && let Some([low, high]) = course.interval(value) {
             let ends = [low.min(value), high.max(value)];
-            // A ramp falls or rises; all others have no sign.
+            // A ramp falls or rises; the others have no sign.
             return if self.choice.values.coefficient(term) < 0.0 {
                 Statement::Named(-value, [-ends[1], -ends[0]])
             } else {
@@ -74,7 +75,8 @@ impl<'a> Profile<'a> {
             };
         }
         let limit = course.upper_limit();
-        // Whether a process made the data or flicker and a walk is a matter of a few units of log L: a limit allows for both.
+        // Whether a process or flicker and a walk made the data is a matter of a few units of log L: a limit allows for
+        // both.
         if chosen.terms.has_gauss_markov() && matches!(term, Term::B | Term::K) {
             let plain = self.limit_in(self.plain_family(), term);
             return Statement::Limited(limit.zip(plain).map(|(beside, plain)| beside.max(plain)));
@@ -82,15 +84,15 @@ impl<'a> Profile<'a> {
         Statement::Limited(limit)
     }
 
-    /// The 95 % upper limit that a family of models sets.
+    /// Returns the 95 % upper limit that a family of models sets.
     pub(super) fn limit_in(&self, family: Terms, term: Term) -> Option<f64> {
         Course::new(self, term, family)?.upper_limit()
     }
 
-    /// Whether the term is still worth its price when deviations are widened.
+    /// Returns whether the term is still worth its price when deviations are widened.
     fn stands(&self, term: Term) -> bool {
         if self.widen <= 1.0 && term != Term::N {
-            // The choice has paid it.
+            // The choice has already paid the price.
             return true;
         }
         let chosen = &self.choice.model;
@@ -98,7 +100,7 @@ impl<'a> Profile<'a> {
             .is_none_or(|without| self.root(without.deviance, chosen.deviance).powi(2) >= price(term, chosen.terms))
     }
 
-    /// σ and Tc of the Gauss–Markov process, if one was chosen.
+    /// Returns σ and Tc of the Gauss–Markov process, if one was chosen.
     pub(super) fn gauss_markov(&self) -> Option<[(f64, [f64; 2]); 2]> {
         let chosen = &self.choice.model;
         let sigma = chosen.squares[SIGMA].sqrt();
@@ -124,7 +126,7 @@ impl<'a> Profile<'a> {
     }
 }
 
-/// How likely each size of one coefficient is in a family of models.
+/// The likelihood of each size of one coefficient in a family of models.
 #[derive(Debug)]
 struct Course<'a> {
     profile: &'a Profile<'a>,
@@ -141,7 +143,7 @@ struct Course<'a> {
 }
 
 impl<'a> Course<'a> {
-    /// None if the family does not fit.
+    /// Creates the course; `None` if the family does not fit.
     fn new(profile: &'a Profile<'a>, term: Term, family: Terms) -> Option<Self> {
         let terms = family.with(term);
         let maximum = profile.best(terms, Held::Nothing, &profile.choice.model)?;
@@ -153,7 +155,7 @@ impl<'a> Course<'a> {
         Some(Self { profile, term, terms, maximum, found: signed.abs(), sign, r_zero, threshold })
     }
 
-    /// The signed root at `c` of the found sign.
+    /// Returns the signed root at `c` of the found sign.
     fn root(&self, c: f64) -> Option<f64> {
         let hold = place(self.term).map_or(Held::Ramp(self.sign * c), |at| Held::Square(at, c * c));
         let held = self.profile.best(self.terms, hold, &self.maximum)?;
@@ -161,12 +163,12 @@ impl<'a> Course<'a> {
         Some(if c < self.found { root } else { -root })
     }
 
-    /// The 95 % interval, for a term of that value.
+    /// Returns the 95 % interval for a term of that value.
     fn interval(&self, value: f64) -> Option<[f64; 2]> {
         interval(self.found.max(1e-6 * value), self.r_zero, self.threshold, &|c| self.root(c))
     }
 
-    /// The 95 % limit of a term that is not named.
+    /// Returns the 95 % limit of a term that is not named.
     fn upper_limit(&self) -> Option<f64> {
         let least = 1e-4 * self.profile.likelihood.whole(self.term, &self.maximum).unwrap_or(1.0);
         upper_limit(least, self.r_zero, self.threshold, &|c| self.root(c)).filter(|limit| limit.is_finite())

@@ -1,35 +1,35 @@
-//! Spectral sums: the binned squares of a DST, which add over stretches, segments and captures of one rate.
+//! Spectral sums: the binned squares of a DST, which are added over stretches, segments and captures of one rate.
 
-/// Bins to the decade of frequency. Within one, the spectrum of a random walk varies by ±3.7 %, which costs 0.05 % of the
-/// information of the squares.
+/// Bins per decade of frequency. Within a bin, the spectrum of a random walk varies by ±3.7 %, which costs 0.05 % of
+/// the information of the squares.
 const PER_DECADE: usize = 64;
-/// From half the rate down; lower frequencies belong to the last bin.
+/// Number of bins, from half the rate down; lower frequencies belong to the last bin.
 const BINS: usize = 10 * PER_DECADE;
 /// Numbers kept per bin.
 const FIELDS: usize = 8;
 /// Version of the written form.
 const VERSION: u8 = 2;
-/// From half the rate down to the lower end of this bin the squares are kept in [`FINE`] bins of equal width as well: there a
-/// filter's response turns within less than a bin of the decade.
+/// From half the rate down to the lower end of this bin, the squares are also kept in [`FINE`] bins of equal width,
+/// because a filter's response changes there within less than a logarithmic bin.
 const FINE_FROM: usize = 80;
-/// Bins of equal width.
+/// Number of bins of equal width.
 const FINE: usize = 480;
 
 /// Sums over the k of one bin. With u = f·dt = k/2n and s = 4 sin²(πu), power is z²/s: the two-sided spectrum of the rate
 /// over the sampling interval, unit U².
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Bin {
-    /// How many.
+    /// Number of squares.
     pub(super) count: f64,
-    /// Σ z²/s.
+    /// Σ z²/s, the power.
     pub(super) power: f64,
-    /// Σ c/(2πu): what flicker of B = 1 is expected to give.
+    /// Σ c/(2πu), the expectation for flicker of B = 1.
     pub(super) flicker: f64,
-    /// Σ 1/s: a random walk of unit steps.
+    /// Σ 1/s, that for a random walk of unit steps.
     pub(super) walk: f64,
-    /// Σ s: white angle of unit variance.
+    /// Σ s, that for white angle noise of unit variance.
     pub(super) angle: f64,
-    /// Σ 1/n: one over the stretch's length.
+    /// Σ 1/n, one over the stretch's length.
     pub(super) ends: f64,
     /// Σ zμ/s with μ the transform of a constant 1.
     pub(super) cross: f64,
@@ -51,7 +51,7 @@ impl Bin {
     }
 }
 
-/// The binned DST squares of a channel's stretches. Sums of the same rate add; about 70 kB at most.
+/// The binned DST squares of a channel's stretches. Sums of the same rate can be added; they take at most about 70 kB.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DstSums {
     bins: Vec<Bin>,
@@ -68,18 +68,18 @@ impl Default for DstSums {
 }
 
 impl DstSums {
-    /// Sums without data.
+    /// Creates sums without data.
     pub fn new() -> Self {
         let (bins, fine) = (vec![Bin::default(); BINS], vec![Bin::default(); FINE]);
         Self { bins, fine, samples: 0, out_of_range: 0 }
     }
 
-    /// Samples of the stretches that have ended.
+    /// Returns the number of samples in the stretches that have ended.
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// Values that were not finite or beyond the channel's range; each ended a stretch.
+    /// Returns the number of values that were not finite or beyond the channel's range; each ended a stretch.
     pub fn out_of_range(&self) -> u64 {
         self.out_of_range
     }
@@ -92,7 +92,8 @@ impl DstSums {
         pairs.for_each(|(own, other)| own.add(other));
     }
 
-    /// Takes from `other` the bins whose frequencies all lie above `u` cycles a sample; samples stay counted as they were.
+    /// Takes from `other` the bins whose frequencies all lie above `u` cycles per sample; the number of samples stays
+    /// the same.
     pub fn replace_above(&mut self, u: f64, other: &Self) {
         for (index, (own, other)) in self.bins.iter_mut().zip(&other.bins).enumerate() {
             if edge(index + 1) >= u {
@@ -126,20 +127,20 @@ impl DstSums {
         }
     }
 
-    /// Bins that are not empty, from low to high frequency: the range of u = f·dt of each, and its sums.
+    /// Returns the bins that are not empty, from low to high frequency: the range of u = f·dt of each, and its sums.
     pub(super) fn filled(&self) -> impl Iterator<Item = ([f64; 2], &Bin)> {
         let filled = self.bins.iter().enumerate().rev().filter(|(_, bin)| bin.count > 0.0);
         filled.map(|(index, bin)| ([edge(index + 1), edge(index)], bin))
     }
 
-    /// As [`Self::filled`], with bins of equal width for the upper frequencies.
+    /// Returns the same as [`Self::filled`], with bins of equal width for the upper frequencies.
     pub(super) fn finely_filled(&self) -> impl Iterator<Item = ([f64; 2], &Bin)> {
         let lower = self.filled().filter(|(range, _)| range[1] <= edge(FINE_FROM) * (1.0 + 1e-9));
         let upper = self.fine.iter().enumerate().filter(|(_, bin)| bin.count > 0.0);
         lower.chain(upper.map(|(index, bin)| ([fine_edge(index), fine_edge(index + 1)], bin)))
     }
 
-    /// For a checkpoint, bit for bit.
+    /// Returns the sums for a checkpoint, bit for bit.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
         bytes.extend(self.samples.to_le_bytes());
@@ -154,7 +155,7 @@ impl DstSums {
         bytes
     }
 
-    /// The sums that [`Self::to_bytes`] wrote; None if the bytes are damaged.
+    /// Reads the output of [`Self::to_bytes`]; `None` if the bytes are damaged.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         const ROW: usize = 4 + 8 * FIELDS;
         let (_, rest) = bytes.split_first().filter(|(version, _)| **version == VERSION)?;
@@ -181,28 +182,28 @@ impl DstSums {
     }
 }
 
-/// Upper end of bin `index` in u; it belongs to the bin, the lower end does not.
+/// Returns the upper end of bin `index` in u; it belongs to the bin, the lower end does not.
 pub(super) fn edge(index: usize) -> f64 {
     if index >= BINS { 0.0 } else { 0.5 * 10f64.powf(-(index as f64) / PER_DECADE as f64) }
 }
 
-/// Lower end of bin `index` of equal width in u; the upper end belongs to the bin, the lower does not.
+/// Returns the lower end of bin `index` of equal width in u; the upper end belongs to the bin, the lower does not.
 pub(super) fn fine_edge(index: usize) -> f64 {
     let least = edge(FINE_FROM);
     least + (0.5 - least) * index as f64 / FINE as f64
 }
 
-/// The bin of equal width that u belongs to; none below them.
+/// Returns the bin of equal width to which u belongs; `None` below these bins.
 pub(super) fn fine_index_of(u: f64) -> Option<usize> {
     let least = edge(FINE_FROM);
     let place = ((u - least) / (0.5 - least) * FINE as f64).ceil() - 1.0;
     (place >= 0.0).then_some((place as usize).min(FINE - 1))
 }
 
-/// The bin that u belongs to.
+/// Returns the bin to which u belongs.
 pub(super) fn index_of(u: f64) -> usize {
     let near = (PER_DECADE as f64 * (0.5 / u).log10()).floor().clamp(0.0, (BINS - 1) as f64) as usize;
-    // The logarithm's rounding does not decide.
+    // The rounding of the logarithm must not decide.
     let near = if near > 0 && u > edge(near) { near - 1 } else { near };
     if near + 1 < BINS && u <= edge(near + 1) { near + 1 } else { near }
 }

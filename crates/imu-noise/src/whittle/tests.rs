@@ -20,7 +20,7 @@ fn record(n: f64, b: f64, k: f64, samples: usize, seed: u64) -> Vec<f64> {
     values
 }
 
-/// A Gauss–Markov process.
+/// Returns a Gauss–Markov process.
 fn process(sigma: f64, tc_s: f64, samples: usize, seed: u64) -> Vec<f64> {
     let (mut noise, phi) = (stream(seed, 900), (-1.0 / (RATE_HZ * tc_s)).exp());
     let mut state = sigma * noise.normal();
@@ -55,8 +55,8 @@ fn holds(estimate: &Estimate, truth: f64) -> bool {
     }
 }
 
-/// Twenty records of 25 min: intervals and limits hold as often as they may be expected to, and errors are those that
-/// the Fisher information allows.
+/// Twenty records of 25 min: intervals and limits hold as often as expected, and errors are those of the Fisher
+/// information.
 #[test]
 fn intervals_hold_and_errors_are_near_the_bound() {
     const SEEDS: u64 = 20;
@@ -130,7 +130,7 @@ fn a_gauss_markov_process_is_named_with_its_time() {
     assert!(sigma >= 6 && tc_s >= 6, "{sigma} and {tc_s} of {SEEDS}");
 }
 
-/// Which of a process, or flicker and a walk, made the data is not known for certain: limits beside a process allow for both.
+/// It is not certain whether a process, or flicker and a walk, made the data: limits beside a process allow for both.
 #[test]
 fn limits_beside_a_process_hold_for_flicker_and_a_walk_in_its_place() {
     let mut samples = record(3.5e-3, 0.0, 0.0, 240_000, 1);
@@ -149,7 +149,7 @@ fn limits_beside_a_process_hold_for_flicker_and_a_walk_in_its_place() {
         let beside = profile.limit_in(choice.model.terms, term).unwrap();
         println!("{term:?} < {limit:.3e}; beside the process < {beside:.3e}, in its place {in_its_place:.3e}");
         assert!(limit >= in_its_place && limit >= beside, "{term:?}: {limit} {beside} {in_its_place}");
-        // Beside the process alone the limit of a walk is below what a walk in its place would be.
+        // Beside the process alone, the limit of a walk is below that of a walk in its place.
         assert!(term == Term::B || beside < in_its_place, "{beside} {in_its_place}");
     }
 }
@@ -161,14 +161,14 @@ fn a_ramp_is_named_and_does_not_pass_for_a_random_walk() {
         *value -= 1.6e-5 * index as f64 / RATE_HZ;
     }
     let parameters = of(&samples);
-    // It falls.
+    // The ramp falls.
     assert!((parameters.r.value.unwrap() / -1.6e-5 - 1.0).abs() < 0.02 && holds(&parameters.r, -1.6e-5));
     assert!(!parameters.k.identified && !parameters.b.identified, "{parameters:?}");
     // Cut in two, the halves share the ramp.
     let (left, right) = samples.split_at(41_234);
     let cut = fit(&sums_of(&[left, right]), RATE_HZ, Channel::GyroX, &[], None);
     assert!((cut.r.value.unwrap() / -1.6e-5 - 1.0).abs() < 0.05 && holds(&cut.r, -1.6e-5), "{:?}", cut.r);
-    // Rising it is the same with the other sign, and the curve has its size.
+    // A rising ramp is the same with the other sign, and the curve has its size.
     samples.iter_mut().for_each(|value| *value = -*value);
     let risen = of(&samples);
     assert!((risen.r.value.unwrap() + parameters.r.value.unwrap()).abs() < 1e-9 && holds(&risen.r, 1.6e-5));
@@ -227,7 +227,7 @@ fn a_long_stretch_is_as_good_in_chunks_as_whole() {
         let bins = sums.filled().filter(|([_, high], _)| *high * RATE_HZ < below);
         bins.fold((0.0, 0.0), |(count, power), (_, bin)| (count + bin.count, power + bin.power / bin.walk * bin.count))
     };
-    // 8e-5 Hz lies far below what a chunk resolves: the same coefficients, one by one.
+    // 8e-5 Hz lies far below the resolution of a chunk: the same coefficients, one by one.
     let ((ours, ours_power), (theirs, theirs_power)) = (count(&chunked, 8e-5), count(&whole, 8e-5));
     assert!(ours == theirs && ours > 5.0, "{ours} {theirs}");
     assert!((ours_power / theirs_power - 1.0).abs() < 0.05, "{ours_power} {theirs_power}");
@@ -299,7 +299,7 @@ fn too_few_frequencies_are_not_called_too_few_samples() {
     assert!(short.flags[0].note.contains("fewer than 50 samples"), "{:?}", short.flags);
 }
 
-/// The reference set of white noise, random walk and ramp whose sizes are known (NIST SP1065's generator).
+/// The reference set of white noise, random walk and ramp of known sizes (NIST SP1065's generator).
 #[test]
 fn white_walk_and_ramp_of_the_reference_set_are_told_apart() {
     let mut state = 1_234_567_890u64;
@@ -319,7 +319,7 @@ fn white_walk_and_ramp_of_the_reference_set_are_told_apart() {
     let parameters = of(&samples);
     for (term, truth) in [(Term::N, 9.128_709e-4), (Term::K, 1.825_742e-5), (Term::B, 0.0), (Term::R, 4e-7)] {
         let estimate = parameters.estimate(term);
-        // One record, which never changes: K happens to lie 2.3 deviations high, so that 95 % would be too little to ask.
+        // One fixed record: its K happens to lie 2.3 deviations high, so that 95 % would not suffice.
         let within = match (estimate.value, estimate.ci95) {
             (Some(value), Some([low, high])) => {
                 let sign = value.signum();
@@ -334,8 +334,8 @@ fn white_walk_and_ramp_of_the_reference_set_are_told_apart() {
     assert!(!parameters.b.identified, "{:?}", parameters.b);
 }
 
-/// Worlds of `examples/noise_worlds.rs` in small: N behind filters that the fit does not know, whole and with one sample in a
-/// hundred lost.
+/// Small versions of the worlds of `examples/noise_worlds.rs`: N behind filters that the fit does not know, whole and
+/// with one sample in a hundred lost.
 mod filters {
     use super::*;
     use rand::{RngExt as _, SeedableRng as _};
@@ -344,7 +344,7 @@ mod filters {
     /// White noise's standard deviation: N is that over √rate.
     const SIGMA: f64 = 0.05;
 
-    /// White noise behind taps or a recursion y += a (x − y).
+    /// Returns white noise behind taps or a recursion y += a (x − y).
     fn filtered(taps: &[f64], a: f64, samples: usize, seed: u64) -> Vec<f64> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let white: Vec<f64> = (0..samples + taps.len()).map(|_| StandardNormal.sample(&mut rng)).collect();
@@ -358,7 +358,7 @@ mod filters {
             .collect()
     }
 
-    /// Stretches between lost samples.
+    /// Returns the stretches between lost samples.
     fn lossy(samples: &[f64], loss: f64, seed: u64) -> Vec<&[f64]> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         samples.split(|_| rng.random_bool(loss)).filter(|stretch| !stretch.is_empty()).collect()

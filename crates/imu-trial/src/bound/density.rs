@@ -2,12 +2,14 @@
 
 use std::f64::consts::{PI, TAU};
 
-/// Points of the integral over the whole band, evenly spread in the logarithm of the frequency, and about a peak.
+/// Number of points of the integral over the whole band, evenly spread in the logarithm of the frequency, and about a
+/// peak.
 const POINTS: usize = 160;
 /// Halvings of the interval between two bounds.
 const HALVINGS: usize = 30;
 
-/// Frequencies in cycles per sample from half the first coefficient of `samples` to ½, denser about a peak's middle and width.
+/// Returns frequencies in cycles per sample from half the first coefficient of `samples` to ½, denser about a peak's
+/// middle and width.
 pub(super) fn frequencies(samples: usize, peak: Option<(f64, f64)>) -> Vec<f64> {
     let from = 0.25 / samples as f64;
     let mut found: Vec<f64> =
@@ -21,7 +23,7 @@ pub(super) fn frequencies(samples: usize, peak: Option<(f64, f64)>) -> Vec<f64> 
     found
 }
 
-/// ∫ over these frequencies, by trapezia.
+/// Integrates over these frequencies by trapezia.
 fn integral(frequencies: &[f64], values: impl Fn(usize) -> f64) -> f64 {
     let mut before = values(0);
     (1..frequencies.len())
@@ -34,17 +36,19 @@ fn integral(frequencies: &[f64], values: impl Fn(usize) -> f64) -> f64 {
         .sum()
 }
 
-/// Nats that noise of density `added` on top of `base` is worth if the white part's size has to be fitted, since no model has it
-/// right: n ∫₀^½ (ρ − 1 − ln ρ) df with ρ = (S₀ + A)/(S₀ + ν), least over ν ≥ 0. One value per frequency, per sample.
+/// Returns the nats that noise of density `added` on top of `base` is worth if the white part's size has to be fitted,
+/// because no model has it right: n ∫₀^½ (ρ − 1 − ln ρ) df with ρ = (S₀ + A)/(S₀ + ν), minimal over ν ≥ 0. One value
+/// per frequency, per sample.
 ///
 /// # Source
-/// P. Whittle, Ark. Mat. 2 (1953) 423: the likelihood; S. Kullback, *Information Theory and Statistics* (1959), chapter 9: its
-/// expectation, the divergence of two Gaussian processes.
+/// P. Whittle, Ark. Mat. 2 (1953) 423: the likelihood; S. Kullback, *Information Theory and Statistics* (1959), chapter
+/// 9: its expectation, the divergence of two Gaussian processes.
 pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f64]) -> f64 {
     let (mut low, mut high) = (0.0, added.iter().copied().fold(0.0, f64::max));
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
-        // The derivative's sign: too little white noise where more is missing than is too much, each over its variance.
+        // The derivative's sign: there is too little white noise if the missing part exceeds the surplus part, each
+        // over its variance.
         let missing = integral(frequencies, |at| (added[at] - middle) / (base[at] + middle).powi(2));
         if missing > 0.0 { low = middle } else { high = middle }
     }
@@ -56,9 +60,10 @@ pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f
     samples as f64 * integral(frequencies, divergence)
 }
 
-/// Nats that noise common to several channels is worth through the correlation between them: n ∫₀^½ [Σ ln(1 + aᵢ²/Sᵢ) − ln(1 + Σ
-/// aᵢ²/Sᵢ)] df, −½ ln det of the correlations of every coefficient. `ratios`: per channel aᵢ²/Sᵢ, one per frequency. The noise
-/// that it adds to each channel by itself is worth 0 nats: the model's N is not that well known.
+/// Returns the nats that noise common to several channels is worth through the correlation between them: n ∫₀^½ [Σ ln(1
+/// + aᵢ²/Sᵢ) − ln(1 + Σ aᵢ²/Sᵢ)] df, −½ ln det of the correlations of every coefficient. `ratios` are aᵢ²/Sᵢ per
+/// channel, one per frequency. The noise added to each single channel is worth 0 nats, because the model's N is not
+/// that well known.
 ///
 /// # Source
 /// T. W. Anderson, *An Introduction to Multivariate Statistical Analysis* (2003), section 9.2: tests of independence; the
@@ -71,18 +76,19 @@ pub(super) fn shared_nats(samples: usize, frequencies: &[f64], ratios: &[Vec<f64
     samples as f64 * integral(frequencies, divergence)
 }
 
-/// White angle noise of standard deviation `size`: its differences.
+/// Returns the density of the differences of white angle noise of standard deviation `size`.
 pub(super) fn angle(size: f64, cycles: f64) -> f64 {
     size * size * 4.0 * (PI * cycles).sin().powi(2)
 }
 
-/// A Gauss–Markov process of standard deviation `size` and time constant `tau`, samples: AR(1).
+/// Returns the density of a Gauss–Markov process of standard deviation `size` and time constant `tau`, samples: AR(1).
 pub(super) fn markov(size: f64, tau: f64, cycles: f64) -> f64 {
     let pole = (-1.0 / tau).exp();
     size * size * (1.0 - pole * pole) / (1.0 + pole * pole - 2.0 * pole * (TAU * cycles).cos())
 }
 
-/// An AR(2) process of standard deviation `size` with poles of this radius and angle (cycles per sample).
+/// Returns the density of an AR(2) process of standard deviation `size` with poles of this radius and angle (cycles per
+/// sample).
 ///
 /// # Source
 /// G. Box, G. Jenkins, *Time Series Analysis* (1976), 3.2.28 and 3.2.29.
@@ -124,7 +130,8 @@ mod tests {
         let base = vec![1.0; at.len()];
         let white = nats(SAMPLES, &at, &base, &vec![0.05; at.len()]);
         assert!(white.abs() < 1e-9, "{white}");
-        // Weak angle noise: excess 4q² sin² πf has mean 2q² and variance 2q⁴ over the band; n/4 of that.
+        // Weak angle noise: the excess 4q² sin² πf has mean 2q² and variance 2q⁴ over the band; the worth is n/4 of
+        // that.
         let q = 0.1_f64;
         let added: Vec<f64> = at.iter().map(|cycles| angle(q, *cycles)).collect();
         let found = nats(SAMPLES, &at, &base, &added);

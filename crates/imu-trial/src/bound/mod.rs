@@ -1,12 +1,13 @@
 //! Bounds: the size below which no test, of any form, names an effect in 90 % of cases.
 //!
-//! An oracle knows which effect may be present, on which channels, and all of its parameters, but not whether it is present. It
-//! knows B and K of the noise, and fits N, which no model has right. By Neyman and Pearson's lemma, no test finds the effect more
-//! often than the likelihood ratio of the two hypotheses. If an effect is spread thin over many samples, the logarithm of that
-//! ratio is about normal under either hypothesis, with means ∓G and variance 2G; G is the expected gain in nats of an effect that
-//! is present. The effect is found with probability Φ(√(2G) − z). Noise alone passes z as often as the diagnosis may name one
-//! kind on one channel of two ([`LEVEL`]). The bound is the size at which the mean over drawn devices, frequencies, times and
-//! channels is 0.9: those that the trial's cases are drawn from, at the study's length.
+//! An oracle knows which effect may be present, on which channels, and all of its parameters, but not whether it is
+//! present. It knows B and K of the noise, and fits N, which no model has right. By Neyman and Pearson's lemma, no test
+//! finds the effect more often than the likelihood ratio of the two hypotheses. If an effect is spread thinly over many
+//! samples, the logarithm of that ratio is about normal under either hypothesis, with means ∓G and variance 2G; G is
+//! the expected gain in nats of an effect that is present. The effect is found with probability Φ(√(2G) − z). Noise
+//! alone passes z as often as the diagnosis may name one kind on one channel of two ([`LEVEL`]). The bound is the size
+//! at which the mean over drawn devices, frequencies, times and channels is 0.9. These are drawn as for the trial's
+//! cases, at the study's length.
 //!
 //! | kind | G, with σ = 1, S the density of noise, white, flicker and walk |
 //! |---|---|
@@ -18,8 +19,8 @@
 //! | bursts | ½ Σ L (s² − ln(1 + s²)), L the samples within |
 //! | heavy_tails | ½ I n/ν², I = 24/4² |
 //!
-//! The diagnosis does not know these parameters beforehand: it has to try frequencies, times and kinds, and pays for each. The
-//! bound is therefore a limit that no diagnosis can pass, not one that can be reached.
+//! The diagnosis does not know these parameters beforehand: it has to try frequencies, times and kinds, and pays for
+//! each. The bound is therefore a limit that no diagnosis can exceed, but not one that it can reach.
 //!
 //! Source: J. Neyman and E. S. Pearson, Phil. Trans. R. Soc. A 231 (1933) 289; L. Le Cam, Univ. Calif. Publ. Statist. 3
 //! (1960) 37: local asymptotic normality.
@@ -41,23 +42,24 @@ use std::f64::consts::SQRT_2;
 const FOUND: f64 = 0.9;
 /// Channels that are examined in the study's cases.
 const CHANNELS: f64 = 2.0;
-/// Drawn devices per kind, and the seed of their draws: none of a trial's, whose purposes are other words.
+/// Number of drawn devices per kind, and the seed of their draws. A trial's draws use other purposes and are never the
+/// same.
 const DRAWS: u64 = 24;
 const SEED: u64 = 0;
 /// Halvings of the interval between two sizes.
 const HALVINGS: usize = 32;
-/// Sizes that are tried lie so far to either side of the limit.
+/// The range of sizes tried on each side of the limit, as a factor.
 const WIDE: f64 = 1e3;
-/// Fisher's information of 1/ν at 0 per sample: Student's t with its variance kept is φ (1 + He₄/(4ν) + …), and He₄ has variance
-/// 4! (Abramowitz and Stegun 26.7.5 gives the expansion). He₄ is orthogonal to the variance, which is fitted.
+/// Fisher's information of 1/ν at 0 per sample: Student's t with constant variance is φ (1 + He₄/(4ν) + …), and He₄ has
+/// variance 4! (Abramowitz and Stegun 26.7.5 gives the expansion). He₄ is orthogonal to the variance, which is fitted.
 const TAILS: f64 = 24.0 / 16.0;
 
-/// The probability with which noise alone may be named as one kind on one channel.
+/// Returns the probability with which noise alone may be named as one kind on one channel.
 pub fn level() -> f64 {
     Options::default().level / (CHANNELS * Kind::LIBRARY.len() as f64)
 }
 
-/// Probability that an effect worth `nats` is found.
+/// Returns the probability that an effect worth `nats` is found.
 pub fn power(nats: f64) -> f64 {
     let threshold = SQRT_2 * erfc_inv(2.0 * level());
     0.5 * erfc((threshold - (2.0 * nats.max(0.0)).sqrt()) / SQRT_2)
@@ -66,16 +68,16 @@ pub fn power(nats: f64) -> f64 {
 /// A bound, or the reason why there is none.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Bound {
-    /// In the units of [`super::limit::unit`], at the study's length.
+    /// The bound in the units of [`super::limit::unit`], at the study's length.
     Size(f64),
-    /// It has no meaning, in words.
+    /// A bound has no meaning, with the reason in words.
     Meaningless(&'static str),
 }
 
-/// The worth of an effect on the channels of one drawn device, as a function of its size over the size drawn.
+/// The worth of an effect on the channels of one drawn device, as a function of its size over the drawn size.
 type Nats = Box<dyn Fn(f64) -> f64>;
 
-/// The bound of a kind of the library.
+/// Returns the bound of a kind of the library.
 pub fn bound(kind: Kind) -> Bound {
     if let Some(reason) = meaningless(kind) {
         return Bound::Meaningless(reason);
@@ -109,7 +111,7 @@ fn meaningless(kind: Kind) -> Option<&'static str> {
     })
 }
 
-/// One drawn device at the study's length: the drawn size over the limit, and the worth of its effect.
+/// Draws one device at the study's length: the drawn size over the limit, and the worth of its effect.
 fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
     let of = |purpose: &str| Draw::device(SEED, device, &format!("bound {purpose}"));
     let mut setting = Setting::draw(&[kind], &mut of("setting"));
@@ -140,7 +142,7 @@ fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
 
 /// An effect on one channel.
 struct On {
-    /// Its parameters, in the documented form.
+    /// The effect's parameters, in the documented form.
     told: Value,
     rate_hz: f64,
     /// The white part's standard deviation, U, and flicker and walk in units of it.
@@ -154,7 +156,7 @@ impl On {
         self.told[name].as_f64()
     }
 
-    /// In units of the white part.
+    /// Returns a parameter in units of the white part.
     fn size(&self, name: &str) -> Option<f64> {
         Some(self.number(name)? / self.white)
     }
@@ -232,7 +234,7 @@ impl On {
         }
     }
 
-    /// Lines of frequency, Hz, and amplitude: the limit of n A²/4 nats each in white noise.
+    /// Returns the worth of lines of frequency, Hz, and amplitude: in the limit, n A²/4 nats each in white noise.
     fn lines(&self, lines: &[(f64, f64)]) -> Option<Nats> {
         let ground = course::ground(self.b, self.k);
         let each = lines.iter().map(|(hz, size)| 0.25 * STUDY as f64 * size * size / ground(hz / self.rate_hz));
@@ -268,17 +270,18 @@ fn common(parts: &[On]) -> Nats {
     })
 }
 
-/// The gain of effects whose gain grows as the square of the size.
+/// Returns the gain of effects whose gain is proportional to the square of the size.
 fn quadratic(nats: f64) -> Nats {
     Box::new(move |times| nats * times * times)
 }
 
-/// Twice the nats per sample of a variance of 1 + `more` where 1 was expected.
+/// Returns twice the nats per sample of a variance of 1 + `more` if 1 was expected.
 fn louder(more: f64) -> f64 {
     more - more.ln_1p()
 }
 
-/// Nats of a record whose parts, given by share and log variance, differ, if the mean variance has to be fitted.
+/// Returns the nats of a record whose parts, given by share and log variance, differ, if the mean variance has to be
+/// fitted.
 fn loudness(parts: &[(f64, f64)]) -> f64 {
     let middle: f64 = parts.iter().map(|(share, log)| share * log).sum();
     let mean: f64 = parts.iter().map(|(share, log)| share * (log - middle).exp()).sum();
@@ -305,7 +308,7 @@ mod tests {
 
     #[test]
     fn a_variance_that_changes_a_little_is_worth_its_mean_square() {
-        // n/4 times the variance of its logarithm: a fifth of the record louder by 0.02.
+        // n/4 times the variance of its logarithm: a fifth of the record is louder by 0.02.
         let found = loudness(&[(0.2, 0.02), (0.8, 0.0)]);
         let expected = 65_536.0 / 4.0 * 0.16 * 4e-4;
         assert!((found / expected - 1.0).abs() < 0.01, "{found} for {expected}");
@@ -318,9 +321,10 @@ mod tests {
             Bound::Size(size) => size,
             Bound::Meaningless(reason) => panic!("{kind}: {reason}"),
         };
-        // 12.34 nats on one channel: a tone of √(4·12.34/65536), tails of √(12.34/(0.75·65536)), log variance of √(8·12.34/65536)
-        // in intervals and waves, of √(4·12.34/65536) by temperature. Cases have one to six channels, tones 1 to 1.25 times
-        // their size: the bound of all is lower, but those with one channel alone hold it within a factor of 1.6.
+        // 12.34 nats on one channel: a tone of √(4·12.34/65536), tails of √(12.34/(0.75·65536)), log variance of
+        // √(8·12.34/65536) in intervals and waves, of √(4·12.34/65536) by temperature. Cases have one to six channels,
+        // tones 1 to 1.25 times their size: the bound over all is lower, but cases with one channel keep it within a
+        // factor of 1.6.
         for (kind, alone) in [
             (Kind::Tone, 0.02744),
             (Kind::HeavyTails, 0.01584),

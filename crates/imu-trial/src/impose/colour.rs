@@ -8,9 +8,9 @@ use crate::kind::Kind;
 use serde_json::Value;
 use std::f64::consts::{PI, TAU};
 
-/// The shortest time constant of a Gauss–Markov process, s; a sample at least.
+/// The shortest time constant of a Gauss–Markov process, s, but at least a sample.
 const SHORTEST_S: f64 = 0.05;
-/// The longest in samples, and in parts of the record: a longer one is a random walk.
+/// The longest time constant, in samples and as a part of the record: a longer one is a random walk.
 const LONGEST: f64 = 4_000.0;
 const LONGEST_PART: f64 = 1.0 / 60.0;
 
@@ -23,11 +23,12 @@ enum Noise {
     Markov(f64, f64),
     /// Standard deviation, radius and angle (in cycles per sample) of the two poles.
     Autoregressive(f64, f64, f64),
-    /// White density times (corner/f)^exponent: the density at the corner (cycles per sample), the corner, the exponent.
+    /// White density times (corner/f)^exponent: the density at the corner, the corner (cycles per sample), the
+    /// exponent.
     Power(f64, f64, f64),
-    /// Two levels this far apart, changed with this probability per sample.
+    /// Two levels at this distance, with this probability of a change per sample.
     Telegraph(f64, f64),
-    /// Shots that decay: size, probability per sample, time constant in samples.
+    /// Decaying shots: size, probability per sample, time constant in samples.
     Shots(f64, f64, f64),
 }
 
@@ -73,7 +74,7 @@ impl Noise {
                     (two, one) = (one, now);
                     now
                 };
-                // It has forgotten its start after many of its time constants.
+                // The process has forgotten its start after many time constants.
                 for _ in 0..(12.0 / (1.0 - radius)) as usize {
                     next(draw);
                 }
@@ -134,7 +135,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             let one = |size: f64| {
                 let entry = object([
                     ("frequency_hz", (cycles * rate_hz).into()),
-                    // Half power where the distance to the pole is √2 of the least: (1 − r)/π cycles per sample in all.
+                    // Half power is at √2 of the smallest distance to the pole: (1 − r)/π cycles per sample in total.
                     ("bandwidth_hz", ((1.0 - radius) / PI * rate_hz).into()),
                     ("sigma", size.into()),
                 ]);

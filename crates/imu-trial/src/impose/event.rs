@@ -11,12 +11,12 @@ use std::f64::consts::TAU;
 /// Typical sizes of spikes in σ, and the part of the cases with a single spike.
 const TYPICAL: [f64; 2] = [6.0, 2_000.0];
 const ALONE: f64 = 0.15;
-/// The size from which on a single one counts, σ: its least is 0.6 of that.
+/// The size from which on a single spike counts, σ; the smallest is 0.6 of that.
 const FAR: f64 = 15.0;
-/// The longest bursts, s; the part of the cases whose last one goes on to the end.
+/// The longest bursts, s; the part of the cases whose last burst lasts to the end.
 const LONG_S: [f64; 2] = [1.0, 60.0];
 const TO_THE_END: f64 = 0.15;
-/// Part of a burst's length over which it rises, and falls.
+/// Part of a burst's length over which it rises, and over which it falls.
 const SOFT: f64 = 0.12;
 
 /// Spikes: probability per sample, and per channel a typical size, U.
@@ -34,7 +34,7 @@ impl Act for Spikes {
     }
 }
 
-/// Bursts of white noise: begin and length in samples, and per channel the standard deviation, U.
+/// Bursts of white noise: start and length in samples, and the standard deviation per channel, U.
 #[derive(Debug)]
 struct Bursts(Vec<(usize, usize)>, Vec<f64>);
 
@@ -56,7 +56,8 @@ impl Act for Bursts {
     }
 }
 
-/// Bursts of vibration: begin and length in samples, first and last frequency in cycles per sample; amplitudes per channel, U.
+/// Bursts of vibration: start and length in samples, first and last frequency in cycles per sample, and amplitudes per
+/// channel, U.
 #[derive(Debug)]
 struct Vibration(Vec<(usize, usize, f64, f64)>, Vec<f64>);
 
@@ -76,7 +77,7 @@ impl Act for Vibration {
     }
 }
 
-/// So many stretches without overlap, each long between two numbers of samples, in order.
+/// Returns `count` stretches without overlap, each with a length between two numbers of samples, in order.
 fn stretches(draw: &mut Draw, samples: usize, count: usize, [short, long]: [f64; 2]) -> Vec<(usize, usize)> {
     let mut found: Vec<(usize, usize)> = Vec::new();
     // A record may be too full for the last ones.
@@ -105,7 +106,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     };
     match making.kind {
         Kind::Spikes => {
-            // A single spike is as sure as many if it stands far out.
+            // A single spike is as certain as many if it is far out.
             let alone = making.device.chance(ALONE) && making.role.sense.is_in_sensor();
             let size = if alone { 1.0 / making.samples() } else { making.size() };
             let probability = size;
@@ -127,7 +128,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             let lengths = [0.5 * rate_hz, longest * rate_hz];
             let mut intervals = stretches(&mut making.events, samples, count, lengths);
             if let Some((begin, length)) = intervals.last_mut().filter(|_| making.events.chance(TO_THE_END)) {
-                // In the second half: a burst that goes on through the whole record would be N.
+                // In the second half, because a burst through the whole record would be N.
                 *begin = (*begin + samples) / 2;
                 *length = samples - *begin;
             }

@@ -7,16 +7,16 @@ use crate::kind::Kind;
 use crate::limit::{ABOVE, CORNER};
 use std::f64::consts::{PI, SQRT_2};
 
-/// Noise that comes after the filter, in units of the white part's standard deviation: in practice, a filter is never the last
-/// stage.
+/// Noise that enters behind the filter, in units of the white part's standard deviation: in practice, a filter is never
+/// the last stage.
 const BEHIND: f64 = 0.03;
 
 /// The change of a channel.
 #[derive(Debug, Clone, Copy)]
 enum Filter {
-    /// Butterworth's: corner in cycles per sample, order 1 or 2.
+    /// A Butterworth filter: corner in cycles per sample, order 1 or 2.
     Butterworth(f64, usize),
-    /// The mean of so many.
+    /// The mean of this many samples.
     Mean(usize),
     /// Delay in samples, gain.
     Echo(usize, f64),
@@ -54,7 +54,7 @@ impl Filter {
                     let b = k * k * norm;
                     [b, 2.0 * b, b, 2.0 * (k * k - 1.0) * norm, (1.0 - SQRT_2 * k + k * k) * norm]
                 };
-                // As if the first value had been there for ever.
+                // As if the first value had lasted forever.
                 let (mut x1, mut x2, mut y1, mut y2) = (first, first, first, first);
                 for value in values {
                     let y = b0 * *value + b1 * x1 + b2 * x2 - a1 * y1 - a2 * y2;
@@ -66,7 +66,7 @@ impl Filter {
                 let mut last = vec![first; window];
                 for (i, value) in values.iter_mut().enumerate() {
                     last[i % window] = *value;
-                    // About the first value, so that a large level costs no digits.
+                    // Relative to the first value, so that a large level costs no digits.
                     *value = first + last.iter().map(|one| one - first).sum::<f64>() / window as f64;
                 }
             }
@@ -87,7 +87,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     let alone = making.role.of == 1;
     let (filter, behind, size, entry) = match making.kind {
         Kind::LowPass => {
-            // The study found every corner it tried: sizes reach from its highest to a fortieth of that.
+            // The study found every corner that it tried: sizes range from its highest corner to a fortieth of that.
             let corner = making.device.log_uniform(if alone { 0.01 } else { 0.1 }, CORNER);
             let order = making.device.whole(1, 2);
             let entry = object([("cutoff_hz", (corner * rate_hz).into()), ("order", order.into())]);

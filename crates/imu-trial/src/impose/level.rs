@@ -6,30 +6,31 @@ use crate::draw::Draw;
 use crate::kind::Kind;
 use serde_json::Value;
 
-/// A step takes so many samples to rise.
+/// Range of the number of samples in which a step rises.
 const RISE: [f64; 2] = [1.0, 20.0];
-/// A warm-up's time constant in parts of the record, and how much slower the temperature follows.
+/// A warm-up's time constant as parts of the record, and how much slower the temperature follows.
 const TAU: [f64; 2] = [0.015, 0.15];
 const LAG: [f64; 2] = [1.3, 3.0];
 /// Steps on a channel: a few in most cases, many in the others.
 const FEW: usize = 3;
 const MANY: usize = 20;
-/// Part of the cases with a step as of an axis that is turned over, and its size in σ.
+/// Part of the cases with a step like that of an axis that is turned over, and its size in σ.
 const TURNED: f64 = 0.15;
 const TURN: [f64; 2] = [80.0, 2_000.0];
 
 /// One channel's course, U.
 #[derive(Debug, Clone)]
 enum Course {
-    /// Per sample.
+    /// Slope per sample.
     Ramp(f64),
-    /// Per °C about a reference.
+    /// Slope per °C about a reference.
     Temperature(f64, f64),
-    /// Amplitude, time constant in samples.
+    /// Amplitude and time constant in samples.
     WarmUp(f64, f64),
-    /// Begin in samples, size, samples to rise.
+    /// Start in samples, size, and samples of the rise.
     Steps(Vec<(f64, f64, f64)>),
-    /// Per °C, half the width of the play in °C: the level follows the temperature only once it has gone through the play.
+    /// Slope per °C, and half the width of the play in °C: the level follows the temperature only once it has passed
+    /// through the play.
     Hysteresis(f64, f64),
 }
 
@@ -89,7 +90,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         ),
         Kind::WarmUp => {
             let (tau, lag) = (making.device.uniform(TAU[0], TAU[1]), making.device.uniform(LAG[0], LAG[1]));
-            // Both warm with the same switching on: the sensor's inside first, then where the temperature is measured.
+            // Both warm up after the same switching on: first the inside of the sensor, then the place of the
+            // thermometer.
             let settles = making.setting.temperature.map(|course| (course.settles / lag).clamp(TAU[0], TAU[1]));
             let tau = settles.unwrap_or(tau) * samples;
             let entry = |size: f64| object([("amplitude", size.into()), ("tau_s", (tau / rate_hz).into())]);

@@ -7,8 +7,8 @@ use crate::kind::Kind;
 use serde_json::Value;
 use std::f64::consts::TAU;
 
-/// Part of the lines that are slow cycles, as of a room's air; the fewest periods they have in the record, and the frequency, in
-/// cycles per sample, at which they end and the others begin.
+/// Part of the lines that are slow cycles, like those of room air; their minimum number of periods in the record, and
+/// the frequency, in cycles per sample, that separates them from the others.
 const SLOW: f64 = 0.25;
 const PERIODS: f64 = 3.0;
 const FAST: f64 = 0.004;
@@ -16,15 +16,15 @@ const FAST: f64 = 0.004;
 /// The frequency of a line over the record, in cycles per sample.
 #[derive(Debug, Clone, Copy)]
 enum Course {
-    /// The same.
+    /// A constant frequency.
     Steady(f64),
-    /// From one to another.
+    /// From one frequency to another.
     Swept(f64, f64),
-    /// A middle, how far it goes to either side, and cycles per sample of its going.
+    /// A middle, its deviation to either side, and the cycles per sample of the deviation.
     Modulated(f64, f64, f64),
 }
 
-/// Per channel: the amplitudes of the harmonics, from the fundamental on, U.
+/// The amplitudes of the harmonics per channel, from the fundamental on, U.
 #[derive(Debug)]
 struct Lines {
     course: Course,
@@ -32,7 +32,7 @@ struct Lines {
 }
 
 impl Course {
-    /// Turns until sample `i` of `samples`.
+    /// Returns the turns until sample `i` of `samples`.
     fn turns(self, i: f64, samples: f64) -> f64 {
         match self {
             Self::Steady(cycles) => cycles * i,
@@ -50,7 +50,7 @@ impl Act for Lines {
         for (amplitudes, column) in self.amplitudes.iter().zip(at) {
             let phases: Vec<f64> = amplitudes.iter().map(|_| draw.uniform(0.0, 1.0)).collect();
             for (i, value) in on.columns[*column].values.iter_mut().enumerate() {
-                // Whole turns are taken off first: the sine of a large number loses digits.
+                // Whole turns are subtracted first, because the sine of a large number loses digits.
                 let turns = self.course.turns(i as f64, samples);
                 for (harmonic, (amplitude, phase)) in (1..).zip(amplitudes.iter().zip(&phases)) {
                     *value += amplitude * (TAU * (f64::from(harmonic) * turns + phase).fract()).cos();
@@ -113,7 +113,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
             } else {
                 making.device.uniform(FAST, 0.492)
             };
-            // Near 0 a line has flicker noise and a walk to stand out of, besides white noise.
+            // Near 0, a line competes with flicker noise and a walk as well as white noise.
             let louder = |at: usize| {
                 let (part, white) = (&making.setting.parts[at], making.white(at).max(f64::MIN_POSITIVE));
                 let (b, k) = (part.true_nbk[1] / white, part.walk(rate_hz) / white);

@@ -1,4 +1,4 @@
-//! Effects on the white part alone: its size over time or temperature, its law.
+//! Effects on the white part alone: on its size over time or temperature, or its law.
 
 use super::{Act, Made, Making, object, soft_window};
 use crate::columns::Columns;
@@ -8,28 +8,29 @@ use crate::limit::LOUDEST;
 use serde_json::{Value, json};
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
-/// Points of a profile as it is stated.
+/// Number of points of a stated profile.
 const POINTS: usize = 49;
-/// Part of an interval over which it sets in, and fades.
+/// Part of an interval over which it begins, and over which it fades.
 const SOFT: f64 = 0.01;
-/// Part of the intervals that last to the end, and from which part of the record on they do.
+/// Part of the intervals that last to the end, and the earliest start of these as a part of the record.
 const TO_THE_END: f64 = 0.25;
 const LATE: [f64; 2] = [0.4, 0.9];
 
 /// A factor on the white part.
 #[derive(Debug, Clone, Copy)]
 enum Gain {
-    /// Begin and end in parts of the record, log of the factor; one that ends with the record does not fade.
+    /// Start and end as parts of the record, and the log of the factor; an interval that ends with the record does not
+    /// fade.
     Interval(f64, f64, f64),
     /// Half periods over the record, phase, half the log variance, triangular rather than sinusoidal.
     Wave(f64, f64, f64, bool),
-    /// Per °C about a reference.
+    /// Slope per °C about a reference.
     Temperature(f64, f64),
     /// Cycles per sample, phase, depth.
     Periodic(f64, f64, f64),
-    /// Student's t by a random factor: degrees of freedom.
+    /// Student's t from a random factor: degrees of freedom.
     Student(f64),
-    /// A part of the square is added: how much.
+    /// Amount of the square that is added.
     Skew(f64),
 }
 
@@ -67,7 +68,7 @@ impl Act for Loudness {
 }
 
 impl Gain {
-    /// The factor at a part of the record, for factors that depend on the time alone.
+    /// Returns the factor at a part of the record, for factors that depend on the time alone.
     fn factor(self, part: f64) -> f64 {
         match self {
             Self::Interval(from, to, log) if (from..to).contains(&part) => {
@@ -101,7 +102,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
                 [from, from + making.device.log_uniform(0.04, 0.32)]
             };
             let part = to - from;
-            // As much log variance over the record as a wave of this size.
+            // The same log variance over the record as a wave of this size.
             let log_variance = size * FRAC_1_SQRT_2 / (part * (1.0 - part)).sqrt();
             let log = (0.5 * log_variance).min(LOUDEST.ln()) * making.device.sign();
             let entry = object([

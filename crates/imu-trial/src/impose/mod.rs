@@ -1,8 +1,9 @@
-//! Imposing: a kind of effect is drawn for a setting, and acts on columns of samples, made or recorded.
+//! Imposing: draws a kind of effect for a setting and applies it to columns of samples, simulated or recorded.
 //!
-//! The forms differ on purpose from those that a diagnosis fits. Sizes of spikes are evenly spread. Resonances are AR(2). Filters
-//! are Butterworth's with a little noise behind them. Steps take some samples to rise, and bursts have soft ends. A variance goes
-//! as a sine or a triangle. Frequencies, times and sizes are drawn without restriction to a grid.
+//! The forms differ on purpose from those that a diagnosis fits. Sizes of spikes are evenly spread. Resonances are
+//! AR(2). Filters are Butterworth's with a little noise behind them. Steps take some samples to rise, and bursts have
+//! soft ends. A variance follows a sine or a triangle. Frequencies, times and sizes are drawn without restriction to a
+//! grid.
 //!
 //! | file | kinds |
 //! |---|---|
@@ -14,7 +15,7 @@
 //! | `loudness` | heavy_tails, variance_…; periodic_gain, skewed_noise |
 //! | `sent` | resolution, saturation, held_samples, timing; dead_band |
 //! | `shared` | common_mode; delayed_crosstalk, product_crosstalk |
-//! | `outside` | the other kinds outside the library, each a few lines: `wander` levels, `carrier` lines, `law` noise, `chain` what becomes of samples |
+//! | `outside` | other kinds outside the library: `wander` levels, `carrier` lines, `law` noise, `chain` later changes |
 
 mod colour;
 mod event;
@@ -39,33 +40,33 @@ use std::collections::BTreeMap;
 /// The reason why an effect cannot be imposed on samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImposeError {
-    /// It depends on the temperature.
+    /// The effect depends on the temperature, which is not measured.
     #[error("{kind} needs a measured temperature, which the samples do not have")]
     NoTemperature {
         /// The effect.
         kind: Kind,
     },
-    /// It takes several channels.
+    /// The effect needs several channels.
     #[error("{kind} needs {needed} channels; the samples have {found}")]
     TooFewChannels {
         /// The effect.
         kind: Kind,
-        /// How many it takes.
+        /// The number of channels needed.
         needed: usize,
-        /// How many there are.
+        /// The number of channels.
         found: usize,
     },
-    /// It takes a longer record.
+    /// The effect needs a longer record.
     #[error("{kind} needs {needed} samples; there are {found}")]
     TooShort {
         /// The effect.
         kind: Kind,
-        /// How many it takes.
+        /// The number of samples needed.
         needed: usize,
-        /// How many there are.
+        /// The number of samples.
         found: usize,
     },
-    /// The model has it, and its format cannot state it.
+    /// The model has the effect, but its format cannot state it.
     #[error("no model can state what it has of {kind}")]
     Unstated {
         /// The effect.
@@ -73,7 +74,7 @@ pub enum ImposeError {
     },
 }
 
-/// Samples below which no effect is drawn: events and bursts would not fit.
+/// Minimum number of samples for an effect: events and bursts would not fit in fewer.
 pub const SAMPLES_MIN: usize = 10_000;
 
 /// The action of an effect on columns.
@@ -85,14 +86,14 @@ trait Act: std::fmt::Debug + Send + Sync {
 /// The role for which an effect is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Role {
-    /// How sensor and model differ in it.
+    /// How sensor and model differ in the effect.
     pub sense: Sense,
-    /// How many effects its case has.
+    /// The number of effects in the case.
     pub of: usize,
 }
 
 impl Role {
-    /// The only one, which the model lacks.
+    /// The only effect, which the model lacks.
     pub const ALONE: Self = Self { sense: Sense::Missing, of: 1 };
 }
 
@@ -103,21 +104,22 @@ struct Making<'a> {
     setting: &'a Setting,
     /// The channels' places in the setting.
     at: &'a [usize],
-    /// Size over the 90 % limit.
+    /// The size over the 90 % limit.
     over: f64,
     /// The draws for the properties of the device.
     device: Draw,
-    /// For times of events.
+    /// The draws for the times of events.
     events: Draw,
 }
 
 impl Making<'_> {
-    /// The size, in the units of [`limit::limit`].
+    /// Returns the size, in the units of [`limit::limit`].
     fn size(&self) -> f64 {
         self.over * limit::limit(self.kind, self.setting.samples)
     }
 
-    /// The size on each channel in U (times the white part's standard deviation), a little larger on some than on others.
+    /// Returns the size on each channel in U (times the white part's standard deviation), a little larger on some than
+    /// on others.
     fn sizes_u(&mut self) -> Vec<f64> {
         let size = self.size();
         let rate_hz = self.setting.rate_hz;
@@ -127,7 +129,7 @@ impl Making<'_> {
             .collect()
     }
 
-    /// Likewise with a random sign each.
+    /// Returns these sizes with a random sign each.
     fn signed_sizes_u(&mut self) -> Vec<f64> {
         let sizes = self.sizes_u();
         sizes.into_iter().map(|size| size * self.device.sign()).collect()
@@ -144,9 +146,9 @@ impl Making<'_> {
 
 /// A kind's draw.
 struct Made {
-    /// In the units of [`limit::limit`].
+    /// The size in the units of [`limit::limit`].
     size: f64,
-    /// Per channel: the documented parameters, as far as they are known before there are samples.
+    /// The documented parameters per channel, as far as they are known without samples.
     parameters: Vec<Value>,
     act: Box<dyn Act>,
 }
@@ -154,15 +156,15 @@ struct Made {
 /// An effect with its size and parameters, ready to act.
 #[derive(Debug)]
 pub struct Effect {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// In the units of [`limit::limit`].
+    /// The size in the units of [`limit::limit`].
     pub size: f64,
-    /// Over the limit.
+    /// The size over the limit.
     pub over_limit: f64,
-    /// The channels it acts on, in column order.
+    /// The channels on which the effect acts, in column order.
     pub channels: Vec<Channel>,
-    /// By channel: its parameters, in the documented form.
+    /// The parameters by channel, in the documented form.
     pub parameters: BTreeMap<String, Value>,
     act: Box<dyn Act>,
 }
@@ -171,7 +173,7 @@ impl Effect {
     /// Draws an effect for a role: `device` determines the properties of the device, `events` the times of events.
     ///
     /// # Errors
-    /// [`ImposeError`]: the setting has not what the kind takes.
+    /// [`ImposeError`] if the setting lacks something that the kind needs.
     pub fn draw(
         kind: Kind,
         setting: &Setting,
@@ -233,22 +235,23 @@ impl Effect {
         })
     }
 
-    /// Lets it act; `draw` is the realisation.
+    /// Applies the effect; `draw` determines the realisation.
     pub fn impose(&self, on: &mut Columns, draw: &mut Draw) {
         let at: Vec<usize> = self
             .channels
             .iter()
             .filter_map(|channel| on.columns.iter().position(|column| column.channel == *channel))
             .collect();
-        // Columns of another device than the effect was drawn for are left alone rather than changed in part.
+        // Columns of a device other than the one that the effect was drawn for are left unchanged instead of changed in
+        // part.
         if at.len() == self.channels.len() {
             self.act.act(on, &at, draw);
         }
     }
 }
 
-/// The channels that a kind acts on: some at random, or as few as the kind requires; never a channel with a similar effect of the
-/// recording.
+/// Returns the channels that a kind acts on: some at random, or as few as the kind requires; never a channel with a
+/// similar effect of the recording.
 fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>, ImposeError> {
     let free: Vec<usize> =
         (0..setting.parts.len()).filter(|at| setting.is_free(setting.parts[*at].channel, kind)).collect();
@@ -265,19 +268,20 @@ fn places(kind: Kind, setting: &Setting, device: &mut Draw) -> Result<Vec<usize>
             let triad = triads[device.whole(0, triads.len() - 1)];
             (0..count).filter(|at| triad_of(at) == triad).collect()
         }
-        // One that crosses over, the first, is heard on the others.
+        // If a channel couples into others, it is the first one.
         source if source.has_source() => device.some_of(count - 1, 1).into_iter().map(|at| at + 1).collect(),
         _ => device.some_of(count, least),
     };
     Ok(chosen.into_iter().map(|at| free[at]).collect())
 }
 
-/// An object of one entry per pair.
+/// Returns an object with one entry per pair.
 fn object<const N: usize>(entries: [(&str, Value); N]) -> Value {
     Value::Object(entries.into_iter().map(|(name, value)| (name.to_owned(), value)).collect::<Map<_, _>>())
 }
 
-/// A window that rises over `soft` of its length, and falls likewise: sin² ends. `at` from 0 to 1.
+/// Returns the value at `at`, from 0 to 1, of a window that rises over `soft` of its length and falls in the same way,
+/// with sin² ends.
 fn soft_window(at: f64, soft: f64) -> f64 {
     let edge = at.min(1.0 - at) / soft;
     if edge >= 1.0 { 1.0 } else { (std::f64::consts::FRAC_PI_2 * edge.max(0.0)).sin().powi(2) }

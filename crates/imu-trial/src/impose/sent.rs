@@ -7,10 +7,10 @@ use crate::draw::Draw;
 use crate::kind::Kind;
 use serde_json::Value;
 
-/// The jitter that counts as the limit, in periods: stamps that a program takes are seldom better.
+/// The jitter that counts as the limit, in periods: stamps taken by a program are seldom better.
 const JITTER: f64 = 0.005;
 
-/// Rounds to multiples: steps per channel, U; downwards, as a converter that truncates, or to the nearest.
+/// Rounds to multiples: steps per channel, U; downwards like a truncating converter, or to the nearest.
 #[derive(Debug)]
 struct Steps(Vec<f64>, bool);
 
@@ -25,7 +25,7 @@ impl Act for Steps {
     }
 }
 
-/// Clips a share of the samples: above, and below as well.
+/// Clips a share of the samples: above, below, or both.
 #[derive(Debug)]
 struct Clip(f64, bool, bool);
 
@@ -48,7 +48,7 @@ impl Act for Clip {
     }
 }
 
-/// Sends the last sample of all its columns again, with this probability.
+/// Repeats the last sample of all its columns with this probability.
 #[derive(Debug)]
 struct Hold(f64);
 
@@ -72,7 +72,7 @@ impl Act for Stamps {
         let mut jitter = draw.split();
         let samples = on.len();
         let (first, rate_hz) = (on.time_s.first().copied().unwrap_or(0.0), on.rate_hz);
-        // A stamp never lies before the one that it follows.
+        // A stamp never lies before the previous one.
         let bound = 0.45 / rate_hz;
         if on.time_s.len() != samples {
             on.time_s = (0..samples).map(|i| first + i as f64 / rate_hz).collect();
@@ -87,7 +87,7 @@ impl Act for Stamps {
     }
 }
 
-/// A band about the middle in which a channel does not move: half its width per channel, U.
+/// A band about the middle in which a channel does not move: half the band's width per channel, U.
 #[derive(Debug)]
 struct DeadBand(Vec<f64>);
 
@@ -124,7 +124,7 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
                 (false, true)
             };
             let share = size;
-            // The limits follow from the samples: a share of them is beyond.
+            // The limits follow from the samples: a share of them lies beyond.
             let entry = object([("share", share.into()), ("above", above.into()), ("below", below.into())]);
             Made { size, parameters: vec![entry; count], act: Box::new(Clip(share, above, below)) }
         }

@@ -5,7 +5,7 @@ use crate::columns::Columns;
 use crate::draw::Draw;
 use crate::kind::Kind;
 
-/// White noise that several channels see: each channel's share, signed, U.
+/// White noise that several channels share: each channel's share, signed, U.
 #[derive(Debug)]
 struct Common(Vec<f64>);
 
@@ -20,7 +20,7 @@ impl Act for Common {
     }
 }
 
-/// The first column is heard on others, later: delay in samples, gains.
+/// The first column couples into others with a delay: delay in samples, gains.
 #[derive(Debug)]
 struct Crosstalk(usize, Vec<f64>);
 
@@ -35,7 +35,8 @@ impl Act for Crosstalk {
     }
 }
 
-/// The other columns are loud while the first column is: its course over so many samples multiplies their white parts.
+/// The other columns are loud while the first column is loud: its course over some samples multiplies their white
+/// parts.
 #[derive(Debug)]
 struct Product(f64, f64);
 

@@ -1,4 +1,4 @@
-//! Imposers have the stated properties: statistics of what each adds to samples.
+//! Imposed effects have the stated properties: statistics of the changes to samples.
 
 use super::*;
 use crate::columns::Column;
@@ -27,7 +27,7 @@ fn setting() -> Setting {
     }
 }
 
-/// White noise of standard deviation 2 about 0.3.
+/// Returns white noise of standard deviation 2 about 0.3.
 fn white() -> Columns {
     let mut draw = Draw::capture(1, 1, 1, "white");
     let column = |part: &Part| {
@@ -42,7 +42,7 @@ fn white() -> Columns {
     Columns { rate_hz: RATE, columns, temperature_c, missing: Vec::new(), time_s }
 }
 
-/// The effect, the columns with it, and the change on its first channel.
+/// Returns the effect, the columns with it, and the change on its first channel.
 fn imposed(kind: Kind, seed: u64) -> (Effect, Columns, Vec<f64>) {
     let before = white();
     let draws = |purpose| Draw::device(seed, 5, purpose);
@@ -63,7 +63,7 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// The amplitude of a line at a frequency.
+/// Returns the amplitude of a line at a frequency.
 fn amplitude(values: &[f64], frequency_hz: f64) -> f64 {
     let at = |i: usize| TAU * (frequency_hz / RATE * i as f64).fract();
     let (mut re, mut im) = (0.0, 0.0);
@@ -249,7 +249,7 @@ fn events_come_as_often_and_where_they_are_told() {
     assert!((0.75..1.05).contains(&ratio), "{ratio}");
 }
 
-/// The effects of a kind in a role, by many devices.
+/// Returns the effects of a kind in a role, for many devices.
 fn drawn(kind: Kind, role: Role) -> impl Iterator<Item = Effect> {
     (0..60).map(move |seed| {
         let draws = |purpose| Draw::device(seed, 5, purpose);

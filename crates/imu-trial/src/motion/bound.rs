@@ -1,9 +1,10 @@
-//! The bound: the least size of an effect at which a test can find it.
+//! The bound: the smallest size of an effect at which a test can find it.
 //!
 //! For an effect of p numbers β, the information of a record with all other parameters unknown is J = X_gᵀX_g −
-//! X_gᵀX_r(X_rᵀX_r)⁺X_rᵀX_g with whitened columns. J is the inverse of the Cramér–Rao bound; r stands for all other effects of
-//! the triad and its delay. Twice the nats that it gains are χ² of p degrees of freedom about ½βᵀJβ·2. The bound is the size at
-//! which nine of ten such gains are above a price. Columns are averaged to at most 8192 values, since motions are slow.
+//! X_gᵀX_r(X_rᵀX_r)⁺X_rᵀX_g with whitened columns. J is the inverse of the Cramér–Rao bound; r stands for all other
+//! effects of the triad and its delay. Twice the nats gained are non-central χ² with p degrees of freedom about
+//! ½βᵀJβ·2. The bound is the size at which nine of ten such gains are above a price. Columns are averaged to at most
+//! 8192 values, because motions are slow.
 
 use super::course::FINE;
 use super::impose::{Imposed, shown};
@@ -14,15 +15,15 @@ use imu_model::simulator::Motion;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
-/// Values that columns are averaged to, at most.
+/// Maximum number of values to which columns are averaged.
 const COARSE: usize = 8192;
-/// The part of clean records that may be blamed, over the groups of both triads.
+/// The part of clean records in which an effect may be named, over the groups of both triads.
 const LEVEL: f64 = 0.005;
 const GROUPS: f64 = 20.0;
 /// The normal distribution's 90 % point.
 const NINE_OF_TEN: f64 = 1.281_551_565_545;
 
-/// Twice the nats that an effect of p numbers has to have on average, that nine of ten are above their price.
+/// Returns twice the nats that an effect of p numbers must have on average so that nine of ten exceed their price.
 pub fn needed(numbers: usize) -> f64 {
     let p = numbers as f64;
     let price = ChiSquared::new(p).map_or(f64::INFINITY, |of| of.inverse_cdf(1.0 - LEVEL / GROUPS));
@@ -34,8 +35,8 @@ pub fn needed(numbers: usize) -> f64 {
     needed
 }
 
-/// The information of one effect's numbers, with all other parameters of its triad unknown. `nbk`: the triad's true N, B, K per
-/// axis.
+/// Returns the information of one effect's numbers, with all other parameters of its triad unknown. `nbk` are the
+/// triad's true N, B, K per axis.
 pub fn information(
     kind: Kind,
     triad: Triad,
@@ -96,11 +97,12 @@ pub fn information(
     mine - seen.transpose() * solved
 }
 
-/// Standard deviation of a cosine coefficient of the noise.
+/// Returns the standard deviation of a cosine coefficient of the noise.
 fn deviation(n: f64, b: f64, k: f64, place: usize, samples: usize, rate_hz: f64) -> f64 {
     let count = samples as f64;
     if place == 0 {
-        // The mean: white, flicker down to a thirty-second of the record's own frequency, a walk that begins at 0.
+        // The mean: white noise, flicker down to a thirty-second of the record's own frequency, and a walk that begins
+        // at 0.
         return (rate_hz * n * n + 1.13 * count * b * b + k * k * count * count / (3.0 * rate_hz)).sqrt();
     }
     let hz = 0.5 * rate_hz * place as f64 / count;
@@ -123,7 +125,7 @@ mod tests {
         let found = information(Kind::GSensitivity, Triad::Gyro, &course, 40.0, &warm, [[n, 0.0, 0.0]; 3]);
         let whole: f64 =
             course.iter().step_by(FINE).map(|motion| motion.accel_m_s2[1].powi(2)).sum::<f64>() / (40.0 * n * n);
-        // Others take their share, not nearly all.
+        // The other parameters take their share, but not nearly all.
         assert!(found[(1, 1)] < whole && found[(1, 1)] > 0.02 * whole, "{} of {whole}", found[(1, 1)]);
         assert_eq!(found.nrows(), 9);
         assert!(needed(3) > 19.0 && needed(3) < 45.0 && needed(9) > needed(1), "{}", needed(3));

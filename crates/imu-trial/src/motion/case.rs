@@ -1,4 +1,5 @@
-//! Cases: a device that goes through a motion, with effects that its model lacks; its key, its recording, its reference.
+//! Cases: a device that goes through a motion, with effects that its model lacks; with its key, recording and
+//! reference.
 
 use super::bound::{information, needed};
 use super::course::{FINE, Shape, course};
@@ -16,61 +17,62 @@ use sha2::{Digest as _, Sha256};
 
 /// The triads of a device.
 const TRIADS: [Triad; 2] = [Triad::Gyro, Triad::Accel];
-/// A VN-100's N of both.
+/// N of a VN-100 on both triads.
 const VN_100: [f64; 2] = [6.1e-5, 1.37e-3];
-/// Samples of a case, at least.
+/// Minimum number of samples in a case.
 pub const SAMPLES_MIN: usize = 6000;
 /// Part of the cases whose reference has a separate clock.
 const OWN_CLOCK: f64 = 0.3;
-/// Part of the samples beyond a limit at 1 of its size, and a cutoff there in parts of the rate.
+/// Part of the samples beyond a limit at size 1, and a cutoff at size 1 as a part of the rate.
 const CUT_OFF: f64 = 1e-3;
 const CORNER: f64 = 0.4;
-/// Share of the largest information below which a motion does not show a combination of an effect's numbers: a size that is a
-/// thousand times that of the others is no size of a first-order effect.
+/// Share of the largest information below which a motion does not show a combination of an effect's numbers: a size a
+/// thousand times that of the others does not belong to a first-order effect.
 const UNSEEN: f64 = 1e-6;
 
 /// An effect that a case has.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrueEffect {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// `gyro` or `accel`.
+    /// The triad: `gyro` or `accel`.
     pub triad: String,
-    /// Over the bound's size.
+    /// The size over the bound's.
     pub over_limit: f64,
-    /// Its numbers.
+    /// The effect's numbers.
     pub numbers: Vec<f64>,
-    /// The size at 1 in the unit of its numbers (root of the mean of their squares).
+    /// The size at the bound in the unit of its numbers (root of the mean of their squares).
     pub limit: f64,
 }
 
 /// The contents of a case.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Key {
-    /// Its number.
+    /// The case's number.
     pub case: usize,
     /// Samples per second.
     pub rate_hz: f64,
     /// Samples per channel.
     pub samples: usize,
-    /// Whether its reference is on a separate clock, at twice the rate, and begins and ends within the record.
+    /// Whether the reference is on a separate clock, at twice the rate, and begins and ends within the record.
     pub own_clock: bool,
-    /// Its effects.
+    /// The case's effects.
     pub effects: Vec<TrueEffect>,
     /// 16 random bytes.
     pub salt: String,
 }
 
 impl Key {
-    /// SHA-256 of the key, in hexadecimal digits.
+    /// Returns the SHA-256 of the key, in hexadecimal digits.
     pub fn digest(&self) -> String {
-        // A key has numbers, texts and lists alone, all finite: it always has a text.
+        // A key only has finite numbers, texts and lists, so that it always has a text.
         let text = serde_json::to_string(self).unwrap_or_default();
         Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }
 
-/// The part of a direction that a motion shows: without combinations of numbers that have no information to speak of.
+/// Returns the part of a direction that a motion shows, without combinations of numbers that have almost no
+/// information.
 fn shown_of(information: &DMatrix<f64>, along: DVector<f64>) -> DVector<f64> {
     let eigen = SymmetricEigen::new(information.clone());
     let most = eigen.eigenvalues.max();
@@ -92,26 +94,26 @@ pub struct Case {
     rate_hz: f64,
     samples: usize,
     shape: Shape,
-    /// True N, B, K, and the model's, by triad and axis.
+    /// The true N, B and K, and the model's, by triad and axis.
     nbk: [[[[f64; 3]; 2]; 3]; 2],
     warms: TemperatureCourse,
     clock: Option<OwnClock>,
     wishes: Vec<Wish>,
 }
 
-/// A reference's clock that is not the record's.
+/// A reference's clock that differs from the record's.
 #[derive(Debug, Clone, Copy)]
 struct OwnClock {
-    /// By how much of the record it begins late and ends early, s.
+    /// By how much of the record the reference begins late and ends early, s.
     within_s: [f64; 2],
-    /// What it shows at its first row, s.
+    /// The reference's time at its first row, s.
     begins_s: f64,
-    /// By how much it gains, s/s.
+    /// By how much the clock gains, s/s.
     gains: f64,
 }
 
 impl Case {
-    /// The case `number` of the sealed seed with these effects.
+    /// Returns the case `number` of the sealed seed with these effects.
     pub fn draw(seed: u64, number: usize, wishes: &[Wish], samples: Option<usize>) -> Self {
         let mut draw = Draw::device(seed, number as u64, "motion setting");
         let rate_hz = [40.0, 50.0, 100.0][draw.whole(0, 2)];
@@ -155,7 +157,7 @@ impl Case {
         course(self.shape, self.rate_hz, self.samples, &mut self.stream("course"))
     }
 
-    /// The temperature, and about its mean.
+    /// Returns the temperature, and the temperature about its mean.
     fn warmth(&self) -> (Vec<f64>, Vec<f64>) {
         let warm = self.warms.samples(self.samples, &mut self.stream("temperature"));
         let mean = warm.iter().sum::<f64>() / warm.len().max(1) as f64;
@@ -163,7 +165,7 @@ impl Case {
         (warm, about)
     }
 
-    /// The effects with their sizes: log-uniform over a decade from the bound's.
+    /// Returns the effects with their sizes: log-uniform over a decade from the bound's size.
     fn effects(&self, course: &[Motion], warmth_c: &[f64]) -> Vec<(TrueEffect, Imposed)> {
         let of = |(index, (kind, triad)): (usize, &Wish)| {
             let mut draw = Draw::device(self.seed, self.number as u64, &format!("motion effect {index}"));
@@ -194,7 +196,7 @@ impl Case {
                     along /= along.norm() / (count as f64).sqrt();
                     let seen = (along.transpose() * information * &along)[(0, 0)].max(1e-300);
                     let limit = (needed(count) / seen).sqrt();
-                    // Beyond this a first-order effect makes no sense: the motion does not show it.
+                    // Beyond this, a first-order effect makes no sense: the motion does not show it.
                     let size = limit * over_limit;
                     (along.iter().map(|value| value * size).collect(), limit)
                 }
@@ -206,7 +208,7 @@ impl Case {
         self.wishes.iter().enumerate().map(of).collect()
     }
 
-    /// The key.
+    /// Returns the key.
     pub fn key(&self) -> Key {
         let (course, (_, warmth_c)) = (self.course(), self.warmth());
         Key {
@@ -219,7 +221,7 @@ impl Case {
         }
     }
 
-    /// The recording and the rows of its reference.
+    /// Returns the recording and the rows of its reference.
     pub fn record(&self) -> (Recording, Vec<(f64, Motion)>) {
         let (course, (warm, warmth_c)) = (self.course(), self.warmth());
         let effects: Vec<Imposed> = self.effects(&course, &warmth_c).into_iter().map(|(_, imposed)| imposed).collect();
@@ -263,10 +265,10 @@ impl Case {
         (recording, rows)
     }
 
-    /// The model that the diagnosis receives, with the effects if it is the truth's.
+    /// Returns the model that the diagnosis receives, or, with `with_effects`, the true model.
     ///
     /// # Errors
-    /// [`ModelError`], for effects that no model can state.
+    /// [`ModelError`] for effects that no model can state.
     pub fn model(&self, with_effects: bool) -> Result<SensorModel, ModelError> {
         let mut channels = Map::new();
         let mut triads = Map::new();
@@ -309,7 +311,7 @@ impl Case {
     }
 }
 
-/// An effect as a model's file has it; of those on channels, on the axis.
+/// Returns an effect in the form of a model's file; for effects on channels, on the axis.
 fn entry(effect: &Imposed, axis: usize, mean_c: f64) -> Value {
     let n = &effect.numbers;
     let mut entry = match effect.kind {
@@ -329,8 +331,8 @@ fn entry(effect: &Imposed, axis: usize, mean_c: f64) -> Value {
     entry
 }
 
-/// A case's recording, reference and model as bytes, from the process that makes cases to the one that diagnoses them: a
-/// parcel ([`crate::parcel`]), its length before it, and the reference's rows behind it.
+/// Returns a case's recording, reference and model as bytes for the process that diagnoses them: the length of a
+/// parcel, the parcel ([`crate::parcel`]), and the reference's rows.
 ///
 /// # Errors
 /// The errors of the parcel's writer.
@@ -346,26 +348,26 @@ pub fn pack(case: &Case, model: &SensorModel) -> Result<Vec<u8>, crate::parcel::
     Ok(bytes)
 }
 
-/// The reason why a case with a motion cannot be read.
+/// The reasons why a case with a motion cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum CaseError {
-    /// The parcel is none.
+    /// The parcel is not valid.
     #[error(transparent)]
     Parcel(#[from] crate::parcel::ParcelError),
-    /// The reference is none.
+    /// The reference is not valid.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
     /// The bytes end too early.
     #[error("the case ends after {found} bytes; its parcel alone has {expected}")]
     Short {
-        /// How many there are.
+        /// The number of bytes.
         found: usize,
-        /// How many there should be.
+        /// The expected number of bytes.
         expected: u64,
     },
 }
 
-/// The other way.
+/// Reads the output of [`pack`].
 ///
 /// # Errors
 /// [`CaseError`].

@@ -1,13 +1,14 @@
 //! Courses: the motion of a sealed case, on a grid finer than the record's. The code is separate from the library's.
 //!
-//! Either a table that drives one rate after the other about random axes, or a hand that turns the sensor from rest to rest;
-//! attitude follows by rotating about each step's rate. Gravity is 9.80665 m/s² down; a third of the courses are shaken besides.
+//! Either a table drives one rate after the other about random axes, or a hand turns the sensor from rest to rest;
+//! attitude follows by rotating about each step's rate. Gravity is 9.80665 m/s² down; a third of the courses are also
+//! shaken.
 
 use crate::draw::Draw;
 use imu_model::simulator::Motion;
 use serde::Serialize;
 
-/// Instants of a course per sample of the record.
+/// Number of instants of a course per sample of the record.
 pub const FINE: usize = 4;
 const GRAVITY: f64 = 9.806_65;
 type Vector = [f64; 3];
@@ -15,7 +16,7 @@ type Vector = [f64; 3];
 /// The properties of a course.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Shape {
-    /// Whether it goes from rest to rest.
+    /// Whether the course goes from rest to rest.
     pub by_hand: bool,
     /// The fastest rate, rad/s.
     pub fastest: f64,
@@ -24,7 +25,7 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Draws one.
+    /// Draws a shape.
     pub fn draw(draw: &mut Draw) -> Self {
         let by_hand = draw.chance(0.4);
         let fastest = if by_hand { draw.uniform(0.8, 2.5) } else { draw.uniform(2.0, 4.0) };
@@ -33,7 +34,7 @@ impl Shape {
     }
 }
 
-/// A course of `samples` at `rate_hz`, each of [`FINE`] instants.
+/// Returns a course of `samples` at `rate_hz`, with [`FINE`] instants each.
 pub fn course(shape: Shape, rate_hz: f64, samples: usize, draw: &mut Draw) -> Vec<Motion> {
     let (count, fine_hz) = (samples * FINE, rate_hz * FINE as f64);
     let mut rates = vec![[0.0; 3]; count];
@@ -53,7 +54,7 @@ pub fn course(shape: Shape, rate_hz: f64, samples: usize, draw: &mut Draw) -> Ve
         }
         at = end + (fine_hz * rest_s) as usize;
     }
-    // Rates rise and fall over about a second.
+    // Rates change over about a second.
     for _ in 0..3 {
         for axis in 0..3 {
             smooth(&mut rates, axis, (0.35 * fine_hz) as usize);
@@ -71,7 +72,7 @@ pub fn course(shape: Shape, rate_hz: f64, samples: usize, draw: &mut Draw) -> Ve
             if length > 0.0 {
                 turned = times(turned, turn(rate.map(|value| value / length), length / fine_hz));
             }
-            // Down, as the sensor has it, is the last row of its attitude.
+            // Down in the sensor's axes is the last row of its attitude.
             let mut force = turned[2].map(|value| -GRAVITY * value);
             let time_s = index as f64 / fine_hz;
             for (axis, hz, share, phase) in &shakes {
@@ -91,7 +92,7 @@ fn random_axis(draw: &mut Draw) -> Vector {
     of.map(|value| value / length)
 }
 
-/// Means over `width` values about each, along an axis.
+/// Smooths values along an axis by means over `width` values.
 fn smooth(values: &mut [Vector], axis: usize, width: usize) {
     let width = width.max(1);
     let mut sums = vec![0.0];
@@ -107,7 +108,7 @@ fn smooth(values: &mut [Vector], axis: usize, width: usize) {
     }
 }
 
-/// The rotation about an axis by an angle (Rodrigues).
+/// Returns the rotation about an axis by an angle (Rodrigues).
 fn turn([x, y, z]: Vector, angle: f64) -> [Vector; 3] {
     let (s, c) = angle.sin_cos();
     let t = 1.0 - c;

@@ -1,7 +1,7 @@
 //! The response of a device to a motion, with effects of every kind. The code is separate from the simulator's.
 //!
-//! In the order of docs/formats.md: it is late, its axes mix, its scale factor is wrong, its level is wrong; then comes the
-//! noise, the bandwidth and the limit. Each stage acts on the output of the one before.
+//! In the order of docs/formats.md: latency, mixing of axes, scale factor, level; then noise, bandwidth and limit. Each
+//! stage acts on the output of the one before.
 
 use super::course::FINE;
 use super::kind::Kind;
@@ -10,14 +10,14 @@ use imu_model::simulator::Motion;
 
 /// Full scale to which nonlinearities refer: ±2000 °/s and ±16 g.
 pub const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
-/// Half width of a play, in parts of the largest input.
+/// Half width of a play, as a part of the largest input.
 const PLAY: f64 = 0.15;
 /// Time constant of a creep, s.
 const CREEP_S: f64 = 4.0;
-/// Half width of a dead band over its number.
+/// Half width of a dead band over the effect's number.
 const BAND: f64 = 1.0;
 
-/// The full scale of a triad.
+/// Returns the full scale of a triad.
 pub fn full_scale(triad: Triad) -> f64 {
     FULL_SCALE[usize::from(triad == Triad::Accel)]
 }
@@ -25,11 +25,11 @@ pub fn full_scale(triad: Triad) -> f64 {
 /// An effect on a triad with its numbers: x, y, z; xy, xz, yz; rows of a matrix; seconds; a range; a cutoff.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imposed {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// On which triad.
+    /// The triad.
     pub triad: Triad,
-    /// Its numbers.
+    /// The numbers of the effect.
     pub numbers: Vec<f64>,
 }
 
@@ -39,7 +39,7 @@ impl Imposed {
     }
 }
 
-/// The input of a triad at an instant of the fine grid, `back` of its instants ago, along the cubic between them.
+/// Returns the input of a triad at an instant of the fine grid, `back` instants earlier, along the cubic between them.
 fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
     let last = course.len() - 1;
     let place = (instant as f64 - back).clamp(0.0, last as f64);
@@ -47,7 +47,7 @@ fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
     if share == 0.0 {
         return course[whole];
     }
-    // Catmull and Rom's cubic: another one than the library's.
+    // Catmull and Rom's cubic, which differs from the library's.
     let at = |offset: i64| &course[(whole as i64 + offset).clamp(0, last as i64) as usize];
     let (t, t2, t3) = (share, share * share, share * share * share);
     let weights =
@@ -62,7 +62,8 @@ fn felt(course: &[Motion], instant: usize, back: f64) -> Motion {
     sum
 }
 
-/// The output of a triad for a course at each sample, before noise; `warmth_c` is the temperature about its mean.
+/// Returns the output of a triad for a course at each sample, before noise; `warmth_c` is the temperature about its
+/// mean.
 pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed], warmth_c: &[f64]) -> [Vec<f64>; 3] {
     let own: Vec<&Imposed> = effects.iter().filter(|effect| effect.triad == triad).collect();
     let of = |kind: Kind| own.iter().copied().filter(move |effect| effect.kind == kind);
@@ -131,7 +132,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
     axes
 }
 
-/// Bandwidth and limit, on the output with its noise.
+/// Applies bandwidth and limit to the output with its noise.
 pub fn behind(values: &mut [f64], triad: Triad, rate_hz: f64, effects: &[Imposed]) {
     for effect in effects.iter().filter(|effect| effect.triad == triad) {
         match effect.kind {
@@ -145,7 +146,7 @@ pub fn behind(values: &mut [f64], triad: Triad, rate_hz: f64, effects: &[Imposed
     }
 }
 
-/// First order, by the bilinear transform with its cutoff at the requested frequency.
+/// Applies a first-order low pass: the bilinear transform with its cutoff at the requested frequency.
 fn low_pass(values: &mut [f64], cutoff_hz: f64, rate_hz: f64) {
     let warped = (std::f64::consts::PI * cutoff_hz / rate_hz).tan();
     let (gain, back) = (warped / (1.0 + warped), (1.0 - warped) / (1.0 + warped));
@@ -169,7 +170,7 @@ mod tests {
     use imu_model::effects::triad::{Drive, ScaleFactorNonlinearity};
     use imu_model::effects::{LowPass, Stream, StreamId, TriadEffect};
 
-    /// This code and the library's are independent: they have to describe the same physics.
+    /// This code and the library's are independent and must describe the same physics.
     #[test]
     fn effects_are_the_documented_ones() {
         let motion = Motion { gyro_rad_s: [1.0, -2.0, 0.5], accel_m_s2: [3.0, 1.0, -9.0], temperature_c: None };

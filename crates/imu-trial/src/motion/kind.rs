@@ -6,7 +6,8 @@ use imu_core::sample::Triad;
 use imu_model::EffectKind;
 
 kinds! {
-    /// An effect that a case lacks in its model: one of the library in a row with its identity, or one outside it.
+    /// An effect that a case lacks in its model: an effect of the library has its identity in a row; the others are
+    /// outside it.
     row: Option<EffectKind>;
     /// The kinds of the library.
     LIBRARY:
@@ -21,7 +22,7 @@ kinds! {
         Saturation = "saturation" => Some(EffectKind::Saturation),
         LowPass = "low_pass" => Some(EffectKind::LowPass),
         TemperatureBias = "temperature_bias" => Some(EffectKind::TemperatureBias);
-    /// The kinds outside it.
+    /// The kinds outside the library.
     OUTSIDE:
         Hysteresis = "hysteresis" => None,
         Creep = "creep" => None,
@@ -31,12 +32,12 @@ kinds! {
 }
 
 impl Kind {
-    /// The documented effect; none outside the library.
+    /// Returns the documented effect; `None` outside the library.
     pub fn effect(self) -> Option<EffectKind> {
         self.row()
     }
 
-    /// The triads it may be on.
+    /// Returns the triads on which the kind may be.
     pub fn triads(self) -> &'static [Triad] {
         match self {
             Self::GSensitivity => &[Triad::Gyro],
@@ -45,12 +46,12 @@ impl Kind {
         }
     }
 
-    /// Whether it stands in the model with its channels rather than with its triad.
+    /// Returns whether the kind is in the model with its channels, not with its triad.
     pub fn on_channels(self) -> bool {
         matches!(self, Self::LowPass | Self::TemperatureBias)
     }
 
-    /// The unit of its numbers on a triad; for those outside the library, of the numbers that are drawn for them.
+    /// Returns the unit of the kind's numbers on a triad; for kinds outside the library, of the numbers drawn for them.
     pub fn unit(self, triad: Triad) -> &'static str {
         let of = |gyro, accel| if triad == Triad::Gyro { gyro } else { accel };
         match self {
@@ -69,7 +70,7 @@ impl Kind {
         }
     }
 
-    /// How many numbers it has that a regression finds; None if its size is another.
+    /// Returns the number of the kind's numbers that a regression finds; `None` if its size is another quantity.
     pub fn numbers(self) -> Option<usize> {
         match self {
             Self::Saturation | Self::LowPass => None,
@@ -86,11 +87,12 @@ pub type Wish = (Kind, Triad);
 /// Words that choose classes of cases, beside the kinds' names.
 pub const CLASSES: [&str; 4] = ["none", "single", "pair", "outside"];
 
-/// The effects of every case: of `cases`, a fifth have none, half one of the library, a fifth two, a tenth one outside it; of the
-/// classes and kinds that `words` choose, all if there is no word. Each kind comes as often as the others of its class.
+/// Returns the effects of every case: of `cases`, a fifth have none, half one effect of the library, a fifth two, and a
+/// tenth one outside it. `words` choose the classes and kinds; without words, all are used. Each kind occurs as often
+/// as the others of its class.
 ///
 /// # Errors
-/// The word that names no class and no kind.
+/// The word that names neither a class nor a kind.
 pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str>) -> Result<Vec<Vec<Wish>>, String> {
     let mut draw = Draw::device(seed, u64::MAX, "motion plan");
     let (mut classes, mut kinds): (Vec<&str>, Vec<Kind>) = (Vec::new(), Vec::new());
@@ -156,7 +158,7 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
     Ok(made)
 }
 
-/// Each kind once before any comes on its second triad.
+/// Returns each kind once before any kind occurs on its second triad.
 fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
     let mut kinds: Vec<Kind> = all.iter().flatten().map(|(kind, _)| *kind).collect();
     kinds.dedup();
@@ -166,8 +168,8 @@ fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
     [of(0), of(1)].concat()
 }
 
-/// Whether two effects can be separated: not two of the same kind on one triad, not two delays of one sensor's clock, and no
-/// effect beside a filter or a limit that would hide it.
+/// Returns whether two effects can be separated: not two of the same kind on one triad, not two delays of one sensor's
+/// clock, and no effect beside a filter or a limit that would hide it.
 fn goes_with(one: Wish, other: Wish) -> bool {
     let alone = |kind: Kind| matches!(kind, Kind::Saturation | Kind::LowPass);
     let late = |kind: Kind| matches!(kind, Kind::Latency | Kind::LowPass);

@@ -1,11 +1,11 @@
 //! Blind check of the diagnosis with a known motion: sealed cases, keys, scores.
 //!
-//! In: a sealed seed; diagnoses in the documented form, from any program. Out: recordings with references and models that lack an
-//! effect ([`case`]), keys, scores ([`score`]). Each device goes through a separate motion ([`course`]). Code apart from the
-//! simulator's makes its response ([`impose`]), and the trial's own ground makes the noise.
+//! In: a sealed seed; diagnoses in the documented form, from any program. Out: recordings with references and models
+//! that lack an effect ([`case`]), keys, scores ([`score`]). Each device goes through a separate motion ([`course`]).
+//! Code separate from the simulator's computes its response ([`impose`]), and the trial's own ground makes the noise.
 //!
-//! Sizes are multiples of a limit. The limit is the size at which a test finds the effect in nine of ten records at the price
-//! that the diagnosis asks ([`bound`], from the Cramér–Rao bound). That test knows the noise, and knows neither the other effects
+//! Sizes are multiples of a limit. The limit is the size at which a test finds the effect in nine of ten records at the
+//! diagnosis' price ([`bound`], from the Cramér–Rao bound). That test knows the noise, but neither the other effects
 //! nor the clock.
 
 pub mod bound;

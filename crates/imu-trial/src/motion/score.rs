@@ -1,4 +1,4 @@
-//! Scores: diagnoses of sealed cases with a motion compared with their keys.
+//! Scores: compares diagnoses of sealed cases with a motion with their keys.
 
 use super::case::{Key, TrueEffect};
 use super::impose::full_scale;
@@ -11,44 +11,44 @@ use serde::Serialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// From this size over the bound's on an effect has to be right.
+/// From this multiple of the bound's size on, an effect has to be right.
 const CLEAR: f64 = 3.0;
-/// The share of the true effects' closed part that has to be closed.
+/// The share of the true effects' closed part that must be closed.
 const NEARLY: f64 = 0.9;
 
-/// A cause of a diagnosis, as far as it is judged.
+/// A judged cause of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Told {
-    /// Its effect.
+    /// The effect.
     pub effect: String,
-    /// Its triad: as stated, or that of all its channels.
+    /// The triad: as stated, or that of all channels.
     pub triad: Option<String>,
-    /// Whether it is one that the case has.
+    /// Whether the case has this effect.
     pub right: bool,
 }
 
-/// A case as it was judged.
+/// A judged case.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Judgement {
-    /// Its number.
+    /// The case's number.
     pub case: usize,
-    /// What it has.
+    /// The kinds of its effects.
     pub kinds: Vec<Kind>,
-    /// On which triads.
+    /// The triads of its effects.
     pub triads: Vec<String>,
-    /// Sizes over the limit.
+    /// The sizes over the limit.
     pub over_limit: Vec<f64>,
     /// The limits, in the units of the numbers.
     pub limits: Vec<f64>,
-    /// The verdict, or the reason why there was none.
+    /// The verdict, or the reason for its absence.
     pub verdict: String,
     /// The causes in their order.
     pub causes: Vec<Told>,
     /// Whether the first cause is right.
     pub right_first: bool,
-    /// Of each effect whether it was named.
+    /// Whether each effect was named.
     pub named: Vec<bool>,
-    /// For each named parameter with an interval: whether the interval holds the truth.
+    /// For each named parameter with an interval: whether the interval contains the truth.
     pub held: Vec<bool>,
     /// The part of the gap that was closed.
     pub closed: Option<f64>,
@@ -56,7 +56,7 @@ pub struct Judgement {
     pub closed_by_truth: Option<f64>,
 }
 
-/// Judges a diagnosis: its JSON, or the reason why there is none.
+/// Judges a diagnosis: its JSON, or the reason for its absence.
 pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f64>) -> Judgement {
     let nothing = Value::Null;
     let (value, verdict) = match report {
@@ -97,7 +97,7 @@ fn called(cause: &Value) -> String {
     form.map_or_else(|| name.to_owned(), |form| format!("{form} {name}"))
 }
 
-/// The triad of a cause: the one it names, or that of all its channels.
+/// Returns the triad of a cause: the stated one, or that of all its channels.
 fn triad_of(cause: &Value) -> Option<String> {
     if let Some(triad) = cause["triad"].as_str() {
         return Some(triad.to_owned());
@@ -107,7 +107,7 @@ fn triad_of(cause: &Value) -> Option<String> {
     triads.into_iter().find(|triad| names.iter().all(|name| name.starts_with(triad))).map(str::to_owned)
 }
 
-/// Whether a cause is the effect: its name, its form, its triad.
+/// Returns whether a cause is the effect: by name, form and triad.
 fn is(of: &TrueEffect, cause: &Value) -> bool {
     let form = match of.kind {
         Kind::UnsignedNonlinearity => "unsigned ",
@@ -118,7 +118,7 @@ fn is(of: &TrueEffect, cause: &Value) -> bool {
     called(cause) == format!("{form}{effect}") && triad_of(cause).as_deref() == Some(of.triad.as_str())
 }
 
-/// Whether each stated interval of a triad's parameters holds the truth.
+/// Returns whether each stated interval of a triad's parameters contains the truth.
 fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
     if of.kind.on_channels() {
         return on_channels(of, cause);
@@ -148,7 +148,7 @@ fn intervals(of: &TrueEffect, cause: &Value) -> Vec<bool> {
         .collect()
 }
 
-/// The same of an effect that stands with its channels.
+/// Returns, for each axis, whether the stated interval of an effect with a number per channel contains the truth.
 fn on_channels(of: &TrueEffect, cause: &Value) -> Vec<bool> {
     let name = if of.kind == Kind::LowPass { "cutoff_hz" } else { "per_c" };
     ["x", "y", "z"]
@@ -158,33 +158,33 @@ fn on_channels(of: &TrueEffect, cause: &Value) -> Vec<bool> {
             let told = &cause["uncertainty"][format!("{}_{letter}", of.triad)];
             let ends = &told.as_array().and_then(|list| list.first()).unwrap_or(told)[name];
             let (low, high) = (ends[0].as_f64()?, ends[1].as_f64()?);
-            // One corner is all axes'.
+            // One corner applies to all axes.
             let truth = of.numbers.get(axis).or(of.numbers.first())?;
             Some((low..=high).contains(truth))
         })
         .collect()
 }
 
-/// One kind's row.
+/// The row of a kind.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OfKind {
-    /// Which.
+    /// The kind.
     pub kind: Kind,
-    /// Right first, of those alone.
+    /// Right first, for effects that are alone.
     pub right_first: Rate,
-    /// Of those from [`CLEAR`] times the limit on.
+    /// Right first, from [`CLEAR`] times the limit on.
     pub right_first_clear: Rate,
-    /// Called unknown.
+    /// Reported as unknown.
     pub unknown: Rate,
-    /// Cases with a cause that is none.
+    /// Cases with a wrong cause.
     pub spurious: Rate,
-    /// Intervals that hold.
+    /// Intervals that contain the truth.
     pub held: Rate,
     /// Median of the closed part, from [`CLEAR`] on.
     pub closed: Option<f64>,
-    /// The size over the bound's at which half and nine of ten are right.
+    /// The size over the bound's at which half are right.
     pub size_50: Option<Limit>,
-    /// Nine of ten.
+    /// The size over the bound's at which nine of ten are right.
     pub size_90: Option<Limit>,
     /// The bound's size by triad, a median over the cases.
     pub bounds: BTreeMap<String, f64>,
@@ -204,17 +204,17 @@ pub struct Score {
     pub seed: u64,
     /// SHA-256 of the manifest.
     pub manifest_sha256: String,
-    /// How many.
+    /// The number of cases.
     pub cases: usize,
     /// Rates by name.
     pub rates: BTreeMap<&'static str, Rate>,
-    /// By kind.
+    /// The rows by kind.
     pub kinds: Vec<OfKind>,
-    /// Cases that are not as they should be.
+    /// Cases with a wrong result.
     pub misses: Vec<Judgement>,
 }
 
-/// The meanings of the rates, in the order in which they are shown.
+/// The meanings of the rates, in display order.
 pub const RATES: [(&str, &str); 11] = [
     ("right_first_clear", "right effect and triad first, from 3 times the limit on"),
     ("right_first", "right effect and triad first, all sizes"),
@@ -230,7 +230,7 @@ pub const RATES: [(&str, &str); 11] = [
 ];
 
 impl Score {
-    /// Of these judgements.
+    /// Computes the score of these judgements.
     pub fn of(software: &str, seed: u64, manifest_sha256: &str, all: &[Judgement]) -> Self {
         let inside = |of: &Judgement| !of.kinds.is_empty() && of.kinds.iter().all(|kind| kind.effect().is_some());
         let single = || all.iter().filter(move |of| of.kinds.len() == 1 && inside(of));
@@ -240,7 +240,7 @@ impl Score {
         let clear = |of: &&Judgement| of.over_limit.iter().all(|size| *size >= CLEAR);
         let unknown = |of: &Judgement| of.verdict == "unknown_effect";
         let spurious = |of: &Judgement| of.causes.iter().any(|cause| !cause.right);
-        // A refusal is no answer either.
+        // A refusal is not an answer either.
         let blamed = |of: &Judgement| !of.causes.is_empty() || !matches!(of.verdict.as_str(), "no_gap" | "parameters");
         let turned = [
             (Kind::Misalignment, EffectKind::CrossAxisSensitivity),
@@ -351,7 +351,7 @@ mod tests {
         assert!(RATES.iter().all(|(name, _)| score.rates.contains_key(name)));
     }
 
-    /// A short trial in this process: `VN100D_MOTION_CASES` makes it longer, `VN100D_MOTION_KINDS` chooses.
+    /// A short trial in this process: `VN100D_MOTION_CASES` makes it longer, `VN100D_MOTION_KINDS` chooses kinds.
     #[test]
     fn a_short_trial_reaches_its_rates() {
         use crate::motion::case::{Case, pack, unpack};

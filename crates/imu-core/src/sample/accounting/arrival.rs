@@ -1,12 +1,12 @@
 //! Arrival: detects losses and other rates of samples without time from their arrivals. Pure.
 //!
-//! A message is late by its latency and never early. So a schedule of the earliest arrivals determines each sample's
-//! meaning: one in time is taken at once. One that is late or early may follow a loss, precede a burst, or be the first
-//! of another rate. From it on samples are held until their arrivals have been steady at one rate or the other
-//! ([`STEADY_NS`], [`RATE_NS`]). While that is open, [`Accountant::take_doubt`] reports the doubt to the session, which
-//! queries the sensor; its registers decide ([`Accountant::rate_known`]). A sensor that numbers its messages by a
-//! separate clock, not by its rate ([`Timebase::SyncCounter`]), is judged by its arrivals as well: the steps of such a
-//! count look like losses or repetitions if the rate differs.
+//! A message is late by its latency and never early. A schedule of the earliest arrivals therefore determines each
+//! sample's meaning. A sample that is on time is taken at once. A sample that is late or early may follow a loss,
+//! precede a burst, or be the first of another rate. From that sample on, samples are held until their arrivals have
+//! been steady at one rate or the other ([`STEADY_NS`], [`RATE_NS`]). Until then, [`Accountant::take_doubt`] reports
+//! the doubt to the session, which queries the sensor; its registers decide ([`Accountant::rate_known`]). A sensor that
+//! numbers its messages by a separate clock, not by its rate ([`Timebase::SyncCounter`]), is also judged by its
+//! arrivals: the steps of such a count look like losses or repetitions if the rate differs.
 
 use super::{Accountant, DRIFT, Observation, RateDoubt, host_elapsed_ns};
 use crate::sample::{GapCause, Record, Sample, Timebase};
@@ -16,27 +16,28 @@ use crate::units::period_ns;
 const LATE_PERIODS: f64 = 0.75;
 /// Lateness below this has no meaning by itself, ns: an FTDI adapter's latency timer is 16 ms at worst.
 const HOST_JITTER_NS: f64 = 20e6;
-/// Held samples whose earliest arrivals keep the rate for this long are of that rate, ns; at least [`STEADY_MIN`] of
+/// Held samples belong to the rate if their earliest arrivals keep it for this long, ns; at least [`STEADY_MIN`] of
 /// them. Neighbouring rates of register 7 differ by a fifth: by 80 ms within this time.
 const STEADY_NS: f64 = 0.4e9;
 const STEADY_MIN: usize = 4;
-/// Samples must keep another rate for this long to be of it, ns; at least [`RATE_MIN`] of them: random losses do not
-/// arrive evenly. The second time is for a sensor whose registers state that the rate is unchanged.
+/// Samples belong to another rate if they keep it for this long, ns; at least [`RATE_MIN`] of them: random losses do
+/// not arrive evenly. The second time is for a sensor whose registers state that the rate is unchanged.
 const RATE_NS: f64 = 2e9;
 const RATE_CONFIRMED_NS: f64 = 3.5e9;
 const RATE_MIN: usize = 8;
-/// The share of the arrivals compared with another rate that may be late by more than the jitter.
+/// The share of arrivals that may be later than the jitter allows when they are compared with another rate.
 const RATE_LATE: f64 = 0.1;
 /// Rates that differ by less are equal, and a measured rate this close to one of the sensor's is that rate.
 const RATE_NEAR: f64 = 0.04;
-/// Samples that are held for longer put the rate in doubt, ns.
+/// Samples that are held for longer than this put the rate in doubt, ns.
 const DOUBT_NS: u64 = 600_000_000;
-/// The longest time for which samples are held, ns, and the most of them.
+/// The longest time for which samples are held, ns, and the maximum number of held samples.
 const HELD_NS: f64 = 6e9;
 const HELD_MAX: usize = 16_384;
-/// Samples that arrive so close together were read late, ns: no message comes at more than 200 Hz.
+/// Samples that arrive this close together were read late, ns: no message comes at more than 200 Hz.
 const BURST_NS: f64 = 2.5e6;
-/// A sensor that was silent for longer before it sent at another rate was reset, ns: it boots for about 1.25 s.
+/// A sensor that was silent for longer than this before it sent at another rate was reset, ns: it boots for about 1.25
+/// s.
 const RESET_SILENCE_NS: f64 = 0.5e9;
 
 /// The expected arrival of the next sample, for streams without device time.
@@ -47,9 +48,9 @@ pub(super) struct Arrival {
     pub(super) next_mono_ns: f64,
     /// Samples whose meaning is undecided.
     pub(super) held: Vec<Sample>,
-    /// By how much the stream recently ran ahead of the schedule, ns.
+    /// How far the stream recently ran ahead of the schedule, ns.
     early_ns: f64,
-    /// The host's trouble when the first of them arrived.
+    /// The host's trouble when the first held sample arrived.
     host_trouble: Option<GapCause>,
     /// Whether the doubt was reported.
     told: bool,
@@ -58,7 +59,7 @@ pub(super) struct Arrival {
 }
 
 impl Accountant {
-    /// The host's own lateness in reading, ns.
+    /// Returns the host's own lateness in reading, ns.
     fn jitter_ns(&self) -> f64 {
         self.host_jitter_ns.max(HOST_JITTER_NS)
     }
@@ -80,7 +81,7 @@ impl Accountant {
         }
         if self.arrival.held.is_empty() {
             let late_ns = arrived - self.arrival.next_mono_ns;
-            // A rejected frame explains one missing sample; without it lateness must exceed the host's own.
+            // A rejected frame explains one missing sample; without one, lateness must exceed the host's own.
             let jitter_ns = if self.suspicion.is_some() { 0.0 } else { self.jitter_ns() };
             let early_ns = (self.arrival.early_ns - late_ns.min(0.0) - 2.0 * DRIFT * period).max(0.0);
             if late_ns < (LATE_PERIODS * period).max(jitter_ns) && early_ns < self.jitter_ns() {
@@ -117,7 +118,7 @@ impl Accountant {
         }
         self.arrival.held.push(sample);
         let held = &self.arrival.held;
-        // With many of them each further one changes little.
+        // If many samples are held, each further one changes little.
         if !held.len().is_multiple_of(1 + held.len() / 64) {
             return;
         }
@@ -133,8 +134,8 @@ impl Accountant {
         }
     }
 
-    /// The index of the last held samples that span this time and are at least this many; `None` if the held ones do
-    /// not.
+    /// Returns the index of the last held samples that span this time and are at least `least`; `None` if the held
+    /// samples do not suffice.
     fn tail(&self, span_ns: f64, least: usize) -> Option<usize> {
         let held = &self.arrival.held;
         let span_ns = span_ns.max(16.0 * self.host_jitter_ns) as u64;
@@ -143,7 +144,8 @@ impl Accountant {
         Some(from.min(held.len().checked_sub(least)?))
     }
 
-    /// Whether the last held samples keep the rate: the earliest arrivals of the four quarters of their time agree.
+    /// Returns whether the last held samples keep the rate: the earliest arrivals of the four quarters of their time
+    /// agree.
     fn is_steady(&self) -> bool {
         let period = period_ns(self.rate_hz);
         let Some(from) = self.tail(STEADY_NS, STEADY_MIN) else { return false };
@@ -160,7 +162,7 @@ impl Accountant {
         most - least <= (LATE_PERIODS * period).clamp(0.4 * HOST_JITTER_NS, HOST_JITTER_NS).max(self.host_jitter_ns)
     }
 
-    /// Another rate that the last held samples keep, Hz.
+    /// Returns another rate that the last held samples keep, Hz.
     fn other_rate(&self) -> Option<f64> {
         let least_ns = if self.arrival.confirmed { RATE_CONFIRMED_NS } else { RATE_NS };
         let held = &self.arrival.held[self.tail(least_ns, RATE_MIN)?..];
@@ -180,7 +182,7 @@ impl Accountant {
         (most - late_ns[0] <= self.tolerance_ns()).then_some(rate_hz)
     }
 
-    /// The maximum deviation of arrivals at one rate from their schedule, ns.
+    /// Returns the maximum deviation of arrivals at one rate from their schedule, ns.
     fn tolerance_ns(&self) -> f64 {
         1.25 * self.jitter_ns()
     }
@@ -197,8 +199,8 @@ impl Accountant {
         }
     }
 
-    /// Releases the held samples at the unchanged rate: the number missing before a held sample is the least lateness
-    /// from it on.
+    /// Releases the held samples at the unchanged rate. The number of samples missing before a held sample is the
+    /// smallest lateness from that sample on.
     pub(super) fn release(&mut self, out: &mut Vec<Record>) {
         let steady = self.tail(STEADY_NS / 4.0, STEADY_MIN).unwrap_or(0);
         let Arrival { next_mono_ns, held, host_trouble, .. } = std::mem::take(&mut self.arrival);
@@ -231,8 +233,8 @@ impl Accountant {
         self.arrival.next_mono_ns += counted as f64 * period + steady_ns.min(0.0);
     }
 
-    /// The first held sample of another rate: the one with the fewest missing samples before it at the old rate and
-    /// after it at the new one.
+    /// Returns the first held sample of another rate: the one with the fewest missing samples before it at the old rate
+    /// and after it at the new one.
     fn first_of(&self, rate_hz: f64) -> usize {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
         let Arrival { held, next_mono_ns, .. } = &self.arrival;
@@ -274,8 +276,8 @@ impl Accountant {
             _ => self.arrival.next_mono_ns - old_period,
         };
         self.timebase = Timebase::Arrival;
-        // Several samples show better than the first one by itself when it was due: those that come at once, and some
-        // more.
+        // Several samples show better than the first one alone when the first one was due: those that come at once, and
+        // some more.
         let apart = |pair: &[Sample]| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64 >= BURST_NS;
         let at_once = held.windows(2).position(apart).unwrap_or(0);
         let late_ns = residuals_ns(&held[..held.len().min(at_once + 2 * STEADY_MIN)], period);
@@ -285,7 +287,7 @@ impl Accountant {
         let (away_ns, longest) = (due_ns - last_due_ns, old_period.max(period));
         if away_ns - longest > (LATE_PERIODS * longest).max(self.jitter_ns()) {
             let reset = away_ns > RESET_SILENCE_NS.max(5.0 * longest);
-            // The step from one rate to the other lacks nothing.
+            // No sample is missing at the step from one rate to the other.
             let (cause, away_ns) = match reset {
                 true => (GapCause::SensorReset, away_ns),
                 false => (GapCause::RateChange, away_ns - longest + old_period),
@@ -296,14 +298,14 @@ impl Accountant {
         self.open = None;
         self.take(first, out);
         self.arrival = Arrival { next_mono_ns: due_ns + period, ..Arrival::default() };
-        // Of the new rate some may be missing as well.
+        // Samples of the new rate may be missing as well.
         for sample in held {
             self.observe_arrival(sample, out);
         }
     }
 }
 
-/// The lateness of each sample relative to this many periods after the first, ns.
+/// Returns the lateness of each sample relative to this many periods after the first, ns.
 fn residuals_ns(samples: &[Sample], period: f64) -> Vec<f64> {
     let first_ns = samples.first().map_or(0, |sample| sample.host_mono_ns);
     let late =
@@ -311,10 +313,10 @@ fn residuals_ns(samples: &[Sample], period: f64) -> Vec<f64> {
     samples.iter().enumerate().map(late).collect()
 }
 
-/// The rates that register 7 takes, Hz.
+/// The rates that register 7 accepts, Hz.
 const MESSAGE_RATES_HZ: [f64; 11] = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
 
-/// The rate of messages that is near a measured one, Hz. Random losses leave any rate.
+/// Returns the message rate near a measured one, Hz. Random losses result in any rate.
 fn nearest_rate(measured_hz: f64) -> Option<f64> {
     MESSAGE_RATES_HZ.into_iter().find(|rate_hz| (rate_hz / measured_hz - 1.0).abs() < RATE_NEAR)
 }

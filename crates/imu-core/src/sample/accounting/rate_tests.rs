@@ -5,17 +5,17 @@ use proptest::prelude::*;
 
 const START_NS: u64 = 1_000_000_000;
 
-/// The data of a simulated line: when each sample arrives and the sensor's count, if it has one.
+/// The data of a simulated line: the arrival of each sample and the sensor's count, if it has one.
 #[derive(Default)]
 struct Line {
     arrivals: Vec<(u64, Option<u32>)>,
-    /// When the sensor sends the next one, ns.
+    /// When the sensor sends the next sample, ns.
     at_ns: f64,
     lost: u64,
 }
 
 impl Line {
-    /// Sends for a while at a rate; the samples for which `lost` returns `true` are lost.
+    /// Sends at a rate for some seconds; samples for which `lost` returns `true` are lost.
     fn send(&mut self, rate_hz: f64, seconds: f64, mut lost: impl FnMut(u64) -> bool, latency_ns: impl Fn(u64) -> u64) {
         for index in 0..(seconds * rate_hz).round() as u64 {
             let arrived = START_NS + self.at_ns as u64 + latency_ns(index);
@@ -40,7 +40,7 @@ impl Line {
         self.observed_with(rate_hz, timebase, |_| None)
     }
 
-    /// The same with a sensor whose registers can be read on doubt: the rate they hold at this time.
+    /// Observes the line with a sensor whose registers can be read on doubt: the rate that they hold at this time.
     fn observed_with(
         &self,
         rate_hz: f64,
@@ -75,12 +75,12 @@ fn rates(out: &[Record]) -> Vec<f64> {
     rates
 }
 
-/// As an FTDI adapter delivers: each 16 ms what has come.
+/// Delays samples as an FTDI adapter does: it delivers all that has arrived each 16 ms.
 fn adapter(rate_hz: f64) -> impl Fn(u64) -> u64 {
     move |index| 16_000_000 - (index as f64 * period_ns(rate_hz)) as u64 % 16_000_000
 }
 
-/// A number that has nothing to do with its neighbours'.
+/// Returns a number that is independent of its neighbours'.
 fn random(index: u64) -> u64 {
     index.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 20
 }
@@ -123,7 +123,7 @@ fn a_rate_that_changes_without_time_is_a_new_segment_and_no_loss() {
     }
 }
 
-/// A sensor that boots for 1.25 s and then sends the output in its flash.
+/// A sensor boots for 1.25 s and then sends the output in its flash.
 #[test]
 fn a_reset_to_another_rate_is_one_gap_by_the_hosts_clock() {
     for (from_hz, to_hz) in PAIRS {
@@ -154,7 +154,7 @@ fn messages_that_are_counted_by_another_clock_than_their_rate_lose_nothing_when_
 
 #[test]
 fn a_line_that_stalls_and_catches_up_keeps_its_rate() {
-    // Each second 0.3 s are delivered late, at once; the very first samples as well.
+    // Each second, 0.3 s of samples are delivered late, at once; the very first samples as well.
     let late = |index: u64| if index % 50 < 15 { (15 - index % 50) * 20_000_000 } else { 0 };
     let mut line = Line::default();
     line.send(50.0, 60.0, |_| false, late);
@@ -162,7 +162,7 @@ fn a_line_that_stalls_and_catches_up_keeps_its_rate() {
     assert_eq!((accountant.rate_hz(), accountant.missing(), rates(&out)), (50.0, 0, vec![50.0]));
 }
 
-/// What follows from a late read is the host's doing, though it is decided later.
+/// The host causes the effects of a late read, though they are decided later.
 #[test]
 fn a_loss_that_shows_while_the_host_is_to_blame_is_the_hosts() {
     let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Arrival), Vec::new());
@@ -207,7 +207,7 @@ proptest! {
         let mut state = seed | 1;
         let lost = |index| {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            // When the earliest come is not known from the very first ones.
+            // The very first samples do not show when the earliest ones come.
             index > 20 && ((state >> 33) as f64 / f64::from(1_u32 << 31)) < share
         };
         line.send(40.0, 30.0, lost, |index| random(index) % (latency + 1));
@@ -218,14 +218,15 @@ proptest! {
         prop_assert_eq!(accountant.missing(), line.lost);
     }
 
-    /// A rate that changes on a line that loses some samples and delivers late; the sensor answers, or it only sends.
+    /// The rate changes on a line that loses some samples and delivers late. The sensor either answers queries or only
+    /// sends.
     #[test]
     fn a_changed_rate_is_found_among_losses_and_bursts(pair in 0_usize..9, every in 40_u64..200, burst in 0_u64..300, at in 0_u64..50, answers in any::<bool>()) {
         let (from_hz, to_hz) = PAIRS[pair];
-        // One that only sends must be heard for two seconds without a loss or a long burst.
+        // A sensor that only sends must be heard for two seconds without a loss or a long burst.
         let (every, burst) = if answers { (every, burst) } else { (every.max(3 * to_hz as u64), burst / 2) };
         let mut line = Line::default();
-        // Between two rates it is open which of them lost a sample.
+        // Between two rates, it is open at which of them a sample was lost.
         let lost = move |index: u64| index > 3 && (index + at).is_multiple_of(every);
         // A burst each three seconds.
         let late = move |rate_hz: f64| move |index: u64| {
@@ -240,13 +241,14 @@ proptest! {
         let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, registers);
         prop_assert_eq!(accountant.received(), line.arrivals.len() as u64);
         prop_assert_eq!(rates(&out), vec![from_hz, to_hz]);
-        // One more or less where the rates meet; less than 20 ms of loss is no lateness yet, and a stall hides the change.
+        // One sample more or less is possible where the rates meet; a loss of less than 20 ms is not yet lateness, and
+        // a stall hides the change.
         let unseen = 4 + (0.04 * (from_hz + to_hz)) as u64;
         prop_assert!(accountant.missing().abs_diff(all_lost) <= unseen, "{} of {}", accountant.missing(), all_lost);
     }
 }
 
-/// One sample after another: ticks of the sensor's clock and of the host's, both in ns.
+/// Observes one sample after another, at ticks of the sensor's clock and of the host's, both in ns.
 fn observe(accountant: &mut Accountant, device_ns: u64, host_ns: u64, out: &mut Vec<Record>) -> Observation {
     let mut sample = Sample::at(START_NS + host_ns, 1_800_000_000_000_000_000 + host_ns as i64);
     sample.device_time_ns = Some(5_000_000_000 + device_ns);
@@ -275,7 +277,7 @@ fn a_clock_that_jumps_ahead_while_samples_keep_coming_is_no_loss() {
     }
 }
 
-/// The host reads nothing for a second; the line holds a part of it, and what did not fit is lost.
+/// The host reads nothing for a second; the line holds a part of the data, and the rest is lost.
 #[test]
 fn a_stall_whose_burst_lacks_samples_is_a_loss() {
     let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
@@ -286,13 +288,14 @@ fn a_stall_whose_burst_lacks_samples_is_a_loss() {
     }
     accountant.settle(&mut out);
     assert_eq!((accountant.received(), accountant.missing(), accountant.epoch()), (385, 15, 1));
-    // By arrival it had no length.
+    // By arrival, the gap had no length.
     let gap = gaps(&out)[0];
     assert_eq!((gap.missing_exact, gap.to_utc_ns - gap.from_utc_ns), (true, 16 * PERIOD_NS as i64));
     assert!((gap.from_utc_ns - 1_800_000_000_000_000_000 - 214 * PERIOD_NS as i64).abs() < 5_000_000);
 }
 
-/// A host without a clock battery is switched off: its next boot begins in 1970, or it is the boot before that was not set.
+/// A host without a clock battery is switched off: its next boot begins in 1970, or the clock of the boot before was
+/// not set.
 #[test]
 fn a_gap_across_a_clock_that_was_not_set_is_as_long_as_what_is_missing() {
     let day = 86_400_000_000_000;

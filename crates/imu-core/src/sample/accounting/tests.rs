@@ -1,4 +1,4 @@
-//! Streams with losses, bursts, resets and other rates, compared with what was sent.
+//! Streams with losses, bursts, resets and other rates, compared with the sent samples.
 
 use super::*;
 use crate::sample::Channel;
@@ -90,7 +90,7 @@ fn a_silent_change_of_rate_is_a_new_segment_and_no_loss() {
     }
 }
 
-/// One measurement after another, at these times of the sensor's clock.
+/// Observes one measurement after another, at these times of the sensor's clock.
 fn observe_at(accountant: &mut Accountant, ticks_ns: impl IntoIterator<Item = u64>, out: &mut Vec<Record>) {
     for at_ns in ticks_ns {
         let mut next = sample(0, true, 0);
@@ -109,8 +109,8 @@ fn steps_that_are_no_whole_number_of_periods_are_another_rate_and_no_loss() {
     assert_eq!((accountant.rate_hz(), accountant.received(), accountant.missing()), (80.0, 24, 0));
 }
 
-/// 200 Hz, announced as 40 Hz, and still 200 Hz, with one lost in between: the missing samples follow from the ticks
-/// alone.
+/// 200 Hz is announced as 40 Hz and stays 200 Hz, with one sample lost in between: the missing samples follow from the
+/// ticks alone.
 #[test]
 fn a_rate_that_was_told_and_never_came_hides_no_loss() {
     let (mut accountant, mut out) = (Accountant::new(200.0, Timebase::Device), Vec::new());
@@ -122,7 +122,7 @@ fn a_rate_that_was_told_and_never_came_hides_no_loss() {
     assert!(gaps(&out)[0].missing_exact);
 }
 
-/// Samples of one segment stand a period apart; a single step of 0.6 periods is neither a loss nor a repetition.
+/// Samples of one segment are a period apart; a single step of 0.6 periods is neither a loss nor a repetition.
 #[test]
 fn a_step_that_is_no_period_begins_a_segment() {
     let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::Device), Vec::new());
@@ -133,7 +133,7 @@ fn a_step_that_is_no_period_begins_a_segment() {
     assert_eq!(seqs(&out)[9..11], [(9, 1), (10, 2)]);
 }
 
-/// A tick that is wrong, by itself, before an interruption or after a trial that was none, is no rate.
+/// A single wrong tick is not a change of rate, also before an interruption or after an unfinished trial.
 #[test]
 fn a_single_short_step_is_no_change_of_rate() {
     let (period, tenth) = (PERIOD_NS, PERIOD_NS / 10);
@@ -142,14 +142,14 @@ fn a_single_short_step_is_no_change_of_rate() {
     let streams: [Vec<u64>; 3] = [
         // One measurement too many, a tenth of a period after another.
         regular(0, 50).chain([49 * period + tenth]).chain(regular(50 * period, 50)).collect(),
-        // Every other one lost for a while, then one a tenth of a period after another.
+        // Every other measurement is lost for a while, then one comes a tenth of a period after another.
         (0..20)
             .map(|index| index * period)
             .chain((0..6).map(|index| (21 + 2 * index) * period))
             .chain([31 * period + tenth])
             .chain(regular(32 * period, 68))
             .collect(),
-        // The same, and then the cable is pulled.
+        // One measurement too many, and then the cable is unplugged.
         regular(0, 50).chain([49 * period + tenth]).chain(regular(50 * period + late, 50)).collect(),
     ];
     for (index, stream) in streams.into_iter().enumerate() {
@@ -240,7 +240,7 @@ fn a_host_that_slept_is_the_cause_and_a_stepped_clock_is_none() {
     let hour = 144_000;
     accountant.blame_host(GapCause::HostSuspend, 1_000_000_000 + (100 + hour + 80) * PERIOD_NS);
     for (index, tick) in (100..110).chain(100 + hour..300 + hour).enumerate() {
-        // The first ones had waited in the line's buffer.
+        // The first ones waited in the line's buffer.
         let mut next = sample(tick, true, 0);
         if index < 10 {
             next.host_mono_ns = sample(100 + hour, true, 0).host_mono_ns;
@@ -270,7 +270,7 @@ fn a_sensor_that_lost_power_while_unplugged_is_measured_by_the_host() {
     let mut out = Vec::new();
     accountant.observe(sample(0, true, 0), &mut out);
     accountant.interrupt(GapCause::Unplugged, &mut out);
-    // An hour later the clock is only 10 s ahead of its earlier value: it restarted.
+    // An hour later, the clock is only 10 s ahead of its earlier value: it restarted.
     let mut back = sample(144_000, true, 0);
     back.device_time_ns = Some(15_000_000_000);
     assert_eq!(accountant.observe(back, &mut out), Observation::AfterReset);

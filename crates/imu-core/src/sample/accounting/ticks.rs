@@ -6,41 +6,40 @@ use super::{Accountant, DRIFT, Observation, Position, REORDER_WINDOW_NS, host_el
 use crate::sample::{DiscardCause, GapCause, Record, Sample, Timebase};
 use crate::units::{IMU_RATE_HZ, period_ns};
 
-/// Steps of the sensor's ticks that differ from the period by more than this share are another rate or losses; they are of
-/// one length within [`RATE_SAME`].
+/// Steps of the sensor's ticks that differ from the period by more than this share belong to another rate or to losses;
+/// steps within [`RATE_SAME`] have one length.
 const RATE_ODD: f64 = 0.2;
 const RATE_SAME: f64 = 0.01;
 /// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
-/// so regularly. At 100 Hz that is decided after 0.12 s, at 20 Hz after 0.6 s.
+/// so regularly. At 100 Hz the decision takes 0.12 s, at 20 Hz 0.6 s.
 const RATE_STEPS_MIN: usize = 12;
 const RATE_TRIAL_NS: f64 = 1e8;
-/// No loss makes a step that is no whole number of periods. This many of one length in succession are another rate even
-/// if the stream was interrupted before it was tried for long; one or two may be a wrong tick.
+/// No loss makes a step that is not a whole number of periods. This many such steps of one length in succession are
+/// another rate even if the stream was interrupted before the trial lasted long; one or two may be a wrong tick.
 const RATE_STEPS_UNEVEN: usize = 3;
 /// A longer step is not a rate, ns: register 7's lowest is 1 Hz.
 const RATE_STEP_MAX_NS: f64 = 1.5e9;
 /// After an interruption, device and host must agree on its length within this share (and [`EPOCH_SLACK_NS`]);
-/// otherwise the sensor was without power in between and its clock started again.
+/// otherwise the sensor lost power in between and its clock started again.
 const EPOCH_SHARE: f64 = 1e-3;
 const EPOCH_SLACK_NS: f64 = 2e9;
 
-/// After this long without a sample that came earlier than the quickest before, the earliest possible arrival is known,
-/// ns.
+/// After this time without a sample earlier than the quickest one before, the earliest possible arrival is known, ns.
 const LINE_NS: f64 = 1e9;
-/// A sample that comes earlier by more than this is not explained by jitter, ns.
+/// Jitter does not explain a sample that comes earlier by more than this, ns.
 const EARLY_NS: f64 = 1e7;
 
 /// Samples in succession that do not come at the rate.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Trial {
     pub(super) held: Vec<Sample>,
-    /// The step between the first two, ns of the sensor's clock.
+    /// The step between the first two samples, ns of the sensor's clock.
     pub(super) step_ns: f64,
 }
 
 impl Accountant {
-    /// By how much the sensor's tick of the later instant is ahead of the earlier one's, ns: its clock in ns, or its
-    /// count of messages. Both wrap, at 2^64 and 2^32: a difference below half of that is ahead.
+    /// Returns how far the sensor's tick of the later instant is ahead of the earlier one's, ns. A tick is the sensor's
+    /// clock in ns or its count of messages. They wrap at 2^64 and 2^32: a difference below half of that is ahead.
     pub(super) fn ahead_ns(
         &self,
         earlier: (Option<u64>, Option<u32>),
@@ -53,8 +52,8 @@ impl Accountant {
         Some(later.0?.wrapping_sub(earlier.0?) as i64)
     }
 
-    /// Handles samples with the sensor's ticks: a step that is no period is the first of another rate, or a gap. The
-    /// samples are held until the following steps decide.
+    /// Handles samples with the sensor's ticks: a step that is not one period is the first of another rate, or a gap.
+    /// The samples are held until the following steps decide.
     pub(super) fn observe_ticks(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
         let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
         let earlier = match (self.trial.held.last(), self.last) {
@@ -90,7 +89,7 @@ impl Accountant {
         Observation::Taken
     }
 
-    /// Treats the held samples as losses, not as another rate, unless several steps were no whole number of periods
+    /// Treats the held samples as losses, not as another rate, unless several steps were not a whole number of periods
     /// (shorter than one, or two and a half), which no loss makes.
     pub(super) fn end_trial(&mut self, out: &mut Vec<Record>) {
         let periods = self.trial.step_ns / period_ns(self.rate_hz);
@@ -136,7 +135,7 @@ impl Accountant {
         }
         for (index, sample) in held.into_iter().enumerate() {
             if let (0, Some(last)) = (index, self.last) {
-                // Between the two rates: more than one period of the slower is a gap.
+                // Between the two rates, more than one period of the slower rate is a gap.
                 let tick = (sample.device_time_ns, sample.sync_count);
                 let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
                 let missing = (step_ns / old_period.max(period_ns(to_hz))).round() as u64;
@@ -160,7 +159,7 @@ impl Accountant {
         let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
         let tick = (sample.device_time_ns, sample.sync_count);
         let Some(ahead_ns) = self.ahead_ns((last.device_time_ns, last.sync_count), tick) else {
-            // The times before came from the host: only the host can determine the distance.
+            // The times before came from the host, so that only the host can determine the distance.
             self.gap_by_host(&last, &sample, host_ns, GapCause::FormatChange, out);
             self.take(sample, out);
             return Observation::Taken;
@@ -185,12 +184,13 @@ impl Accountant {
             return self.new_epoch(&last, sample, host_ns, out);
         }
         let step_ns = ahead_ns as f64;
-        // A restarted clock is behind; one that is ahead of the host's shows that the host's stood still or was
+        // A restarted clock is behind the host's. If the sensor's clock is ahead, the host's clock stood still or was
         // stepped.
         if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
             return self.new_epoch(&last, sample, host_ns, out);
         }
-        // No sample comes before its time: if the host's monotonic clock has not advanced as far, the sensor's was set.
+        // No sample comes before its time. If the host's monotonic clock has not advanced as far, the sensor's clock
+        // was set.
         if is_one_boot(&last, &sample) {
             // A sample that was read late may be followed at once by a much later one.
             let late_ns = self.late_ns + host_ns - step_ns;
@@ -218,7 +218,7 @@ impl Accountant {
             let gap = self.gap(&last, &sample, device_ns, steps - 1, true, self.cause());
             self.push_gap(gap, out);
         } else if (periods - 1.0).abs() > RATE_ODD {
-            // Nothing is missing, but the samples of one segment stand a period apart.
+            // No sample is missing, but the samples of one segment are a period apart.
             self.open = None;
         }
         self.take(sample, out);

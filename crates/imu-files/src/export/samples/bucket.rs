@@ -11,7 +11,7 @@ pub struct Bucket {
 }
 
 impl Bucket {
-    /// A bucket of this many samples of this many channels.
+    /// Creates a bucket of this many samples of this many channels.
     pub fn new(size: u64, channels: usize) -> Self {
         Self { size, count: 0, first_ns: 0, last_ns: 0, extremes: vec![(f64::NAN, f64::NAN); channels] }
     }
@@ -31,7 +31,7 @@ impl Bucket {
         self.count >= self.size
     }
 
-    /// The row of the samples taken, at the middle of their time; `None` if there were none.
+    /// Returns the row of the samples taken, at the middle of their time; `None` if there were none.
     pub fn row(&mut self) -> Option<(i64, impl Iterator<Item = f64> + '_)> {
         if self.count == 0 {
             return None;

@@ -20,7 +20,7 @@ impl Cdr {
         self
     }
 
-    /// The message so far.
+    /// Returns the message so far.
     pub(super) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -56,7 +56,7 @@ impl Cdr {
         self
     }
 
-    /// A text with its length, the final zero counted.
+    /// Appends a text with its length, including the final zero.
     pub(super) fn string(&mut self, text: &str) -> &mut Self {
         self.u32(text.len() as u32 + 1);
         self.bytes.extend_from_slice(text.as_bytes());

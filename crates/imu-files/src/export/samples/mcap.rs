@@ -68,7 +68,7 @@ impl Columns {
         triad.channels().into_iter().any(|channel| self.has(channel))
     }
 
-    /// A sample's value; NaN if it has none.
+    /// Returns a sample's value; NaN if it has none.
     fn value(&self, rows: &Rows<'_>, index: usize, channel: Channel) -> f64 {
         let column = self.0[channel as usize].and_then(|place| rows.columns.get(place));
         column.and_then(|column| column.get(index)).copied().unwrap_or(f64::NAN)
@@ -136,7 +136,8 @@ impl<W: Write> McapSink<W> {
                     .f64s(&accel_covariance);
             }
             Topic::Mag => {
-                // Divided, not multiplied by 1e-4, which no double is: so each value is the nearest to the true one.
+                // Divided, not multiplied by 1e-4, which is not a double, so that each value is the nearest to the true
+                // one.
                 let field = columns.triad(rows, index, Triad::Mag).map(|gauss| gauss / GAUSS_PER_TESLA);
                 if field.iter().all(|value| value.is_nan()) {
                     return false;

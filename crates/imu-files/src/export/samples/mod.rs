@@ -51,7 +51,7 @@ pub struct About {
 }
 
 impl About {
-    /// A file's description of the capture besides its samples, by name.
+    /// Returns a file's description of the capture besides its samples, by name.
     fn said(&self, tally: &Tally) -> Vec<(&'static str, String)> {
         let mut said = vec![
             ("capture", self.name.clone()),
@@ -77,7 +77,7 @@ pub struct Rows<'a> {
     pub first_seq: u64,
     /// The number of each row's segment.
     pub segment: &'a [u32],
-    /// Since the capture's first sample, ns.
+    /// Times since the capture's first sample, ns.
     pub time_ns: &'a [i64],
     /// The sensor's own clock, ns, if it was sent.
     pub device_ns: &'a [Option<u64>],
@@ -86,11 +86,11 @@ pub struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// The number of samples.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.time_ns.len()
     }
-    /// Whether there are no samples.
+    /// Returns whether there are no samples.
     pub fn is_empty(&self) -> bool {
         self.time_ns.is_empty()
     }
@@ -173,22 +173,22 @@ impl SampleFormat {
     /// All formats.
     pub const ALL: [Self; 4] = variants();
 
-    /// The name on the command line, and the extension of its files.
+    /// Returns the name on the command line, and the extension of its files.
     pub fn name(self) -> &'static str {
         self.into()
     }
 
-    /// The format of files with this extension, in any case of letters.
+    /// Returns the format of files with this extension, in any case of letters.
     pub fn of_ending(ending: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|format| format.name().eq_ignore_ascii_case(ending))
     }
 
-    /// Whether a terminal can show it.
+    /// Returns whether a terminal can show it.
     pub fn is_text(self) -> bool {
         matches!(self, Self::Csv | Self::Ndjson)
     }
 
-    /// Begins a file. `utc`: a text's `time_s` counts from 1970 instead of from the first sample.
+    /// Begins a file. With `utc`, a text's `time_s` counts from 1970 instead of from the first sample.
     ///
     /// # Errors
     /// [`ExportError`].
@@ -208,7 +208,7 @@ impl SampleFormat {
     }
 }
 
-/// RFC 3339 with nanoseconds.
+/// Returns the time as RFC 3339 with nanoseconds.
 fn rfc3339(utc_ns: i64) -> String {
     chrono::DateTime::from_timestamp_nanos(utc_ns).to_rfc3339_opts(chrono::SecondsFormat::Nanos, true)
 }

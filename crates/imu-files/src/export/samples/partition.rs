@@ -12,8 +12,8 @@ const NAME_CHARS: usize = 80;
 /// The number of characters of a database's identity in the file's name: 32 bits.
 const IDENTITY_CHARS: usize = 8;
 
-/// The file's path inside the data set, made from the sensor (`None` if its serial number is not known), the day in UTC
-/// on which the capture began, its database, id and name.
+/// Returns the file's path inside the data set, made from the sensor (`None` if its serial number is not known), the
+/// day in UTC on which the capture began, its database, id and name.
 pub fn partition_path(about: &About) -> String {
     let About { id, database, name, origin_ns, sensor, .. } = about;
     let sensor = escaped(sensor.serial_number().filter(|serial| !serial.is_empty()).unwrap_or("unknown"));
@@ -29,7 +29,7 @@ fn is_plain(character: char) -> bool {
     character.is_ascii_alphanumeric() || matches!(character, '-' | '_' | '.')
 }
 
-/// A partition's value: characters that are not plain as `%XX`, byte by byte.
+/// Returns a partition's value: characters that are not plain as `%XX`, byte by byte.
 fn escaped(value: &str) -> String {
     let byte =
         |byte: u8| if is_plain(char::from(byte)) { char::from(byte).to_string() } else { format!("%{byte:02X}") };

@@ -36,7 +36,7 @@ impl Topic {
         }
     }
 
-    /// The message's definition and those of its parts.
+    /// Returns the message's definition and those of its parts.
     pub(super) fn definition(self, channels: &[Channel]) -> String {
         match fields_of(&self.message().replace("/msg/", "/")) {
             Some(fields) => schema(fields),

@@ -9,9 +9,9 @@ pub const GAPS_LISTED: usize = 1000;
 /// Counts of a stretch, and its first gaps.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tally {
-    /// Samples.
+    /// Number of samples.
     pub samples: u64,
-    /// Samples missing between the first and the last one.
+    /// Number of samples missing between the first and the last one.
     pub missing: u64,
     /// The number of gaps.
     pub gaps: u64,
@@ -19,7 +19,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// A tally of this many samples, without gaps so far.
+    /// Returns a tally of this many samples, without gaps so far.
     pub fn of(samples: u64) -> Self {
         Self { samples, ..Self::default() }
     }
@@ -33,7 +33,7 @@ impl Tally {
         }
     }
 
-    /// The first gaps as a JSON list.
+    /// Returns the first gaps as a JSON list.
     pub(super) fn gaps_json(&self) -> String {
         let listed = self.listed.iter().map(|gap| {
             serde_json::json!({

@@ -172,7 +172,8 @@ fn text_counts_from_the_first_sample_or_from_1970() {
     assert_eq!(lines, "{\"time_s\":0,\"gyro_x\":0.0000001}\n{\"time_s\":0.025000001,\"gyro_x\":null}\n");
 }
 
-/// Doubles and integers of a message after its header, whose frame is `imu_link`: 4 + 4 + 4 + 4 + 9 bytes, then places of 8.
+/// Returns the doubles and integers of a message after its header, whose frame is `imu_link`: 4 + 4 + 4 + 4 + 9 bytes,
+/// then places of 8.
 fn doubles(data: &[u8]) -> Vec<f64> {
     assert_eq!(data[..4], [0, 1, 0, 0]);
     assert_eq!(&data[16..25], b"imu_link\0");
@@ -259,7 +260,7 @@ fn a_time_that_no_ros_stamp_holds_is_refused_with_its_sample() {
     }
 }
 
-/// Accepts this many bytes and no more.
+/// A destination that accepts only this many bytes.
 struct Full(usize);
 
 impl Write for Full {

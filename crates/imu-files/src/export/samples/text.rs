@@ -25,12 +25,12 @@ impl TextFormat {
     /// All formats.
     pub const ALL: [Self; 3] = variants();
 
-    /// The name in queries.
+    /// Returns the name in queries.
     pub fn name(self) -> &'static str {
         self.into()
     }
 
-    /// The name in HTTP's headers.
+    /// Returns the name in HTTP's headers.
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Json => "application/json",
@@ -49,9 +49,9 @@ pub struct TextHead {
     pub origin: String,
     /// Output rate in Hz.
     pub rate_hz: Option<f64>,
-    /// Samples in the range.
+    /// Number of samples in the range.
     pub samples: u64,
-    /// Samples per row if rows are minima and maxima of several.
+    /// Number of samples per row, if rows are minima and maxima of several.
     pub bucket: Option<u64>,
 }
 
@@ -65,7 +65,7 @@ pub struct TextWriter {
 }
 
 impl TextWriter {
-    /// A writer of these channels in this order, with two columns each if rows are minima and maxima.
+    /// Creates a writer of these channels in this order, with two columns each if rows are minima and maxima.
     pub fn new(format: TextFormat, channels: &[Channel], min_max: bool) -> Self {
         let suffixes: &[&str] = if min_max { &["_min", "_max"] } else { &[""] };
         let (mut names, mut units) = (vec!["time_s".to_owned()], vec!["s"]);
@@ -99,13 +99,13 @@ impl TextWriter {
         }
     }
 
-    /// The line that names the columns.
+    /// Writes the line that names the columns.
     fn header(&self, out: &mut String) {
         out.push_str(&self.names.join(","));
         out.push('\n');
     }
 
-    /// One row; a value that is not finite is absent.
+    /// Writes one row; a value that is not finite is absent.
     pub fn row(&mut self, out: &mut String, time_ns: i64, values: impl Iterator<Item = f64>) {
         match self.format {
             TextFormat::Csv => {
@@ -194,7 +194,7 @@ impl<W: Write> Sink for TextSink<W> {
     }
 }
 
-/// Nanoseconds as seconds, exactly, without trailing zeros.
+/// Writes nanoseconds as seconds, exactly, without trailing zeros.
 fn seconds(out: &mut String, ns: i64) {
     let sign = if ns < 0 { "-" } else { "" };
     let (whole, rest) = (ns.unsigned_abs() / 1_000_000_000, ns.unsigned_abs() % 1_000_000_000);
@@ -205,7 +205,7 @@ fn seconds(out: &mut String, ns: i64) {
     }
 }
 
-/// The shortest decimal that is read back as the same value.
+/// Writes the shortest decimal that is read back as the same value.
 fn number(out: &mut String, value: f64, absent: &str) {
     if value.is_finite() {
         let _ = write!(out, "{value}");

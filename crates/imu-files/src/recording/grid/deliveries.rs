@@ -40,7 +40,7 @@ pub(super) struct Deliveries<'a> {
 }
 
 impl<'a> Deliveries<'a> {
-    /// Determines this from stamps, ns since the first, which are multiples of `rounding_ns`.
+    /// Examines stamps, ns since the first, which are multiples of `rounding_ns`.
     pub(super) fn of(at_ns: &'a [f64], rounding_ns: u64) -> Self {
         let steps = STRETCH.min(at_ns.len() / 32);
         let lengths = || at_ns.iter().zip(at_ns.get(steps..).unwrap_or_default()).map(|(from, to)| to - from);
@@ -50,22 +50,22 @@ impl<'a> Deliveries<'a> {
         Self { at_ns, rounding_ns, stretch: (steps >= STRETCH_LEAST).then_some((steps, variance_ns2)) }
     }
 
-    /// The share of steps that are far shorter than a period.
+    /// Returns the share of steps that are far shorter than a period.
     fn together(&self, period_ns: f64) -> f64 {
         let short = self.at_ns.windows(2).filter(|two| two[1] - two[0] < TOGETHER * period_ns);
         short.count() as f64 / self.at_ns.len() as f64
     }
 
-    /// Whether most samples share their delivery with others, so that only the mean rate is known. Rounding may have
-    /// the same effect: then most stamps are one rounding step apart.
+    /// Returns whether most samples share their delivery with others, so that only the mean rate is known. Rounding may
+    /// have the same effect: then most stamps are one rounding step apart.
     pub(super) fn hide_the_grid(&self, mean_ns: f64) -> bool {
         let apart = || self.at_ns.windows(2).map(|two| two[1] - two[0]).filter(|step| *step > 0.0);
         let next = apart().filter(|step| *step == self.rounding_ns as f64).count();
         self.together(mean_ns) > LARGE_BATCHES && 2 * next <= apart().count()
     }
 
-    /// Whether deliveries explain the `missing` empty points of a grid beside `count` samples, so that they are no
-    /// losses.
+    /// Returns whether deliveries explain the `missing` empty points of a grid beside `count` samples, so that they are
+    /// no losses.
     pub(super) fn explain(&self, missing: u64, count: f64, grid: &StampGrid) -> bool {
         let Some((steps, variance_ns2)) = self.stretch.filter(|_| missing >= MISSING_LEAST) else { return false };
         let (missing, period_ns) = (missing as f64, grid.period_ns);

@@ -42,7 +42,8 @@ pub struct StampGrid {
 }
 
 impl StampGrid {
-    /// Whether the number of missing samples is exact: stamps are nearer to their own grid point than to any other.
+    /// Returns whether the number of missing samples is exact: stamps are nearer to their own grid point than to any
+    /// other.
     pub fn is_exact(&self) -> bool {
         self.resolved && self.jitter_ns < EXACT_JITTER * self.period_ns && (self.rounding_ns as f64) <= self.period_ns
     }

@@ -9,9 +9,9 @@ use super::StampGrid;
 use super::deliveries::{Deliveries, TOGETHER};
 use super::track::{self, HOLE, HOLE_LEAST_NS, Tracker};
 
-/// Stamps that are examined.
+/// The maximum number of stamps that are examined.
 pub(in crate::recording) const LOOK_AT: usize = 8192;
-/// Stamps on which a period is tried.
+/// The maximum number of stamps on which a period is tried.
 const TRY_ON: usize = 4096;
 /// Numbers of steps whose length proposes a period: those of ten besides those of two, for stamps with few decimals.
 const WINDOWS: [usize; 15] = [1, 2, 4, 5, 8, 10, 16, 20, 32, 64, 100, 200, 256, 500, 1024];
@@ -151,7 +151,7 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
 /// Jitter from this share of the period on hides single losses.
 const UNRESOLVED: f64 = 0.6;
 
-/// The grid of stamps whose errors are as large as the period: its period is their mean step.
+/// Returns the grid of stamps whose errors are as large as the period: its period is their mean step.
 fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
     let period_ns = line(at_ns)?;
     let half_ns = 0.5 * rounding_ns as f64;
@@ -180,7 +180,7 @@ fn unresolved(at_ns: &[f64], rounding_ns: u64) -> Option<StampGrid> {
     })
 }
 
-/// The slope of the line of stamps over their number.
+/// Returns the slope of the line of stamps over their number.
 fn line(at_ns: &[f64]) -> Option<f64> {
     let middle = 0.5 * (at_ns.len() as f64 - 1.0);
     let from_middle = || at_ns.iter().enumerate().map(|(index, at)| (index as f64 - middle, at));
@@ -189,7 +189,7 @@ fn line(at_ns: &[f64]) -> Option<f64> {
     Some(products / squares).filter(|slope| *slope > 0.0)
 }
 
-/// The grid with about this period and jitter, and the cost of stamps and losses under it, nats per sample.
+/// Returns the grid with about this period and jitter, and the cost of stamps and losses under it, nats per sample.
 fn tried_with(
     stamps: &[i64],
     at_ns: &[f64],
@@ -266,8 +266,8 @@ fn tried_with(
     nats.filter(|nats| nats.is_finite()).map(|nats| (nats, grid))
 }
 
-/// The position of the errors that no delay caused: their mode, or the middle of the densest stretch as long as the
-/// rounding.
+/// Returns the position of the errors that no delay caused: their mode, or the middle of the densest stretch as long as
+/// the rounding.
 fn center(errors: &mut [f64], half_ns: f64, period_ns: f64) -> Option<f64> {
     errors.sort_unstable_by(f64::total_cmp);
     if 2.0 * half_ns < 0.1 * period_ns {
@@ -287,7 +287,7 @@ fn center(errors: &mut [f64], half_ns: f64, period_ns: f64) -> Option<f64> {
     (best.0 > 0).then_some(best.1)
 }
 
-/// The largest power of ten of which all steps are multiples, ns; 0 if that is below a microsecond.
+/// Returns the largest power of ten of which all steps are multiples, ns; 0 if that is below a microsecond.
 pub(in crate::recording) fn rounding(stamps: &[i64]) -> u64 {
     let greatest = |of: &mut dyn Iterator<Item = u64>| {
         of.fold(0_u64, |mut one, mut other| {
@@ -302,7 +302,8 @@ pub(in crate::recording) fn rounding(stamps: &[i64]) -> u64 {
     powers.take_while(|power| common > 0 && common % power == 0).last().unwrap_or(0)
 }
 
-/// The period if samples come in mostly complete cells that share one stamp: the cell over the number of its samples.
+/// Returns the period if samples come in mostly complete cells that share one stamp: the cell over the number of its
+/// samples.
 fn whole_cells(stamps: &[i64], rounding_ns: u64) -> Option<f64> {
     let mut counts: Vec<u64> = Vec::new();
     let mut run = 1;
@@ -324,7 +325,7 @@ fn whole_cells(stamps: &[i64], rounding_ns: u64) -> Option<f64> {
     (share(most) > 0.3).then(|| rounding_ns as f64 / most as f64)
 }
 
-/// The grid point of the first stamp, ns since it, and by how many periods that stamp is late at most.
+/// Returns the grid point of the first stamp, ns since it, and by how many periods that stamp is late at most.
 fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     if 2.0 * half_ns > 0.5 * period_ns {
         // Several samples share a stamp: the middle of the possible range.
@@ -342,13 +343,14 @@ fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     Some((phase * period_ns, lowest.min(0)))
 }
 
-/// The first grid point according to each of the first stamps, if nothing is missing.
+/// Returns the first grid point according to each of the first stamps, if nothing is missing.
 fn starts(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Vec<f64> {
     let few = 32.max((4.0 * half_ns / period_ns) as usize).min(at_ns.len());
     at_ns[..few].iter().enumerate().map(|(index, at_ns)| at_ns - index as f64 * period_ns).collect()
 }
 
-/// The nearby period under which the phases of longer and longer stretches agree best; `None` if they do not agree.
+/// Returns the nearby period under which the phases of longer and longer stretches agree best; `None` if they do not
+/// agree.
 fn sharpened(at_ns: &[f64], proposal_ns: f64) -> Option<f64> {
     // Stamps delivered together have one phase whatever the period: only the first of them counts.
     let mut before = f64::NEG_INFINITY;
@@ -392,7 +394,8 @@ fn median(values: &mut [f64]) -> Option<f64> {
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The half-sample mode (Robertson and Cryer 1974): the densest half of the densest half, and so on; of equals the lowest.
+/// Returns the half-sample mode (Robertson and Cryer 1974): the densest half of the densest half, and so on; of equals
+/// the lowest.
 fn mode(values: &mut [f64]) -> Option<f64> {
     values.sort_unstable_by(f64::total_cmp);
     let mut of: &[f64] = values;

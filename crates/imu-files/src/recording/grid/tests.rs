@@ -22,7 +22,7 @@ enum Kind {
 const RATES_HZ: [f64; 8] = [25.0, 40.0, 50.0, 100.0, 128.0, 200.0, 400.0, 800.0];
 const LOSSES: [f64; 3] = [0.0, 0.01, 0.05];
 
-/// Stamps of samples in their order, ns, and the number of samples missing between the first and the last one.
+/// Returns stamps of samples in their order, ns, and the number of samples missing between the first and the last one.
 fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec<i64>, u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let count = (rate_hz * length_s) as usize;
@@ -63,7 +63,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
     (stamps, missing as u64)
 }
 
-/// What the grid shows for stamps: itself, missing samples, the rate.
+/// Returns the result for stamps: the grid, missing samples, the rate.
 fn told(stamps: &[i64]) -> (StampGrid, u64, f64) {
     let grid = find(stamps).unwrap();
     let mut tracker = Tracker::new(&grid);
@@ -85,7 +85,7 @@ fn told(stamps: &[i64]) -> (StampGrid, u64, f64) {
     (grid, missing, rate_hz)
 }
 
-/// Periods by which (samples + missing)/rate differs from last − first + one period.
+/// Returns the periods by which (samples + missing)/rate differs from last − first + one period.
 fn identity(stamps: &[i64], missing: u64, rate_hz: f64) -> f64 {
     let span_s = (stamps[stamps.len() - 1] - stamps[0]) as f64 / 1e9;
     (stamps.len() as u64 + missing) as f64 - 1.0 - span_s * rate_hz

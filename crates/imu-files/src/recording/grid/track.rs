@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 
 /// The maximum cost of a late stamp, nats.
 const LATE_MOST: f64 = 8.0;
-/// The same if deliveries are often late: less than a loss.
+/// [`LATE_MOST`] if deliveries are often late: less than a loss.
 const LATE_CHEAP: f64 = 3.0;
 /// The maximum cost of an early stamp, nats.
 const EARLY_MOST: f64 = 60.0;
@@ -45,9 +45,9 @@ pub(super) const HOLE_LEAST_NS: f64 = 2e9;
 const BESIDE: u32 = 32;
 /// Errors that differ by less are equal, periods.
 const ALIKE: f64 = 0.2;
-/// Stamps whose centroid is an end of the line that gives the period.
+/// Number of stamps whose centroid is an end of the line that gives the period.
 const END: usize = 256;
-/// The same if losses are not resolved: they may lie among these stamps.
+/// [`END`] if losses are not resolved: they may lie among these stamps.
 const END_UNRESOLVED: usize = 16;
 /// Slack of the rounding if several samples share one stamp, periods.
 const SLACK: f64 = 0.1;
@@ -112,12 +112,12 @@ pub(in crate::recording) struct Tracker {
 }
 
 impl Tracker {
-    /// A tracker that has seen no stamp yet.
+    /// Creates a tracker that has seen no stamp yet.
     pub(in crate::recording) fn new(grid: &StampGrid) -> Self {
         Self::with_gain(grid, GAIN)
     }
 
-    /// The same with another gain of the loop.
+    /// Creates a tracker with another gain of the loop.
     pub(super) fn with_gain(grid: &StampGrid, gain: f64) -> Self {
         // If several samples share a stamp, the first one's place among them is a guess.
         let coarse = grid.rounding_ns as f64 > grid.period_ns;
@@ -200,12 +200,12 @@ impl Tracker {
         self.paths = best.into_iter().collect();
     }
 
-    /// The next sample's position, once it is known.
+    /// Returns the next sample's position, once it is known.
     pub(in crate::recording) fn next(&mut self) -> Option<Placed> {
         self.placed.pop_front()
     }
 
-    /// The period that the stamps placed so far have on average, ns.
+    /// Returns the period that the stamps placed so far have on average, ns.
     pub(in crate::recording) fn mean_period_ns(&self) -> Option<f64> {
         // Among stamps that are equally late, such as many in batches, none is near its point. The line of stamps that
         // jump back and forth may fall, which is not a period.
@@ -225,14 +225,14 @@ impl Tracker {
         }
     }
 
-    /// A stamp's error, periods.
+    /// Returns a stamp's error, periods.
     fn error(&self, index: u64, level: i64, at_ns: f64) -> f64 {
         let (base_index, base_level, base_ns) = self.base;
         let points = index.wrapping_sub(base_index) as i64 + level - base_level;
         (at_ns - base_ns) / self.period_ns - points as f64
     }
 
-    /// A stamp within this distance of its point needs no other explanation.
+    /// Returns the distance from its point within which a stamp needs no other explanation.
     fn near(&self) -> f64 {
         let near = (self.half_ns + 2.0 * self.scale_ns) / self.period_ns;
         if self.grid.resolved { near.min(0.4) } else { 2.0 * near }
@@ -244,7 +244,7 @@ impl Tracker {
         (0.5 * beyond * beyond).min(most)
     }
 
-    /// How far a stamp may be from its point at no cost, ns: by any distance right behind a hole.
+    /// Returns how far a stamp may be from its point at no cost, ns: by any distance right behind a hole.
     fn free_ns(&self, index: u64) -> f64 {
         if index < self.loose_until { self.half_ns.max(0.5 * self.period_ns) } else { self.half_ns }
     }
@@ -299,7 +299,7 @@ impl Tracker {
         (0..self.paths.len()).min_by(|one, other| self.paths[*one].cost.total_cmp(&self.paths[*other].cost))
     }
 
-    /// For each waiting stamp the index of the path that ends at `end`.
+    /// Returns, for each waiting stamp, the index of the path that ends at `end`.
     fn trace(&self, end: usize) -> Vec<usize> {
         let mut places = vec![0; self.trellis.len()];
         let mut at = end;
@@ -310,7 +310,7 @@ impl Tracker {
         places
     }
 
-    /// The number of waiting stamps on which all paths agree.
+    /// Returns the number of waiting stamps on which all paths agree.
     fn common(&self) -> usize {
         let mut alive: Vec<usize> = (0..self.paths.len()).collect();
         for at in (0..self.trellis.len()).rev() {
@@ -368,7 +368,7 @@ impl Tracker {
         HOLE.max(HOLE_LEAST_NS / self.period_ns)
     }
 
-    /// The error beyond which a stamp is delayed, periods.
+    /// Returns the error beyond which a stamp is delayed, periods.
     fn gate(&self, index: u64) -> f64 {
         ((self.free_ns(index) + 4.0 * self.scale_ns) / self.period_ns).max(0.1)
     }
@@ -402,7 +402,7 @@ impl Tracker {
     }
 }
 
-/// The cost of a rise of the level, nats.
+/// Returns the cost of a rise of the level, nats.
 fn loss(rise: i64) -> f64 {
     if rise > 0 { LOSS + (rise as f64).ln() } else { 0.0 }
 }
@@ -414,7 +414,7 @@ struct Line {
     last: VecDeque<(f64, f64)>,
     /// Stamps at each end.
     end: usize,
-    /// Many samples share one stamp: all of them are needed.
+    /// Whether many samples share one stamp: then all of them are needed.
     coarse: bool,
     /// Sums: number, means, squares of points, products.
     fit: (f64, f64, f64, f64, f64),

@@ -296,7 +296,7 @@ fn check_length(read: u64, length: u32) -> Result<(), Fault> {
     Ok(())
 }
 
-/// The fields of a header: each a length, a name, `=` and a value.
+/// Returns the fields of a header: each a length, a name, `=` and a value.
 fn fields(mut header: &[u8]) -> impl Iterator<Item = Option<(&[u8], &[u8])>> {
     std::iter::from_fn(move || {
         if header.is_empty() {

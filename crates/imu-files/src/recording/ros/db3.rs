@@ -125,8 +125,8 @@ fn open(input: &Input) -> Result<Database, RecordingError> {
     Ok(database)
 }
 
-/// The log beside a bag that contains what its recorder had not yet moved into the bag when it was killed; `None` if
-/// there is none, or the file is no database.
+/// Returns the log beside a bag that contains the data that its recorder had not yet moved into the bag when it was
+/// killed; `None` if there is none, or the file is no database.
 pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
     let mut begin = Vec::new();
     std::fs::File::open(file).ok()?.take(MAGIC.len() as u64).read_to_end(&mut begin).ok()?;
@@ -136,8 +136,8 @@ pub fn unmerged_log(file: &Path) -> Option<PathBuf> {
     (begin == MAGIC && std::fs::metadata(&log).is_ok_and(|log| log.len() > 0)).then_some(log)
 }
 
-/// A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads. If that is
-/// impossible (a read-only folder), the file alone is used, provided that there is no log.
+/// Opens a bag. A bag whose recorder was killed may have a log beside it, which only an ordinary opening reads. If that
+/// is impossible (a read-only folder), the file alone is used, provided that there is no log.
 fn open_file(path: &Path) -> rusqlite::Result<Database> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
     let mut text = String::new();
@@ -211,7 +211,7 @@ impl Db3Reader {
         Ok(())
     }
 
-    /// The definitions of message types, if the bag has them.
+    /// Returns the definitions of message types, if the bag has them.
     fn definitions(&self) -> rusqlite::Result<HashMap<String, String>> {
         let sql = "SELECT topic_type, encoded_message_definition FROM message_definitions WHERE encoding = 'ros2msg' LIMIT ?1";
         let mut statement = self.database.prepare(sql)?;
@@ -253,7 +253,7 @@ impl Db3Reader {
         Ok(true)
     }
 
-    /// Reads the next rows or, if some cannot be read, those behind them; returns a description of what was skipped.
+    /// Reads the next rows or, if some cannot be read, those behind them; returns a description of the skipped rows.
     fn read_on(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<String> {
         if self.broken.is_none() {
             self.broken = match self.fill(wanted) {
@@ -305,7 +305,7 @@ impl Db3Reader {
         self.begins(start, wanted).then_some(start)
     }
 
-    /// Whether rows can be read from behind this one on; if so, they are read.
+    /// Returns whether rows can be read from behind this one on; if so, they are read.
     fn begins(&mut self, row: i64, wanted: &dyn Fn(u32) -> bool) -> bool {
         self.messages.clear();
         self.last_row = row;

@@ -90,7 +90,7 @@ impl Meaning {
         }
     }
 
-    /// The meaning of the type of the field `name`.
+    /// Returns the meaning of the type of the field `name`.
     fn of_field(self, kind: &str, name: &str) -> Self {
         match (self, name) {
             (Self::Imu, "angular_velocity") => Self::Vector(Triad::Gyro),
@@ -101,7 +101,7 @@ impl Meaning {
         }
     }
 
-    /// The channel that the number `name` contains, and its unit.
+    /// Returns the channel that the number `name` contains, and its unit.
     fn channel(self, name: &str) -> Option<(Channel, Unit)> {
         let of_ros = |channel: Channel| {
             let (name, factor) = match channel.triad() {
@@ -125,7 +125,7 @@ impl Meaning {
         }
     }
 
-    /// The triad whose covariance is in the array `name`.
+    /// Returns the triad whose covariance is in the array `name`.
     fn covariance(self, name: &str) -> Option<Triad> {
         match (self, name) {
             (Self::Imu, "angular_velocity_covariance") => Some(Triad::Gyro),
@@ -135,7 +135,7 @@ impl Meaning {
     }
 }
 
-/// Bytes of a built-in type; `None` for another one. `string` has no fixed size.
+/// Returns the bytes of a built-in type; `None` for another one. `string` has no fixed size.
 fn size_of(kind: &str, encoding: Encoding) -> Option<usize> {
     Some(match kind {
         // In ROS 2 they are messages.
@@ -183,7 +183,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// The fields of the type `name`: from the definition, the given ones, or the standard types.
+    /// Returns the fields of the type `name`: from the definition, the given ones, or the standard types.
     fn fields(&mut self, name: &str) -> Result<Option<Rc<[Field]>>, MessageError> {
         if !self.known.contains_key(name) {
             let given = MessageDefinition::text_of(self.given, name);
@@ -193,12 +193,12 @@ impl Types<'_> {
         Ok(self.known.get(name).map(Rc::clone))
     }
 
-    /// The fields of a standard type of ROS 2; those of ROS 1 differ, and its bags contain them.
+    /// Returns the fields of a standard type of ROS 2; those of ROS 1 differ, and its bags contain them.
     fn standard(&self, name: &str) -> Option<&'static str> {
         (self.encoding == Encoding::Cdr).then(|| ros_messages::fields_of(name)).flatten()
     }
 
-    /// The full name of the type that `kind` denotes inside a type of `package`, and its fields.
+    /// Returns the full name of the type that `kind` denotes inside a type of `package`, and its fields.
     fn resolve(&mut self, kind: &str, package: &str) -> Result<(String, Rc<[Field]>), MessageError> {
         let kind = plain_name(kind);
         let names = if kind.contains('/') {
@@ -248,7 +248,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// A field of a built-in type of `size` bytes.
+    /// Adds a field of a built-in type of `size` bytes.
     fn plain(&self, field: &Field, size: usize, meaning: Meaning, ops: &mut Vec<Op>) -> Result<(), MessageError> {
         let name = field.name.as_str();
         match field.repeat {
@@ -277,7 +277,7 @@ impl Types<'_> {
         Ok(())
     }
 
-    /// A field that is itself a message, or an array of messages.
+    /// Adds a field that is itself a message, or an array of messages.
     fn nested(
         &mut self,
         field: &Field,

@@ -62,8 +62,8 @@ pub enum DefinitionError {
 }
 
 impl MessageDefinition {
-    /// The definition of the type `name`, from the text of its `.msg` file; further types may follow in it as in a
-    /// bag's definitions.
+    /// Returns the definition of the type `name`, from the text of its `.msg` file; further types may follow in it as
+    /// in a bag's definitions.
     ///
     /// # Errors
     /// [`DefinitionError`] if the name or a line of the text is invalid.
@@ -107,17 +107,17 @@ impl MessageDefinition {
         }
     }
 
-    /// The type: `package/Name`, or `Name` in any package.
+    /// Returns the type: `package/Name`, or `Name` in any package.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The text of the type's `.msg` file without comments and empty lines, which have no effect.
+    /// Returns the text of the type's `.msg` file without comments and empty lines, which have no effect.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// The text of the type `package/Name` among these; a definition with its package takes precedence.
+    /// Returns the text of the type `package/Name` among these; a definition with its package takes precedence.
     pub(super) fn text_of<'a>(definitions: &'a [Self], name: &str) -> Option<&'a str> {
         let own = name.rsplit('/').next().unwrap_or_default();
         let find = |wanted: &str| definitions.iter().find(|definition| definition.name == wanted);
@@ -125,7 +125,7 @@ impl MessageDefinition {
     }
 }
 
-/// Whether this is `Name`, `package/Name` or `package/msg/Name`.
+/// Returns whether this is `Name`, `package/Name` or `package/msg/Name`.
 pub fn is_type_name(name: &str) -> bool {
     let parts: Vec<&str> = name.split('/').collect();
     let is_word = |part: &&str| {

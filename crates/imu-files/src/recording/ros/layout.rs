@@ -21,25 +21,25 @@ const CDR_FILL_BYTES: usize = 7;
 /// Why a definition or a message cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(in crate::recording) enum MessageError {
-    /// A line of a definition.
+    /// A line of a definition is invalid.
     #[error("the definition's line {0:?} is no field")]
     Line(String),
-    /// A type that is not defined.
+    /// A type is not defined.
     #[error("there is no definition of the type {0:?}: give it with --message-definition FILE.msg")]
     Type(String),
-    /// Too many fields, or a type that contains itself.
+    /// There are too many fields, or a type contains itself.
     #[error("the definition has more than {} fields, or a type that contains itself", super::definition::FIELDS_MAX)]
     TooMuch,
-    /// Neither of the encodings above.
+    /// The encoding is neither that of ROS 1 nor CDR.
     #[error("messages are encoded as {0:?}: ros1 and cdr are read")]
     Encoding(String),
-    /// Fewer bytes than the layout requires.
+    /// The message has fewer bytes than the layout requires.
     #[error("the message ends too early")]
     Short,
-    /// More bytes than the layout requires.
+    /// The message has more bytes than the layout requires.
     #[error("{0} bytes are left behind the message's last field")]
     Long(usize),
-    /// Too many steps.
+    /// Reading the message would take too many steps.
     #[error("the message has arrays of more than {STEPS_MAX} elements")]
     TooLong,
 }
@@ -52,7 +52,7 @@ pub(in crate::recording) enum Encoding {
 }
 
 impl Encoding {
-    /// The encoding with this name in MCAP and ROS 2 bags.
+    /// Returns the encoding with this name in MCAP and ROS 2 bags.
     pub(super) fn from_name(name: &str) -> Result<Self, MessageError> {
         match name {
             "ros1" => Ok(Self::Ros1),
@@ -114,7 +114,7 @@ pub(in crate::recording) struct Layout {
 }
 
 impl Layout {
-    /// The channels that a message of this type may contain, and their units in it.
+    /// Returns the channels that a message of this type may contain, and their units in it.
     pub(super) fn channels(&self) -> impl Iterator<Item = (Channel, Unit)> + '_ {
         self.ops.iter().filter_map(|op| match op {
             Op::Value { channel, unit, .. } => Some((*channel, *unit)),
@@ -122,12 +122,12 @@ impl Layout {
         })
     }
 
-    /// Whether a message of this type may have the sensor's raw line.
+    /// Returns whether a message of this type may have the sensor's raw line.
     pub(super) fn has_text(&self) -> bool {
         self.ops.contains(&Op::Text)
     }
 
-    /// The values in a message's bytes.
+    /// Returns the values in a message's bytes.
     pub(super) fn read<'a>(&self, bytes: &'a [u8]) -> Result<Values<'a>, MessageError> {
         let mut cursor = Cursor::new(bytes, self.encoding)?;
         let mut values = Values::default();
@@ -138,7 +138,7 @@ impl Layout {
     }
 }
 
-/// Nanoseconds since 1970 of a ROS time.
+/// Returns the nanoseconds since 1970 of a ROS time.
 pub(super) fn time_ns(seconds: u32, nanos: u32) -> i64 {
     i64::from(seconds) * NANOS_PER_SECOND as i64 + i64::from(nanos)
 }
@@ -155,7 +155,7 @@ struct Cursor<'a> {
     origin: usize,
     align_max: usize,
     big_endian: bool,
-    /// Strings end with a zero byte.
+    /// Whether strings end with a zero byte.
     zero_ended: bool,
     steps: u32,
 }

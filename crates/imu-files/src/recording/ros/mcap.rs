@@ -1,7 +1,7 @@
 //! The messages of an MCAP file, one after another.
 //!
 //! The crate `mcap` finds the file's records. The content of a record or chunk is parsed here, so that a damaged chunk
-//! costs only itself and no claimed length takes memory (the crate's own parsing of texts reserves what they claim).
+//! costs only itself and no claimed length takes memory (the crate's own parsing of texts reserves the claimed length).
 //! The index at the end is not needed: a file that was cut is read up to the cut. Messages of ROS 1 and ROS 2 with
 //! definitions in their schemas (`ros1msg`, `ros2msg`) are read.
 //!
@@ -104,7 +104,7 @@ impl McapReader {
                     return Err(error.to_string());
                 }
                 Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                    // The requested length is what the file claims: memory grows with the bytes present.
+                    // The requested length is the file's claim: memory grows with the bytes present.
                     let wanted = wanted.clamp(1, READ_BYTES);
                     let read = self.bytes.read(self.file.insert(wanted)).map_err(|error| {
                         self.ended = true;

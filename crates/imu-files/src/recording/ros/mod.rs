@@ -56,7 +56,7 @@ struct Connection {
 
 /// A file's entries, one after another.
 trait Messages {
-    /// The next entry; `None` at the end. Messages of unwanted connections are skipped.
+    /// Returns the next entry; `None` at the end. Messages of unwanted connections are skipped.
     fn next_entry(&mut self, wanted: &dyn Fn(u32) -> bool) -> Option<Entry<'_>>;
 
     /// Checks whether the file was read as far as possible: a cancelled reading looks like a damaged file.

@@ -179,7 +179,7 @@ impl Waiting {
     }
 }
 
-/// The row of a companion that belongs to no message.
+/// Returns the row of a companion that belongs to no message.
 fn alone(topics: &Topics, early: &Early, messages: u64) -> Row {
     let (beside, main) = (&topics.beside[early.beside].name, &topics.main.name);
     let text = format!("a message of {beside} whose stamp no message of {main} has");
@@ -205,7 +205,7 @@ impl Rows for RosRows {
     }
 }
 
-/// Rows of a message with a raw line; a second row follows if a good line stands behind a spliced one.
+/// Returns the rows of a message with a raw line; a second row follows if a good line stands behind a spliced one.
 fn from_line(
     number: u64,
     stamps: RowStamps,
@@ -236,7 +236,7 @@ fn from_line(
     }
 }
 
-/// The row of a message with numbers.
+/// Returns the row of a message with numbers.
 fn from_values(number: u64, stamps: RowStamps, values: &Values<'_>) -> Row {
     let mut sample = Sample::at(0, 0);
     for channel in Channel::ALL {

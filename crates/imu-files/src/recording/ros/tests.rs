@@ -39,7 +39,7 @@ fn column(recording: &LoadedRecording, channel: Channel) -> &[f64] {
     &recording.column(channel).unwrap().values
 }
 
-/// Both kinds of file with the same content.
+/// Returns both kinds of file with the same content.
 fn both(topics: &[Topic<'_>], messages: &[Message]) -> [(&'static str, Vec<u8>); 4] {
     [
         ("db3", db3(topics, messages)),
@@ -134,7 +134,7 @@ fn a_field_under_stamps_of_its_own_is_named_and_left_alone() {
     assert!(loaded.info.ignored_columns[0].starts_with("topic /imu/mag"), "{:?}", loaded.info.ignored_columns);
 }
 
-/// A driver's own message, as in the real recordings of the VN-100.
+/// Returns a driver's own message, as in the real recordings of the VN-100.
 fn driver(index: usize, raw: &str) -> Vec<u8> {
     Cdr::little_endian()
         .header(stamp_ns(index))
@@ -229,7 +229,7 @@ fn a_database_whose_rows_are_out_of_order_ends() {
     assert!(rejected.iter().any(|rejected| rejected.text.contains("out of order")), "{rejected:?}");
 }
 
-/// The leaves (kind 13) of the table of messages, from the first on.
+/// Returns the leaves (kind 13) of the table of messages, from the first on.
 fn leaves(bytes: &[u8]) -> (usize, Vec<usize>) {
     let page_bytes = usize::from(u16::from_be_bytes([bytes[16], bytes[17]]));
     let pages = (1..bytes.len() / page_bytes).map(|page| page * page_bytes);
@@ -393,7 +393,7 @@ fn definitions_are_bounded() {
 }
 
 proptest! {
-    /// The position of each value follows from what precedes it, whatever that is.
+    /// The position of each value follows from the preceding fields, whatever they are.
     #[test]
     fn a_value_is_found_behind_any_fields(fields in prop::collection::vec(0_usize..6, 0..12), value in -1e3..1e3_f64) {
         let (mut text, mut cdr) = (String::new(), Cdr::little_endian());

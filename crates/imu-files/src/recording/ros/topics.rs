@@ -47,7 +47,7 @@ impl Topic {
     }
 }
 
-/// The topic that a connection belongs to.
+/// The topic to which a connection belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Role {
     /// The recording.
@@ -124,7 +124,7 @@ impl Candidate {
         }
     }
 
-    /// Whether its messages have numbers that are used.
+    /// Returns whether its messages have numbers that are used.
     fn has_values(&self) -> bool {
         self.refused.is_none() && !self.topic.channels.is_empty()
     }
@@ -143,7 +143,7 @@ impl Candidate {
     }
 }
 
-/// The layout of a connection's messages.
+/// Returns the layout of a connection's messages.
 fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Layout, MessageError> {
     let encoding = connection.encoding.clone()?;
     definition::layout(&connection.message_type, &connection.definition, encoding, given)
@@ -277,7 +277,7 @@ impl Topics {
         let mut search = Search::default();
         let damage = search.pass(kind, input, given)?;
         if damage.is_some() {
-            // The damaged part may have stated the type of what followed; it is stated again at the end.
+            // The damaged part may have stated the type of later messages; it is stated again at the end.
             for candidate in &mut search.candidates {
                 (candidate.messages, candidate.raw) = (0, 0);
                 (candidate.stamps, candidate.shared) = (VecDeque::new(), Vec::new());
@@ -334,7 +334,7 @@ impl Topics {
         Ok(Self { kind, layouts: layouts.collect(), main, raw, beside, conversions, others })
     }
 
-    /// The parts of the file that are not read.
+    /// Returns the parts of the file that are not read.
     pub(in crate::recording) fn ignored(&self) -> Vec<String> {
         let mut ignored = self.others.clone();
         if !self.raw && self.main.channels.contains(Channel::GyroX) && !self.main.channels.contains(Channel::Yaw) {
@@ -343,7 +343,7 @@ impl Topics {
         ignored
     }
 
-    /// Channels in other units than their own.
+    /// Returns the channels in other units than their own.
     pub(in crate::recording) fn conversions(&self) -> Vec<Conversion> {
         self.conversions.clone()
     }

@@ -9,7 +9,7 @@ use imu_core::sample::Triad;
 /// A constant per axis, beside each channel's own `bias`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bias {
-    /// U.
+    /// The constants, U.
     pub axes: Axes,
 }
 

@@ -1,4 +1,4 @@
-//! g-sensitivity: gyroscopes feel acceleration.
+//! g-sensitivity: the response of gyroscopes to acceleration.
 
 use super::{Axes, Drive, TriadEffect};
 use crate::effects::Stage;
@@ -7,7 +7,7 @@ use crate::effects::spec::Form;
 use imu_core::sample::Triad;
 
 effect! {
-    /// The gyroscope shows M·a more, a being the specific force.
+    /// The gyroscope's output increases by M·a, with a the specific force.
     ///
     /// Source: IEEE Std 528-2019 (acceleration-sensitive drift rate).
     #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,7 +23,7 @@ impl TriadEffect for GSensitivity {
     fn deviation(&self, drive: Drive) -> Axes {
         self.m.map(|row| row.iter().zip(drive.accel_m_s2).map(|(m, a)| m * a).sum())
     }
-    /// Row by row.
+    /// Returns the matrix, row by row.
     fn coefficients(&self) -> Vec<f64> {
         self.m.concat()
     }

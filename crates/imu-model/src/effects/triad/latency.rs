@@ -1,4 +1,4 @@
-//! Latency: the triad shows the motion of a moment ago.
+//! Latency: the triad's output lags behind the motion.
 
 use super::{Axes, TriadEffect};
 use crate::effects::described::effect;
@@ -8,9 +8,10 @@ use imu_core::sample::Triad;
 use std::collections::VecDeque;
 
 effect! {
-    /// The motion arrives this much late; noise does not come from the motion and is left alone.
+    /// The motion arrives this much late; noise does not come from the motion and is not delayed.
     ///
-    /// Between samples the motion is a cubic through four of them (Lagrange). Before its start it is what it was at the start.
+    /// Between samples the motion is a cubic through four of them (Lagrange). Before its start it keeps its first
+    /// value.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Latency: dyn TriadEffect, 0, Stage::Latency;
     "the triad shows the motion of a moment ago";
@@ -18,7 +19,7 @@ effect! {
 }
 
 impl Latency {
-    /// The longest, s: it bounds the memory.
+    /// The longest latency, s: it bounds the memory.
     pub const SECONDS_MAX: f64 = 10.0;
 }
 
@@ -44,21 +45,21 @@ pub struct DelayLine {
     /// Weights of the samples from `skip` back on.
     weights: [f64; 4],
     skip: usize,
-    /// The latest first.
+    /// Past values, the latest first.
     past: VecDeque<Axes>,
 }
 
 impl DelayLine {
-    /// A delay by `samples` (0 or more).
+    /// Creates a delay by `samples` (0 or more).
     pub fn new(samples: f64) -> Self {
         let (skip, weights) = Self::nodes(samples);
         Self { weights, skip, past: VecDeque::new() }
     }
 
-    /// Which samples a delay by `samples` (0 or more) is made of: how many of the latest to skip, and the weights of the
-    /// four from there back.
+    /// Returns the samples that make up a delay by `samples` (0 or more): how many of the latest to skip, and the
+    /// weights of the next four.
     pub fn nodes(samples: f64) -> (usize, [f64; 4]) {
-        // The four nodes skip, skip + 1 … lie around the delay, as far as there are samples that young.
+        // The four nodes skip, skip + 1 … lie around the delay, as far as such recent samples exist.
         let skip = (samples.floor() - 1.0).max(0.0);
         let at = samples - skip;
         let weights = std::array::from_fn(|node| {

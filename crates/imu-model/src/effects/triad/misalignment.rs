@@ -13,8 +13,8 @@ pub struct Misalignment {
 }
 
 effect! {
-    /// Axes see one another alike: measured = true + S·true with S symmetric and zero on its diagonal. With misalignment it
-    /// makes the orthogonality errors of single axes.
+    /// Axes couple symmetrically: measured = true + S·true with S symmetric and zero on its diagonal. Together with
+    /// misalignment, this describes the orthogonality errors of single axes.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct CrossAxisSensitivity: dyn TriadEffect, 0, Stage::CrossAxis;
     "axes show a fraction of one another, alike in both directions";

@@ -1,7 +1,7 @@
 //! Effects on a triad: the response of its axes to a motion. They are deterministic and use no random numbers.
 //!
 //! In: the triad's input (rad/s or m/s²) and the specific force, both in the sensor's axes. Out: the triad's deviation
-//! from its input, and the derivatives of that by the parameters it is linear in, on which a diagnosis regresses.
+//! from its input, and its derivatives by the parameters in which it is linear, on which a diagnosis regresses.
 //!
 //! Within a stage every effect sees the same input and their contributions are summed: misalignment and cross-axis
 //! sensitivity together are the matrix 1 + θ× + S, for any order in a file.
@@ -40,15 +40,15 @@ pub struct Drive {
 
 /// One error source of a triad. U is the unit of its channels.
 pub trait TriadEffect: Described + std::fmt::Debug + Send + Sync {
-    /// The triads it makes sense on: those that a motion drives, if it needs one.
+    /// Returns the triads on which the effect makes sense: those that a motion drives, if the effect needs one.
     fn triads(&self) -> &'static [Triad] {
         &[Triad::Accel, Triad::Gyro]
     }
 
-    /// Whether the parameters are in their ranges and the effect may stand on this triad.
+    /// Checks whether the parameters are in their ranges and the effect may stand on this triad.
     ///
     /// # Errors
-    /// [`Refusal`] with the parameter, what was found and what is allowed.
+    /// [`Refusal`] with the parameter, the value found and the values allowed.
     fn check(&self, triad: Triad) -> Result<(), Refusal> {
         if !self.triads().contains(&triad) {
             let allowed = self.triads().iter().map(|triad| triad.name()).collect::<Vec<_>>().join(" or ");
@@ -57,35 +57,35 @@ pub trait TriadEffect: Described + std::fmt::Debug + Send + Sync {
         self.spec().check(&self.parameters())
     }
 
-    /// The triad's deviation from its input, for memoryless effects; 0 for the others.
+    /// Returns the triad's deviation from its input, for memoryless effects; 0 for the others.
     fn deviation(&self, drive: Drive) -> Axes {
         let _ = drive;
         [0.0; 3]
     }
 
-    /// The parameters that the deviation is linear in.
+    /// Returns the parameters in which the deviation is linear.
     fn coefficients(&self) -> Vec<f64> {
         Vec::new()
     }
 
-    /// The deviation's derivative by each of them: as many axes' values as there are coefficients.
+    /// Returns the deviation's derivative by each coefficient: one value per axis for each.
     fn regress(&self, drive: Drive) -> Vec<Axes> {
         let _ = drive;
         Vec::new()
     }
 
-    /// By how much the motion is late, s.
+    /// Returns the delay of the motion, s.
     fn delay_s(&self) -> f64 {
         0.0
     }
 
-    /// The largest magnitude an axis shows, U.
+    /// Returns the largest magnitude of an axis's output, U.
     fn range(&self) -> Option<f64> {
         None
     }
 }
 
-/// The derivatives by x, y and z for effects of which each acts on its own axis alone.
+/// Returns the derivatives by x, y and z for effects whose coefficients each act on one axis alone.
 fn diagonal(values: Axes) -> Vec<Axes> {
     let [x, y, z] = values;
     vec![[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]
@@ -102,7 +102,7 @@ mod tests {
     use crate::effects::{TRIAD, registry};
     use serde_json::json;
 
-    /// One of each kind, through the registry.
+    /// Returns one effect of each kind, through the registry.
     fn all() -> Vec<std::sync::Arc<dyn TriadEffect>> {
         [
             ("bias", json!({"x": 0.1, "y": -0.2, "z": 0.3})),

@@ -7,7 +7,7 @@ use crate::effects::spec::above;
 use imu_core::sample::Triad;
 
 effect! {
-    /// No axis shows more than ± the range, motion and noise alike.
+    /// No axis's output exceeds ± the range, motion and noise alike.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Saturation: dyn TriadEffect, 0, Stage::Saturation;
     "values beyond ± the range become its ends";

@@ -1,11 +1,11 @@
-//! Scale factor error: an axis shows a fixed fraction too much.
+//! Scale factor error: an axis's output is a fixed fraction too large.
 
 use super::{Axes, Drive, TriadEffect, diagonal, xyz};
 use crate::effects::Stage;
 use crate::effects::described::described;
 use crate::effects::spec::{ANY, Parameter};
 
-/// Each axis shows (1 + s) times its input.
+/// Each axis's output is (1 + s) times its input.
 ///
 /// Source: IEEE Std 528-2019 (scale factor error).
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,14 +5,14 @@ use crate::effects::Stage;
 use crate::effects::described::described;
 use crate::effects::spec::{ANY, Form, Parameter, above};
 
-/// Each axis deviates by a fraction x of full scale F at full scale: x·ω²/F, or x·ω·|ω|/F.
+/// Each axis deviates by x·ω²/F or x·ω·|ω|/F: by a fraction x of full scale F at full scale.
 ///
 /// Source: IEEE Std 528-2019 (scale-factor nonlinearity); the quadratic terms of IEEE Std 952-1997's model equation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScaleFactorNonlinearity {
     /// Deviation at full scale over full scale, per axis.
     pub axes: Axes,
-    /// F, U.
+    /// Full scale F, U.
     pub full_scale: f64,
     /// Whether the deviation keeps the input's sign (ω·|ω|) or not (ω²).
     pub signed: bool,

@@ -1,4 +1,4 @@
-//! Checking: whether a model can be simulated at a rate. Files, requests and models made in code pass through here alike.
+//! Checking: whether a model can be simulated at a rate. All models from files, requests and code are checked here.
 
 use super::{ChannelModel, Sampling, SensorModel};
 use crate::effects::{Effect, LARGEST, Refusal, Scope};
@@ -27,14 +27,14 @@ impl Fault {
     }
 }
 
-/// A shared effect: its name, the triad that shares it (else the whole sensor), and which of several it is.
+/// A shared effect: its name, the triad that shares it (else the whole sensor), and its index among several.
 type Shared<'a> = (&'a str, Option<Triad>, usize);
 
 impl SensorModel {
-    /// Whether the model can be simulated with an output of `rate_hz`.
+    /// Checks whether the model can be simulated with an output of `rate_hz`.
     ///
     /// # Errors
-    /// [`Fault`], the first one.
+    /// The first [`Fault`].
     pub fn check(&self, rate_hz: f64) -> Result<(), Fault> {
         if let Some(sampling) = &self.sampling {
             sampling.check(rate_hz)?;
@@ -58,7 +58,7 @@ impl SensorModel {
         self.check_shared()
     }
 
-    /// Channels that share an effect have to agree about it.
+    /// Checks that channels agree about the effects that they share.
     fn check_shared(&self) -> Result<(), Fault> {
         let mut told: BTreeMap<Shared<'_>, (Channel, &Arc<dyn Effect>)> = BTreeMap::new();
         for (channel, parameters) in &self.channels {
@@ -66,7 +66,7 @@ impl SensorModel {
             for (index, effect) in parameters.effects.iter().enumerate() {
                 let triad = match effect.scope() {
                     Scope::Triad if channel.triad().is_some() => channel.triad(),
-                    // Common mode is shared in its source alone: each channel has its own share of it.
+                    // Channels share only the source of common mode: each one has its own share of it.
                     Scope::Sensor if effect.timing().is_some() => None,
                     _ => continue,
                 };
@@ -106,7 +106,7 @@ impl Sampling {
         Err(Fault::new("sampling.filter_window", self.filter_window, expected))
     }
 
-    /// Internal samples per sample of the output at `rate_hz`; `None` if that is not a whole number.
+    /// Returns the internal samples per sample of the output at `rate_hz`; `None` if that is not a whole number.
     pub fn decimation(&self, rate_hz: f64) -> Option<usize> {
         let ratio = self.internal_rate_hz / rate_hz;
         let whole = ratio.round();
@@ -115,7 +115,7 @@ impl Sampling {
     }
 }
 
-/// Numbers far from 1 in powers of ten: 1e300 has three hundred digits otherwise.
+/// Writes numbers far from 1 in powers of ten: 1e300 would otherwise have three hundred digits.
 fn shown(value: f64) -> String {
     let size = value.abs();
     if size == 0.0 || (1e-6..1e15).contains(&size) { value.to_string() } else { format!("{value:e}") }

@@ -1,15 +1,15 @@
-//! Sensor models: the file format of docs/formats.md. JSON text in, checked parameters out, and back.
+//! Sensor models: the file format of docs/formats.md. JSON text is read to checked parameters, and written back.
 //!
 //! Refused with the file, the path inside it, the value found and the values allowed: unknown keys, channels and
-//! effects, parameters outside their ranges, tones from half the rate up, rates that do not divide one another, effects
-//! that channels share and disagree about. No input is ignored silently. The lists in the messages, and the JSON Schema
-//! ([`schema`], committed as `docs/sensor-model.schema.json`), come from [`crate::effects::registry`].
+//! effects, parameters outside their ranges, tones from half the rate up, rates that do not divide one another,
+//! disagreement of channels about shared effects. No input is ignored silently. The lists in the messages, and the JSON
+//! Schema ([`schema`], committed as `docs/sensor-model.schema.json`), come from [`crate::effects::registry`].
 //!
-//! A key that stands twice is refused: one of the two would be ignored.
+//! A key that occurs twice is refused: one of the two would be ignored.
 //!
-//! `provenance` (top level) may hold any value and is written back. `uncertainty` (per channel) has entries for N, B, K and bias,
-//! and a list `effects` beside the channel's effects: an object of the parameters of each whose uncertainty is known. An entry is
-//! `{"ci95": [low, high]}` or `{"upper_limit95": limit}`, in the parameter's unit.
+//! `provenance` (top level) may hold any value and is written back. `uncertainty` (per channel) has entries for N, B, K
+//! and bias, and a list `effects` beside the channel's effects: for each effect, an object of the parameters whose
+//! uncertainty is known. An entry is `{"ci95": [low, high]}` or `{"upper_limit95": limit}`, in the parameter's unit.
 
 mod check;
 mod place;
@@ -54,12 +54,12 @@ pub enum ModelError {
         /// The error of the parser, with line and column.
         source: serde_json::Error,
     },
-    /// A value in it is not allowed.
+    /// A value in the text is not allowed.
     #[error("{file}: {path}: found {found}; expected {expected}")]
     Content {
         /// The source of the text.
         file: String,
-        /// The place inside it, such as `channels.gyro_x.N`.
+        /// The place inside the text, such as `channels.gyro_x.N`.
         path: String,
         /// The value that was found.
         found: String,
@@ -79,8 +79,8 @@ pub struct ChannelModel {
     pub k: f64,
     /// A constant, U.
     pub bias: Option<f64>,
-    /// Further error sources. Their order matters only among several of one kind: each has a separate random stream, the first,
-    /// the second…
+    /// Further error sources. Their order matters only among several of one kind: each of these has its own random
+    /// stream
     pub effects: Vec<Arc<dyn Effect>>,
     /// The accuracy of the parameters: entries for N, B, K and bias, such as `{"N": {"ci95": […]}}`, and under `effects` a list
     /// of objects, one for each of `effects`, such as `[{"tau_s": {"ci95": […]}}]`. Read and written by
@@ -95,19 +95,20 @@ pub struct TriadModel {
     pub effects: Vec<Arc<dyn TriadEffect>>,
 }
 
-/// How a sensor computes its output from its own samples: the mean of the last `filter_window` of them, every n-th
-/// sent.
+/// How a sensor computes its output from its own samples: the mean of the last `filter_window` samples, of which every
+/// n-th is sent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sampling {
     /// The sensor's own rate, a whole multiple of the output's.
     pub internal_rate_hz: f64,
-    /// Samples of that rate that are averaged, from 1.
+    /// Number of averaged samples at that rate, from 1.
     pub filter_window: u64,
 }
 
 impl Sampling {
-    /// Factor from the sensor's own white density to the one that is seen at `rate_hz`, at low frequencies: √Σ |H(kR)|² over the
-    /// images k of the output's rate R, H the boxcar's response. 1 if the rates do not divide one another.
+    /// Returns the factor from the sensor's own white density to the one at `rate_hz`, at low frequencies: √Σ |H(kR)|²
+    /// over the images k of the output's rate R, with H the boxcar's response. 1 if the rates do not divide one
+    /// another.
     pub fn density_factor(self, rate_hz: f64) -> f64 {
         let images = self.decimation(rate_hz).unwrap_or(1);
         let gain = |image: usize| {
@@ -120,22 +121,23 @@ impl Sampling {
 /// A sensor: the simulator's input.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SensorModel {
-    /// A name for people.
+    /// A name for display.
     pub name: String,
     /// The output rate in Hz.
     pub rate_hz: f64,
-    /// The channels it has, in column order.
+    /// The channels of the sensor, in column order.
     pub channels: BTreeMap<Channel, ChannelModel>,
     /// Effects on triads.
     pub triads: BTreeMap<Triad, TriadModel>,
-    /// If it is given, N, B and K are the sensor's own, before its boxcar and decimation; else they are those seen at `rate_hz`.
+    /// If given, N, B and K are the sensor's own, before its boxcar and decimation; otherwise they are those at
+    /// `rate_hz`.
     pub sampling: Option<Sampling>,
     /// The source of the model, in any form.
     pub provenance: Option<Map<String, Value>>,
 }
 
 impl SensorModel {
-    /// The rate at which the chain runs before sampling, for an output at `rate_hz`.
+    /// Returns the rate at which the chain runs before sampling, for an output at `rate_hz`.
     pub fn internal_rate_hz(&self, rate_hz: f64) -> f64 {
         self.sampling.map_or(rate_hz, |sampling| sampling.internal_rate_hz)
     }
@@ -316,7 +318,7 @@ mod tests {
             (of.effect_interval(1, "frequency_hz"), of.effect_interval(1, "amplitude")),
             (Some([6.9, 7.1]), None)
         );
-        // A caller that pushes an effect directly does not make a file that cannot be read.
+        // A caller that pushes an effect directly must not produce a file that cannot be read.
         of.effects.push(tone(9.0));
         assert_eq!(of.remove_effect(0), Some(tone(3.0)));
         assert_eq!(of.effect_interval(0, "frequency_hz"), Some([6.9, 7.1]));

@@ -1,36 +1,36 @@
-//! A value inside a model's file and where it stands, for messages that name both.
+//! A value inside a model's file with its place, for messages that name both.
 
 use super::ModelError;
 use serde_json::Value;
 
-/// "one of a, b, c".
+/// Returns "one of a, b, c".
 pub(super) fn one_of(names: &[&str]) -> String {
     format!("one of {}", names.join(", "))
 }
 
-/// The place of a key inside the object at `path`.
+/// Returns the place of a key inside the object at `path`.
 pub(super) fn inside(path: &str, key: &str) -> String {
     if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") }
 }
 
-/// The value at the place, as far as a sentence can hold it.
+/// Returns the value at the place, as far as it fits a sentence.
 fn shown(value: &Value) -> String {
     const MOST: usize = 60;
     let text = value.to_string();
     if text.chars().count() <= MOST { text } else { text.chars().take(MOST).chain(['…']).collect() }
 }
 
-/// A value and where it stands.
+/// A value and its place.
 pub(super) struct Place<'a> {
     pub(super) file: &'a str,
     pub(super) path: String,
-    /// The last key of the path; it may have a dot in it.
+    /// The last key of the path; it may contain a dot.
     key: String,
     pub(super) value: &'a Value,
 }
 
 impl<'a> Place<'a> {
-    /// The whole file.
+    /// Returns the place of the whole file.
     pub(super) fn root(file: &'a str, value: &'a Value) -> Self {
         Self { file, path: String::new(), key: String::new(), value }
     }

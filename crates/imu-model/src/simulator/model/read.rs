@@ -1,4 +1,4 @@
-//! Reading: JSON into a model, every refusal with its place.
+//! Reading: turns JSON into a model; every refusal states its place.
 
 use super::place::{Place, one_of};
 use super::{
@@ -11,14 +11,14 @@ use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Rates of a model's output: a sample in a quarter of an hour, and more than inertial sensors give.
+/// Rates of a model's output: from a sample in a quarter of an hour to more than inertial sensors give.
 pub(super) const RATES_HZ: std::ops::RangeInclusive<f64> = 0.001..=100_000.0;
 
 impl SensorModel {
     /// Reads a model from JSON text; `file` names it in messages.
     ///
     /// # Errors
-    /// [`ModelError`] with the place and what is allowed there.
+    /// [`ModelError`] with the place and the values allowed there.
     pub fn from_json(text: &str, file: &str) -> Result<Self, ModelError> {
         let parsed =
             super::unique::parse(text).map_err(|source| ModelError::Syntax { file: file.to_owned(), source })?;
@@ -31,11 +31,11 @@ impl SensorModel {
         Self::from_value(&value, file)
     }
 
-    /// Reads a model from parsed JSON (one that came inside a request, say); `file` names it in messages. Keys that stood twice
-    /// can no longer be detected.
+    /// Reads a model from parsed JSON, such as a part of a request; `file` names it in messages. Keys that occurred
+    /// twice can no longer be detected.
     ///
     /// # Errors
-    /// [`ModelError`] with the place and what is allowed there.
+    /// [`ModelError`] with the place and the values allowed there.
     pub fn from_value(value: &Value, file: &str) -> Result<Self, ModelError> {
         let root = Place::root(file, value);
         root.only_keys(&KEYS)?;
@@ -114,7 +114,7 @@ fn triads(places: &Place<'_>) -> Result<BTreeMap<Triad, TriadModel>, ModelError>
     Ok(triads)
 }
 
-/// A list of effects of these kinds.
+/// Returns a list of effects of these kinds.
 fn effects<E: ?Sized>(list: &Place<'_>, kinds: &'static [&'static Definition<E>]) -> Result<Vec<Arc<E>>, ModelError> {
     list.items("a list of effects")?.iter().map(|place| effect(place, kinds)).collect()
 }

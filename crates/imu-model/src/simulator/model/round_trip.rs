@@ -1,4 +1,4 @@
-//! Models of any content, written and read back.
+//! Models of any content are written and read back.
 
 use super::*;
 use crate::effects::spec::{Form, Need, Range};
@@ -6,7 +6,7 @@ use crate::effects::{CHANNEL, Definition, EffectKind, Spec, TRIAD};
 use proptest::prelude::*;
 use serde_json::json;
 
-/// Numbers from 0 to below 1, one after the other.
+/// A source of numbers from 0 to below 1.
 struct Pool<'a>(std::iter::Cycle<std::slice::Iter<'a, f64>>);
 
 impl Pool<'_> {
@@ -18,7 +18,8 @@ impl Pool<'_> {
     }
 }
 
-/// Any number of a range; relations that a table cannot express (limits in order, jitter below a period) hold too.
+/// Returns a number of a range; it also satisfies relations that a table cannot express (limits in order, jitter below
+/// a period).
 fn number(name: &str, range: Range, pool: &mut Pool<'_>) -> f64 {
     let unit = pool.unit();
     match (name, range) {
@@ -53,7 +54,7 @@ fn value(name: &str, form: Form, pool: &mut Pool<'_>) -> Value {
     }
 }
 
-/// A file's entry for a kind, optional keys there or not.
+/// Returns a file's entry for a kind, with some of the optional keys.
 fn entry<E: ?Sized>(kind: &Definition<E>, pool: &mut Pool<'_>) -> Value {
     entry_of(kind.spec, pool)
 }
@@ -77,7 +78,7 @@ fn entry_of(spec: &Spec, pool: &mut Pool<'_>) -> Value {
     entry
 }
 
-/// Any model at 1000 Hz, or at a tenth of that behind a boxcar.
+/// Returns a model at 1000 Hz, or at a tenth of that behind a boxcar.
 fn model(pool: &mut Pool<'_>) -> Value {
     let sampled = pool.unit() < 0.5;
     let mut model = json!({

@@ -1,4 +1,4 @@
-//! The JSON Schema of sensor models, made of the same tables as the reader.
+//! The JSON Schema of sensor models, made from the same tables as the reader.
 
 use super::read::RATES_HZ;
 use super::uncertainty::ENTRY_KEYS;
@@ -7,11 +7,11 @@ use crate::effects::{CHANNEL, Definition, LARGEST, TRIAD};
 use imu_core::sample::Channel;
 use serde_json::{Map, Value, json};
 
-/// The schema (draft 2020-12) of `docs/sensor-model.schema.json`.
+/// Returns the schema (draft 2020-12) of `docs/sensor-model.schema.json`.
 ///
-/// It expresses what a table of ranges can express. The reader alone refuses these: frequencies from half the rate up, rates that
-/// do not divide one another, limits in the wrong order, channels that disagree about a shared effect, keys that stand twice, and
-/// uncertainties of absent parameters.
+/// The schema expresses what a table of ranges can express. Only the reader refuses: frequencies from half the rate up,
+/// rates that do not divide one another, limits in the wrong order, channels that disagree about a shared effect, keys
+/// that occur twice, and uncertainties of absent parameters.
 pub fn schema() -> Value {
     let object = |properties: Map<String, Value>, required: &[&str]| json!({"type": "object", "properties": properties, "required": required, "additionalProperties": false});
     let amplitude = |meaning: &str| json!({"type": "number", "minimum": 0, "maximum": LARGEST, "default": 0, "description": meaning});

@@ -6,7 +6,7 @@
 //!   "effects": [ { "frequency_hz": { "ci95": [11.39, 11.41] } }, {} ] }
 //! ```
 //!
-//! Read strictly, so that an interval that is misspelt is not taken for one that is not known.
+//! Entries are read strictly, so that a misspelt interval does not count as unknown.
 
 use super::place::{Place, one_of};
 use super::{ChannelModel, EFFECTS, ModelError, UNCERTAIN_KEYS};
@@ -20,18 +20,19 @@ const INTERVAL: &str = "ci95";
 const LIMIT: &str = "upper_limit95";
 
 impl ChannelModel {
-    /// The 95 % interval of N, B, K or `bias`, from low to high, in the parameter's unit; None if none is stated.
+    /// Returns the 95 % interval of N, B, K or `bias`, from low to high, in the parameter's unit; `None` if none is
+    /// stated.
     pub fn interval(&self, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(parameter)?)
     }
 
-    /// The 95 % upper limit of N, B or K if the data does not support it; None if none is stated.
+    /// Returns the 95 % upper limit of N, B or K if the data does not support it; `None` if none is stated.
     pub fn upper_limit(&self, parameter: &str) -> Option<f64> {
         self.uncertainty.as_ref()?.get(parameter)?.get(LIMIT)?.as_f64()
     }
 
-    /// The 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], from low to high, in the
-    /// parameter's unit; None if none is stated.
+    /// Returns the 95 % interval of a parameter of the effect at `index` of [`ChannelModel::effects`], from low to
+    /// high, in the parameter's unit; `None` if none is stated.
     pub fn effect_interval(&self, index: usize, parameter: &str) -> Option<[f64; 2]> {
         ends(self.uncertainty.as_ref()?.get(EFFECTS)?.get(index)?.get(parameter)?)
     }
@@ -58,7 +59,7 @@ impl ChannelModel {
         }
     }
 
-    /// Adds an effect, with the 95 % intervals of those of its parameters that have one, in the parameters' units.
+    /// Adds an effect, with the 95 % intervals of its parameters as far as they are known, in the parameters' units.
     pub fn push_effect(&mut self, effect: Arc<dyn Effect>, ci95: &[(&str, [f64; 2])]) {
         self.effects.push(effect);
         for (parameter, ends) in ci95 {
@@ -66,7 +67,7 @@ impl ChannelModel {
         }
     }
 
-    /// Removes the effect at `index`, with its stated uncertainties; None if there is none.
+    /// Removes the effect at `index`, with its stated uncertainties; `None` if there is none.
     pub fn remove_effect(&mut self, index: usize) -> Option<Arc<dyn Effect>> {
         if index >= self.effects.len() {
             return None;
@@ -78,8 +79,8 @@ impl ChannelModel {
         Some(self.effects.remove(index))
     }
 
-    /// The uncertainty as written: the list of the effects' entries is as long as that of the effects, after any additions and
-    /// removals.
+    /// Returns the uncertainty as written: the list of the effects' entries is as long as that of the effects, after
+    /// any additions and removals.
     pub(super) fn written_uncertainty(&self) -> Option<Map<String, Value>> {
         let mut known = self.uncertainty.clone()?;
         match known.get_mut(EFFECTS) {
@@ -100,7 +101,7 @@ fn ends(entry: &Value) -> Option<[f64; 2]> {
     Some([ends.get(0)?.as_f64()?, ends.get(1)?.as_f64()?])
 }
 
-/// A channel's `uncertainty`, beside the effects that it has.
+/// Reads a channel's `uncertainty`, which must match the channel's effects.
 pub(super) fn read(place: &Place<'_>, effects: &[Arc<dyn Effect>]) -> Result<Map<String, Value>, ModelError> {
     place.only_keys(&UNCERTAIN_KEYS)?;
     for of in place.entries("an object")? {

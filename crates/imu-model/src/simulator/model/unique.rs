@@ -1,23 +1,23 @@
-//! JSON text into a value, with every key that an object holds twice found: `serde_json` itself keeps the last one.
+//! Reads JSON text to a value and finds keys that occur twice in an object: `serde_json` itself keeps the last one.
 
 use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Number, Value};
 use std::cell::RefCell;
 use std::fmt;
 
-/// A key that stands twice in one object.
+/// A key that occurs twice in one object.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Twice {
-    /// The place of the second one, such as `channels.gyro_x.N`.
+    /// The place of the second occurrence, such as `channels.gyro_x.N`.
     pub(super) path: String,
     /// The key.
     pub(super) key: String,
 }
 
-/// The value of a text, or the first key that stands twice in it.
+/// Returns the value of a text, or the first key that occurs twice in it.
 ///
 /// # Errors
-/// What is no JSON.
+/// The error of a text that is not JSON.
 pub(super) fn parse(text: &str) -> Result<Result<Value, Twice>, serde_json::Error> {
     let twice = RefCell::new(None);
     let mut reader = serde_json::Deserializer::from_str(text);
@@ -26,7 +26,7 @@ pub(super) fn parse(text: &str) -> Result<Result<Value, Twice>, serde_json::Erro
     Ok(twice.into_inner().map_or(Ok(value), Err))
 }
 
-/// A value to come, its place, and the record of a key that stands twice.
+/// A value to be read, its place, and the record of a key that occurs twice.
 struct Node<'a> {
     path: String,
     twice: &'a RefCell<Option<Twice>>,

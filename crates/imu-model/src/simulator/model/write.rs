@@ -1,4 +1,4 @@
-//! Writing: a model as the JSON that is read back as the same model.
+//! Writing: turns a model into JSON that reads back as the same model.
 
 use super::{ChannelModel, FORMAT, Sampling, SensorModel, TriadModel};
 use crate::effects::{Effect, TriadEffect};

@@ -5,7 +5,8 @@ use crate::draw::Draw;
 use crate::kind::Kind;
 use std::f64::consts::TAU;
 
-/// A line whose frequency (cycles per sample) and amplitude (σ) are given sample by sample, from a random phase on.
+/// Returns a line whose frequency (cycles per sample) and amplitude (σ) are given sample by sample, starting from a
+/// random phase.
 fn line(draw: &mut Draw, mut at: impl FnMut(usize, &mut Draw) -> (f64, f64)) -> impl FnMut(usize) -> f64 {
     let mut turns = draw.uniform(0.0, 1.0);
     let mut draw = draw.split();
@@ -57,14 +58,14 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 column.add(line(draw, |i, _| (cycles, size * (celsius[i] - low) / (high - low).max(1e-9))));
             })
         }
-        // A line that dies away.
+        // A line that decays.
         Kind::DyingLine => {
             let (size, tau) = (device.log_uniform(0.4, 2.0), samples as f64 / device.uniform(5.0, 12.0));
             Drawn::new(size, "first_amplitude", move |column, _, draw| {
                 column.add(line(draw, |i, _| (cycles, size * (-(i as f64) / tau).exp())));
             })
         }
-        // Struck again and again, it rings each time.
+        // A line that is struck repeatedly and rings each time.
         Kind::RingDowns => {
             let (size, tau) = (device.log_uniform(1.0, 6.0), device.log_uniform(20.0, 200.0));
             let apart = device.log_uniform(20.0, 100.0) * tau;

@@ -1,17 +1,17 @@
-//! Changes of samples on their way out that no effect of the library makes.
+//! Changes of samples on their way out that no effect of the library describes.
 
 use super::{Drawn, on_and_off};
 use crate::draw::Draw;
 use crate::kind::Kind;
 use std::f64::consts::{PI, TAU};
 
-/// A level about which values differ: the mean of the first thousand.
+/// Returns the level about which values vary: the mean of the first thousand.
 fn level(values: &[f64]) -> f64 {
     let first = &values[..values.len().min(1_000)];
     first.iter().sum::<f64>() / first.len().max(1) as f64
 }
 
-/// y = b₀x + b₁x₁ + b₂x₂ − a₁y₁ − a₂y₂ about the level, which stays.
+/// Applies y = b₀x + b₁x₁ + b₂x₂ − a₁y₁ − a₂y₂ about the level, which stays.
 fn biquad(values: &mut [f64], [b0, b1, b2, a1, a2]: [f64; 5]) {
     let level = level(values);
     let (mut x1, mut x2, mut y1, mut y2) = (0.0, 0.0, 0.0, 0.0);
@@ -25,7 +25,7 @@ fn biquad(values: &mut [f64], [b0, b1, b2, a1, a2]: [f64; 5]) {
 
 pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
     match kind {
-        // Means of neighbours stand between the measured samples, now and then.
+        // Some samples are means of neighbouring measured samples.
         Kind::NeighbourMeans => {
             let size = device.log_uniform(0.02, 0.4);
             Drawn::new(size, "share", move |column, _, draw| {
@@ -35,7 +35,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
                 }
             })
         }
-        // Each second, third … sample is the one before.
+        // Each second, third … sample repeats the one before.
         Kind::RepeatedPattern => {
             let every = device.whole(2, 6);
             Drawn::new(every as f64, "every", move |column, _, _| {
@@ -89,7 +89,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
                 }
             })
         }
-        // The output cannot move faster than so much per sample.
+        // The output cannot move by more than a limit per sample.
         Kind::SlewLimit => {
             let size = device.log_uniform(0.5, 2.0);
             Drawn::new(size, "per_sample", move |column, _, _| {
@@ -108,7 +108,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Drawn {
                 column.values.iter_mut().for_each(|value| *value = level + knee * ((*value - level) / knee).tanh());
             })
         }
-        // A band is taken out.
+        // A band is removed.
         Kind::Notch => {
             let (cycles, size) = (device.uniform(0.06, 0.42), device.log_uniform(0.005, 0.05));
             Drawn::new(size, "bandwidth", move |column, _, _| {

@@ -6,7 +6,7 @@ use crate::kind::Kind;
 
 pub(super) fn draw(kind: Kind, device: &mut Draw) -> Option<Drawn> {
     Some(match kind {
-        // Two humps: every sample lies to one side of the middle or the other. The variance is kept.
+        // Two humps: every sample lies on one side of the middle or the other. The variance is kept.
         Kind::BimodalNoise => {
             let size = device.uniform(0.5, 0.9);
             Drawn::new(size, "apart", move |column, _, draw| {
@@ -16,7 +16,7 @@ pub(super) fn draw(kind: Kind, device: &mut Draw) -> Option<Drawn> {
                     .amplify(|_, white| if white == 0.0 { 1.0 } else { (rest * white + size * signs.sign()) / white });
             })
         }
-        // Evenly spread, in part: the variance is kept.
+        // Evenly spread in part. The variance is kept.
         Kind::UniformNoise => {
             let size = device.uniform(0.6, 1.0);
             Drawn::new(size, "part", move |column, _, draw| {

@@ -1,8 +1,8 @@
-//! Kinds outside the library that act on each of their channels separately: a size, a statement for the key, and a function of
-//! the column.
+//! Kinds outside the library that act on each of their channels separately: a size, an entry for the key, and a
+//! function of the column.
 //!
-//! Sizes are in units of the white part's standard deviation. They are drawn so that the effect is visible to a reader who
-//! examines the record long enough; there is no limit for them.
+//! Sizes are in units of the white part's standard deviation. They are drawn so that the effect is visible to a reader
+//! who examines the record long enough; they have no limit.
 
 mod carrier;
 mod chain;
@@ -14,7 +14,7 @@ use crate::columns::{Column, Columns};
 use crate::draw::Draw;
 use crate::kind::Kind;
 
-/// A change of one column; with it the true temperature at every sample, °C, empty if it is not known.
+/// A change of one column; it receives the true temperature at every sample, °C, empty if it is not known.
 type Change = Box<dyn Fn(&mut Column, &[f64], &mut Draw) + Send + Sync>;
 
 /// The same change on every column, with separate draws on each.
@@ -46,7 +46,7 @@ impl Act for Clock {
     }
 }
 
-/// A kind of these: its size, its name in a key, and the change.
+/// A drawn kind outside the library: its size, its name in a key, and the change.
 struct Drawn {
     size: f64,
     name: &'static str,
@@ -80,7 +80,8 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
     Made { size: drawn.size, parameters: vec![entry; count], act: Box::new(Each(drawn.change)) }
 }
 
-/// A random square wave: marks which of `samples` are on, for `on` samples on average, and then off for `off`.
+/// Returns a random square wave that marks which of `samples` are on: on for `on` samples on average, then off for
+/// `off`.
 fn on_and_off(samples: usize, on: f64, off: f64, draw: &mut Draw) -> Vec<bool> {
     let mut is_on = draw.chance(on / (on + off));
     let mut made = Vec::with_capacity(samples);
@@ -92,7 +93,7 @@ fn on_and_off(samples: usize, on: f64, off: f64, draw: &mut Draw) -> Vec<bool> {
     made
 }
 
-/// Events about so many samples apart: the time of each, from 1 on.
+/// Returns the times, from 1 on, of events that are about `apart` samples apart.
 fn events(samples: usize, apart: f64, draw: &mut Draw) -> Vec<usize> {
     draw.events((1.0 / apart).min(0.5), samples)
 }

@@ -1,4 +1,4 @@
-//! Levels that wander in ways that no effect of the library has.
+//! Levels that wander in ways that no effect of the library describes.
 
 use super::{Drawn, events, on_and_off};
 use crate::draw::Draw;
@@ -6,10 +6,10 @@ use crate::kind::Kind;
 use std::f64::consts::{PI, TAU};
 
 pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Drawn> {
-    // Slow courses have a walk to stand out of, which grows with the record.
+    // Slow courses compete with a walk, which grows with the record.
     let slow = (samples as f64 / 65_536.0).max(1.0).sqrt();
     Some(match kind {
-        // The level follows how fast the temperature changes.
+        // The level follows the rate of change of the temperature.
         Kind::ThermalRate => {
             let size = slow * device.log_uniform(2.0, 15.0);
             Drawn::new(size, "sigma_at_the_fastest", move |column, celsius, _| {
@@ -36,7 +36,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 column.add(|i| size * (celsius[i] - 0.5 * (low + high)).powi(2));
             })
         }
-        // Three levels between which it changes at random.
+        // The level changes at random between three values.
         Kind::ThreeLevels => {
             let (size, stays) = (device.log_uniform(0.4, 2.0), device.log_uniform(300.0, 3_000.0));
             Drawn::new(size, "apart", move |column, _, draw| {
@@ -50,7 +50,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // Jumps after which it comes back.
+        // Jumps after which the level returns.
         Kind::RelaxingJumps => {
             let (size, tau) = (device.log_uniform(2.0, 10.0), device.log_uniform(200.0, 2_000.0));
             let apart = samples as f64 / device.uniform(5.0, 20.0);
@@ -66,7 +66,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // It drifts and is set to zero, at random times.
+        // The level drifts and is set to zero at random times.
         Kind::AutoZero => {
             let (size, apart) = (device.log_uniform(1.0, 5.0), device.log_uniform(300.0, 4_000.0));
             Drawn::new(size, "drift_between_resets", move |column, _, draw| {
@@ -80,7 +80,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // It is pushed all the time, now and then very hard (Cauchy's law), and comes back.
+        // The level is pushed all the time, sometimes very hard (Cauchy's law), and returns.
         Kind::CauchyPushes => {
             let (size, tau) = (device.log_uniform(0.01, 0.06), device.log_uniform(50.0, 600.0));
             let apart = device.log_uniform(3.0, 20.0);
@@ -110,7 +110,7 @@ pub(super) fn draw(kind: Kind, samples: usize, device: &mut Draw) -> Option<Draw
                 });
             })
         }
-        // Runs of samples that have one more bit: a level of one sign, now and then.
+        // In runs of samples one more bit is set: a level of one sign, from time to time.
         Kind::FlippedRuns => {
             let (size, runs) = (device.log_uniform(2.0, 12.0), device.uniform(2.0, 12.0));
             let apart = device.log_uniform(500.0, 4_000.0);
