@@ -176,13 +176,17 @@ impl Recorder {
             }
             None => {
                 let accountant = match self.resume.take() {
-                    Some(point) => Accountant::resume(
-                        rate_hz,
-                        timebase,
-                        (point.segments, point.epoch, point.samples, point.missing, point.gaps),
-                        point.last,
-                        GapCause::DaemonStopped,
-                    ),
+                    Some(point) => {
+                        let mut accountant = Accountant::resume(
+                            point.rate_hz.unwrap_or(rate_hz),
+                            timebase,
+                            (point.segments, point.epoch, point.samples, point.missing, point.gaps),
+                            point.last,
+                            GapCause::DaemonStopped,
+                        );
+                        accountant.change(rate_hz, timebase, &mut self.scratch);
+                        accountant
+                    }
                     None => Accountant::new(rate_hz, timebase),
                 };
                 self.accountant = Some(accountant.with_host_jitter(self.host_jitter_ns));
@@ -477,9 +481,9 @@ impl Recorder {
                     self.end_if_full(period, utc_ns);
                 }
                 Record::Gap(mut gap) => {
-                    let left =
-                        ((self.plan.duration_ns as f64 - self.counts.elapsed_ns) / period).round().max(0.0) as u64;
-                    if gap.missing > left {
+                    let left_ns = self.plan.duration_ns as f64 - self.counts.elapsed_ns;
+                    let left = (left_ns / period).round().max(0.0) as u64;
+                    if gap.missing > left && gap.sample_time_ns(period) > left_ns {
                         gap.to_utc_ns = gap.to_utc_ns.min(gap.from_utc_ns + ((left + 1) as f64 * period) as i64);
                         gap.missing = left;
                         gap.device_ns =
@@ -487,7 +491,7 @@ impl Recorder {
                     }
                     self.counts.missing += gap.missing;
                     self.counts.gaps += 1;
-                    self.counts.elapsed_ns += gap.missing as f64 * period;
+                    self.counts.elapsed_ns += gap.sample_time_ns(period);
                     let utc_ns = gap.to_utc_ns;
                     out.push(Record::Gap(gap));
                     self.end_if_full(period, utc_ns);
@@ -558,6 +562,43 @@ mod tests {
         recorder.sample(sample(5000), &mut out);
         assert!(recorder.has_ended());
         assert_eq!((recorder.counts().samples, recorder.counts().missing), (100, 300));
+    }
+
+    /// A night is not over after seconds because the sensor came back with another rate.
+    #[test]
+    fn a_gap_between_two_rates_takes_its_own_time() {
+        const AWAY_NS: u64 = 5_000_000_000;
+        for timebase in [Timebase::Device, Timebase::SyncCounter, Timebase::Arrival] {
+            for [from_hz, to_hz] in [[10.0, 200.0], [200.0, 10.0], [40.0, 800.0], [1.0, 800.0], [40.0, 50.0]] {
+                let plan = Plan { id: 1, name: "night".into(), duration_ns: 3_600_000_000_000, start_at_utc_ns: None };
+                let (mut recorder, mut out) = (Recorder::new(plan, None, 0.0), Vec::new());
+                let (mut at_ns, mut count) = (1_000_000_000_u64, 0_u32);
+                let mut send = |recorder: &mut Recorder, rate_hz: f64, away_ns: u64| {
+                    recorder.accept(rate_hz, timebase, &mut out);
+                    at_ns += away_ns;
+                    count += (away_ns as f64 / period_ns(rate_hz)) as u32;
+                    for _ in 0..(20.0 * rate_hz) as u64 {
+                        let mut sample = Sample::at(at_ns, 1_700_000_000_000_000_000 + at_ns as i64);
+                        sample.device_time_ns = (timebase == Timebase::Device).then_some(at_ns);
+                        sample.sync_count = (timebase == Timebase::SyncCounter).then_some(count);
+                        recorder.sample(sample, &mut out);
+                        at_ns += period_ns(rate_hz) as u64;
+                        count += 1;
+                    }
+                };
+                send(&mut recorder, from_hz, 0);
+                recorder.interrupt(GapCause::Unplugged, &mut Vec::new());
+                send(&mut recorder, to_hz, AWAY_NS);
+                recorder.tick(at_ns, 1_700_000_000_000_000_000 + at_ns as i64, &mut out);
+                let found_s = recorder.counts().elapsed_ns / 1e9;
+                let case = format!("{timebase:?} {from_hz} {to_hz}: {found_s} s");
+                // What counts messages cannot count those of the rate before.
+                let falls = timebase == Timebase::SyncCounter && to_hz < from_hz;
+                let slower_s = 2.5 / from_hz.min(to_hz);
+                assert!(found_s < 45.0 + slower_s && !recorder.has_ended(), "{case}");
+                assert!(falls || found_s > 45.0 - slower_s, "{case}");
+            }
+        }
     }
 
     #[test]

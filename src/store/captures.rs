@@ -509,8 +509,9 @@ fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
         &format!(
             "UPDATE capture SET missing = missing - (SELECT CAST(total(missing) AS INTEGER) FROM gap WHERE {open}), \
              gaps = gaps - (SELECT count(*) FROM gap WHERE {open}), \
-             sample_time_ns = max(0, sample_time_ns - coalesce(CAST(round((SELECT total(missing) FROM gap WHERE {open}) * 1e9 / \
-             (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1)) AS INTEGER), 0)) \
+             sample_time_ns = max(0, sample_time_ns - coalesce(CAST(round((SELECT total(min(missing * 1e9 / \
+             (SELECT rate_hz FROM segment WHERE capture_id = capture.id ORDER BY segment_id DESC LIMIT 1), \
+             max(0, to_utc_ns - from_utc_ns))) FROM gap WHERE {open})) AS INTEGER), 0)) \
              WHERE state = 'capturing' AND lifecycle = 'live' AND EXISTS (SELECT 1 FROM gap WHERE {open})"
         ),
         [],
@@ -566,9 +567,12 @@ fn unfinished(connection: &Connection) -> Result<Vec<Unfinished>, StoreError> {
 }
 
 fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(), StoreError> {
-    let sql = "SELECT segment_id, epoch, rate_hz, timebase, (SELECT first_device_time_ns FROM segment AS first \
+    // The stream is that of the last sample: a segment may have been committed before its first one.
+    let sql = "SELECT segment_id, epoch, coalesce(of_last.rate_hz, segment.rate_hz), \
+               coalesce(of_last.timebase, segment.timebase), (SELECT first_device_time_ns FROM segment AS first \
                WHERE first.capture_id = segment.capture_id AND first.epoch = segment.epoch ORDER BY segment_id LIMIT 1) \
-               FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
+               FROM segment LEFT JOIN (SELECT rate_hz, timebase FROM segment WHERE capture_id = ?1 AND samples > 0 \
+               ORDER BY segment_id DESC LIMIT 1) AS of_last ON true WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
     let found = connection
         .query_row(sql, [capture.id], |row| {
             Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get::<_, String>(3)?, row.get::<_, Option<i64>>(4)?))

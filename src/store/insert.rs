@@ -14,7 +14,7 @@ use super::utc;
 use imu_core::sample::device_clock::ClockEstimate;
 use imu_core::sample::record::CaptureEnd;
 use imu_core::sample::{Channel, ConnectedSensor, DiscardCause, EventRecord, Gap, Record, Sample, Segment, Timebase};
-use imu_core::units::NANOS_PER_SECOND;
+use imu_core::units::period_ns;
 use rusqlite::{CachedStatement, Connection, ErrorCode, params};
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -266,7 +266,7 @@ fn count_sample(segment: u32, seq: u64, sample: &Sample, added: &mut Added) {
     // The reader's own count: a measurement lost on the way here appears as a difference.
     added.received = added.received.map(|_| sample.frame);
     if let Some(rate_hz) = added.rate_hz {
-        added.sample_time_ns += NANOS_PER_SECOND as f64 / rate_hz;
+        added.sample_time_ns += period_ns(rate_hz);
     }
     let end = added.ends.entry(segment).or_default();
     end.samples += 1;
@@ -357,7 +357,7 @@ fn insert_gap(connection: &Connection, capture_id: i64, gap: &Gap, added: &mut A
         added.gaps += 1;
         added.missing += gap.missing;
         if let Some(rate_hz) = added.rate_hz {
-            added.sample_time_ns += gap.missing as f64 * NANOS_PER_SECOND as f64 / rate_hz;
+            added.sample_time_ns += gap.sample_time_ns(period_ns(rate_hz));
         }
     }
     Ok(())

@@ -305,6 +305,8 @@ impl Accountant {
         let one_boot = is_one_boot(last, sample);
         let length_ns = match device_ns {
             Some((from, to)) => to.wrapping_sub(from) as f64,
+            // Samples that were counted at another rate do not show how long they took.
+            None if one_boot && self.rate_changes() => (sample.host_mono_ns - last.host_mono_ns) as f64,
             None if one_boot => ((sample.host_mono_ns - last.host_mono_ns) as f64).max(missing as f64 * period),
             None => (missing + 1) as f64 * period,
         };

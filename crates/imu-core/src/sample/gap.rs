@@ -61,3 +61,12 @@ pub struct Gap {
     /// The cause.
     pub cause: GapCause,
 }
+
+impl Gap {
+    /// Returns the time of the missing samples, ns: a period each, at the rate of the samples before the gap. Samples that were
+    /// counted at a higher rate take no longer than the gap itself.
+    pub fn sample_time_ns(&self, period_ns: f64) -> f64 {
+        let lasts_ns = self.to_utc_ns.saturating_sub(self.from_utc_ns).max(0) as f64;
+        (self.missing as f64 * period_ns).min(lasts_ns)
+    }
+}

@@ -223,8 +223,14 @@ impl Accountant {
         for (sample, late_ns) in held.into_iter().zip(least_ns) {
             let missing = (late_ns.min(steady_ns) / period).round().max(0.0) as u64;
             if let (Some(last), true) = (self.last, missing > counted) {
-                let gap = self.gap(&last, &sample, None, missing - counted, false, cause);
-                self.push_gap(gap, out);
+                // A gap of an interrupted stream has the rate of the samples before it.
+                let is_before = self.interrupted.is_some() && self.rate_changes();
+                let share = if is_before { period / period_ns(self.last_rate_hz) } else { 1.0 };
+                let more = ((missing - counted) as f64 * share).round() as u64;
+                if more > 0 {
+                    let gap = self.gap(&last, &sample, None, more, false, cause);
+                    self.push_gap(gap, out);
+                }
                 counted = missing;
             }
             self.arrival.next_mono_ns += period;

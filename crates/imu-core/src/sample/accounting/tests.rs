@@ -65,7 +65,10 @@ fn a_duplicate_is_dropped_and_a_clock_that_starts_again_is_a_reset() {
 /// B11: 200 → 100 Hz, and back to a faster one.
 #[test]
 fn a_silent_change_of_rate_is_a_new_segment_and_no_loss() {
-    for (from_hz, to_hz) in [(200.0, 100.0), (100.0, 200.0), (40.0, 10.0), (40.0, 400.0)] {
+    // 800 Hz over 5 and 6 differ by a fifth.
+    for (from_hz, to_hz) in
+        [(200.0, 100.0), (100.0, 200.0), (40.0, 10.0), (40.0, 400.0), (40.0, 50.0), (50.0, 40.0), (160.0, 800.0 / 6.0)]
+    {
         let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::Device), Vec::new());
         let (mut at_ns, mut seen_after) = (5_000_000_000_u64, None);
         for index in 0..200 {

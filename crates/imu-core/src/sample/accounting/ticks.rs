@@ -8,7 +8,7 @@ use crate::units::{IMU_RATE_HZ, period_ns};
 
 /// Steps of the sensor's ticks that differ from the period by more than this share belong to another rate or to losses;
 /// steps within [`RATE_SAME`] have one length.
-const RATE_ODD: f64 = 0.2;
+const RATE_ODD: f64 = 0.19;
 const RATE_SAME: f64 = 0.01;
 /// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
 /// so regularly. At 100 Hz the decision takes 0.12 s, at 20 Hz 0.6 s.
@@ -138,10 +138,11 @@ impl Accountant {
                 // Between the two rates, more than one period of the slower rate is a gap.
                 let tick = (sample.device_time_ns, sample.sync_count);
                 let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
-                let missing = (step_ns / old_period.max(period_ns(to_hz))).round() as u64;
-                if missing > 1 {
+                if (step_ns / old_period.max(period_ns(to_hz))).round() > 1.0 {
                     let device_ns = last.device_time_ns.zip(sample.device_time_ns);
-                    let gap = self.gap(&last, &sample, device_ns, missing - 1, false, GapCause::RateChange);
+                    // A gap has the rate of the samples before it.
+                    let missing = (step_ns / old_period).round() as u64 - 1;
+                    let gap = self.gap(&last, &sample, device_ns, missing, false, GapCause::RateChange);
                     self.push_gap(gap, out);
                 }
             }
@@ -209,13 +210,18 @@ impl Accountant {
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
         }
         self.backward = 0;
-        let periods = step_ns / period;
+        // Between two rates, more than one period of the slower rate is a gap, and a gap has the rate of the samples before it. A
+        // count of messages counts those that are missing, whatever their rate.
+        let changes = self.timebase == Timebase::Device && self.rate_changes();
+        let before = period_ns(self.last_rate_hz);
+        let periods = step_ns / if changes { period.max(before) } else { period };
         let steps = periods.round() as u64;
-        if steps == 0 {
+        if steps == 0 && !changes {
             return Observation::Duplicate;
         }
         if steps > 1 {
-            let gap = self.gap(&last, &sample, device_ns, steps - 1, true, self.cause());
+            let missing = if changes { (step_ns / before).round() as u64 } else { steps } - 1;
+            let gap = self.gap(&last, &sample, device_ns, missing, !changes, self.cause());
             self.push_gap(gap, out);
         } else if (periods - 1.0).abs() > RATE_ODD {
             // No sample is missing, but the samples of one segment are a period apart.
@@ -223,6 +229,11 @@ impl Accountant {
         }
         self.take(sample, out);
         Observation::Taken
+    }
+
+    /// Returns whether the next sample has another rate than the last one.
+    pub(super) fn rate_changes(&self) -> bool {
+        (self.rate_hz / self.last_rate_hz - 1.0).abs() > RATE_SAME
     }
 
     pub(super) fn new_epoch(
