@@ -114,7 +114,11 @@ impl Session {
         if valid {
             if self.options.output == Output::Keep {
                 self.last_good_baud = self.status.baud;
-                self.measure(now_ns);
+                // A sensor that never answers is recorded as it is. One that answered before may be another unit now.
+                match &self.expected_serial {
+                    Some(_) => self.identify(now_ns, actions),
+                    None => self.measure(now_ns),
+                }
             } else {
                 let hint = "the sensor sends but does not answer commands: check the line from the host to the sensor, or set `output = \"keep\"` to record what it sends";
                 self.fail(now_ns, SensorState::Backoff, hint.to_owned(), actions);

@@ -434,6 +434,36 @@ fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
     assert!(world.measured(default_kind()));
 }
 
+/// A unit whose serial number was read before is asked for it again, also if it sends before it answers.
+#[test]
+fn another_unit_that_sends_before_it_answers_is_noticed_where_the_output_is_kept() {
+    let ymr = ascii_kind(14).unwrap();
+    let mut world = World::new(Output::Keep);
+    world.give(Input::Expect(Some("0100012345".to_owned())));
+    world.pass(1_000_000_000);
+    assert!(world.measured(ymr));
+    let swapped = |world: &mut World, serial: &str| {
+        world.give(Input::Disconnected("gone".to_owned()));
+        world.plugged += 1;
+        world.sensor.registers.insert(3, serial.to_owned());
+        world.sensor.answers = false;
+        let mut taken = 0;
+        for step in 0..240 {
+            world.pass(25_000_000);
+            taken += usize::from(world.measured(ymr));
+            // The probes at a baud rate are not answered; the next command is.
+            world.sensor.answers = matches!(world.session.phase, Phase::Identifying | Phase::Describing) || step > 60;
+        }
+        taken
+    };
+    for _ in 0..2 {
+        assert_eq!(swapped(&mut world, "0100099999"), 0);
+        assert_eq!(world.state(), SensorState::WrongUnit);
+        assert!(swapped(&mut world, "0100012345") > 0);
+        assert_eq!(world.session.status().serial_number.as_deref(), Some("0100012345"));
+    }
+}
+
 #[derive(Debug, Clone)]
 enum Happening {
     Pass(u64),
