@@ -87,6 +87,8 @@ fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
         );
         return Err(JobError::TooLarge { reason });
     }
+    // Numbers beyond f64 and halves of characters are JSON by its grammar alone.
+    model_of(sim)?;
     // A member that is null counts as absent.
     let Some(reference) = members.reference.filter(|value| value.get() != "null") else {
         return Ok(Content { sim, reference: None, text: String::new() });
@@ -102,6 +104,10 @@ fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
     Ok(Content { sim, reference, text })
 }
 
+fn model_of(sim: &str) -> Result<Value, JobError> {
+    serde_json::from_str(sim).map_err(|error| refused(format!("`sim`: {error}")))
+}
+
 /// Accepts a body's content: looks up the simulator, then begins to store the reference.
 fn accept<'a>(
     store: &'a Store,
@@ -109,7 +115,7 @@ fn accept<'a>(
     reference: Option<ReferenceMotion>,
     find_sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
 ) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
-    let sim = find_sim(serde_json::from_str(sim)?)?;
+    let sim = find_sim(model_of(sim)?)?;
     let storing = match &reference {
         Some(ReferenceMotion::Stored { sha256, bytes }) => Some(StoringReference::begin(store, sha256, *bytes)?),
         Some(ReferenceMotion::Named(_)) | None => None,
@@ -281,6 +287,8 @@ mod tests {
             (r#"{"sim": 1, "reference": 3}"#, "`reference` is a text"),
             (r#"{"sim": 1, "reference": "motion.csv"}"#, "header line"),
             (r#"{"sim": 1"#, "EOF"),
+            (r#"{"sim": 1e400}"#, "`sim`: number out of range"),
+            (r#"{"sim": "\ud800", "reference": "still"}"#, "`sim`: "),
         ] {
             assert!(reason(body).contains(part), "{body}: {}", reason(body));
         }
