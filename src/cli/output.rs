@@ -2,7 +2,7 @@
 //! input.
 
 use super::{CliError, Failure};
-use crate::store::is_database;
+use crate::store::is_of_database;
 use anyhow::Context as _;
 use std::fs::{File, Permissions};
 use std::io::Write as _;
@@ -49,9 +49,10 @@ impl Output {
         if read.iter().any(|other| is_same(path, other)) {
             return Err(refuse(Failure::Usage, format!("{shown} is read: write to another file")));
         }
-        if is_database(path) {
-            let message =
-                format!("{shown} is a database of captures, which {option} does not replace: choose another name");
+        if is_of_database(path) {
+            let message = format!(
+                "{shown} is a database of captures or belongs to one: {option} does not replace it, choose another name"
+            );
             return Err(refuse(Failure::Usage, message));
         }
         let cannot = || format!("{shown} cannot be written");

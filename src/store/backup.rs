@@ -96,7 +96,9 @@ impl NewFile {
             let same = out.canonicalize().ok().zip(source.canonicalize().ok()).is_some_and(|(one, other)| one == other);
             // SQLite would take the log of the replaced file for the log of the new file.
             let has_log = std::fs::metadata(schema::wal_path(out)).is_ok_and(|log| log.len() > 0);
-            if same || has_log {
+            // A log is no database, but one would miss it.
+            let is_beside = schema::is_of_database(out) && !schema::is_database(out);
+            if same || has_log || is_beside {
                 return Err(StoreError::InUse { path: out.to_owned() });
             }
             super::lock::refuse_writer(out)?;

@@ -74,7 +74,7 @@ pub use references::REFERENCE_PART_BYTES;
 pub use results::ResultRow;
 pub use retention::RetentionRow;
 pub use samples::{Chunk, SeqRange, Times};
-pub use schema::{APPLICATION_ID, is_database, schema_version};
+pub use schema::{APPLICATION_ID, is_of_database, schema_version};
 pub use time_axis::{Moment, SampleRange, TimeAxis};
 pub use times::UtcNs;
 pub use trail::{EventRow, GapRow, Missing, SegmentRow};

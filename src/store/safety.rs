@@ -215,6 +215,12 @@ fn a_backup_is_whole_and_a_database_of_its_own() {
     // A backup never replaces the database itself, nor a file whose log exists.
     let itself = world.store.path();
     assert!(matches!(world.reader().backup(itself, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
+    for beside in ["-wal", "-shm", ".lock"] {
+        let mut path = itself.as_os_str().to_owned();
+        path.push(beside);
+        let refused = world.reader().backup(path.as_ref(), true, &mut |_, _| ());
+        assert!(matches!(refused, Err(StoreError::InUse { .. })), "{beside}: {refused:?}");
+    }
     std::fs::write(world.directory.path().join("copy.db-wal"), b"log").unwrap();
     assert!(matches!(world.reader().backup(&out, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
     let left: Vec<_> =

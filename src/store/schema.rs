@@ -6,7 +6,9 @@ use super::lock::Mark;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
+use std::ffi::OsStr;
 use std::io::Read as _;
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
 use std::time::Duration;
 
@@ -142,10 +144,18 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
 
 /// Returns whether a file is a database of captures, of any version. This is determined from SQLite's header (its first
 /// 16 bytes, and the application's id in bytes 68 to 71, big endian).
-pub fn is_database(path: &Path) -> bool {
+pub(super) fn is_database(path: &Path) -> bool {
     let mut head = [0; 72];
     let read = path.is_file() && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
     read && head.starts_with(b"SQLite format 3\0") && head[68..] == APPLICATION_ID.to_be_bytes()
+}
+
+/// Returns whether a file is a database of captures, or one of the files that SQLite and this program keep beside it.
+pub fn is_of_database(path: &Path) -> bool {
+    const BESIDE: [&str; 4] = ["-wal", "-shm", "-journal", ".lock"];
+    let name = path.as_os_str().as_bytes();
+    let base = |suffix: &&str| name.strip_suffix(suffix.as_bytes()).map(|base| Path::new(OsStr::from_bytes(base)));
+    is_database(path) || BESIDE.iter().filter_map(base).any(is_database)
 }
 
 /// The time at which the pages of a transaction reach the disk.

@@ -294,6 +294,7 @@ fn a_database_of_captures_is_never_replaced() {
     for arguments in [
         ["export", "night", "--out", "data/vn100d.db", "--format", "csv", "--force"].as_slice(),
         &["simulate", "--duration", "1s", "--out", "data/vn100d.db", "--force"],
+        &["export", "night", "--out", "data/vn100d.db-wal", "--format", "csv", "--force"],
     ] {
         place.refused(2, arguments, "is a database of captures");
     }
