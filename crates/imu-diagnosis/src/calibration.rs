@@ -115,7 +115,8 @@ impl Nulls {
             gains.insert(Kind::VarianceInterval, loud);
             found.kinds.extend(gains);
             residuals.push(series.residual.clone());
-            found.statistics.extend(omnibus::statistics(&mut series, prepared.facts.atom));
+            let parts = omnibus::component::parts(&mut series);
+            found.statistics.extend(omnibus::statistics(&mut series, prepared.facts.atom, &parts));
         }
         let crosstalk = omnibus::crosstalk::greatest(residuals, &|_, _| false);
         found.statistics.extend(crosstalk.first().map(|value| (Statistic::Crosstalk, *value)));

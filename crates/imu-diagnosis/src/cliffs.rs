@@ -415,6 +415,26 @@ fn a_leap_of_any_size_is_a_step() {
     }
 }
 
+/// A line that hops keeps a frequency for 125 s: the bands of the whole record are not those of its second half.
+#[test]
+fn effects_that_do_not_close_the_second_half_leave_an_unknown_effect() {
+    const SAMPLES: usize = 40_000;
+    let mut wrong = Wrong::default();
+    let hz = [5.1, 18.2, 3.0, 7.3, 13.3, 11.1, 5.1, 15.7];
+    for (size, seed) in [(0.3, 1), (0.6, 2), (1.0, 3)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let mut cycles = 0.0;
+        for (t, value) in real.channels[0].1.iter_mut().enumerate() {
+            cycles += hz[t * hz.len() / SAMPLES] / RATE_HZ;
+            *value += size * WHITE * (std::f64::consts::TAU * cycles).sin();
+        }
+        let found = diagnosed(&real, &model(None)).diagnosis;
+        let is_right = found.verdict == Verdict::UnknownEffect && found.causes.iter().all(|of| of.confidence < 0.6);
+        wrong.expect(is_right, || format!("{size}: {:?} {:?} {:?}", found.verdict, found.discrepancy, found.remainder));
+    }
+    wrong.none();
+}
+
 /// K of another session is up to some tens of times the model's, not thousands of times.
 #[test]
 fn a_process_in_a_short_record_is_no_random_walk_of_thousands_of_times_the_size() {

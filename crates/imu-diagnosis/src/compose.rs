@@ -16,7 +16,9 @@ use super::places::{Remnant, places};
 use super::prepare::Prepared;
 use super::recording::Recording;
 use super::remainder;
-use super::report::{Alternative, Cause, ChannelGap, Diagnosis, FORMAT, Parameter, Remainder, Sense};
+use super::report::{
+    Alternative, Cause, ChannelGap, Diagnosis, Discrepancy, FORMAT, Of, Parameter, Place, Remainder, Sense,
+};
 use imu_core::sample::Channel;
 use imu_model::effects::spec::Nature;
 use imu_model::effects::{Effect, EffectKind};
@@ -29,6 +31,8 @@ use std::sync::Arc;
 const REMAINS: f64 = 0.005;
 /// [`REMAINS`] on a channel without a named effect, if other channels have named causes.
 const REMAINS_ELSEWHERE: f64 = 1e-4;
+/// The reason for a remainder if the effects do not close the second half's gap.
+const NOT_OF_BOTH: &str = "the effects close little of the gap of the record's second half: they act otherwise there";
 /// A parameter is off if it differs by at least this many standard errors.
 const OFF: f64 = 4.0;
 /// The rate is off if it differs by more than this share.
@@ -50,15 +54,22 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     };
     let foreign: Vec<String> = odd.iter().map(outside).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
+    let open = open(found, &named, &discrepancy);
+    remains.channels.extend(open.iter().map(|of| of.channel));
     let total: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
     let mut causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
-    let remnants =
-        if remains.worst.is_some() || !foreign.is_empty() { remnants(found, &remains, &odd) } else { Vec::new() };
+    let is_open = (!open.is_empty()).then(|| NOT_OF_BOTH.to_owned());
+    let remnants = match remains.worst.is_some() || !foreign.is_empty() {
+        _ if is_open.is_some() => open,
+        true => remnants(found, &remains, &odd),
+        false => Vec::new(),
+    };
     let places = places(found, &named, &causes, &parameters, &remnants, real);
     let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
-    let what = foreign.iter().cloned().chain(of_worst.clone()).collect();
-    let remainder = Remainder::of(&places, what, (found.samples * found.channels.len()) as f64);
+    let what = foreign.iter().cloned().chain(of_worst.clone()).chain(is_open).collect();
+    let is_fact = |place: &Place| matches!(place.of, Of::Cause(index) if causes[index].effect.spec().is_fact());
+    let remainder = Remainder::of(&places, what, (found.samples * found.channels.len()) as f64, is_fact);
     let surroundings = Surroundings { places: &places, remains: &remains.channels, length_s: real.length_s() };
     for (index, cause) in causes.iter_mut().enumerate() {
         cause.confidence *= surroundings.right(index, cause);
@@ -100,6 +111,30 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     Outcome { diagnosis, augmented, residuals: Vec::new() }
 }
 
+/// Returns the channels with the gap of the second half that remains, if the effects close less than a good part of it. They were
+/// found in the whole record with the levels of the first half, so that they do not act on the second half as they did on the
+/// first. If most of what they explain lies in the first half, a small gap of the second shows nothing.
+fn open(found: &Found, named: &[Named], discrepancy: &Discrepancy) -> Vec<Remnant> {
+    const CLOSED: f64 = 0.8;
+    /// Part of the nats that the effects explain in the whole record.
+    const MATERIAL: f64 = 0.1;
+    /// Part of the remaining gap from which a channel has it.
+    const PART: f64 = 0.05;
+    let left = |of: &Findings| of.scores.ceiling.iter().sum::<f64>() - of.scores.effects.iter().sum::<f64>();
+    let all: f64 = found.channels.iter().map(|of| left(of).max(0.0)).sum();
+    let explained: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
+    // The model's own effects are where the model has them, and that may be the first half alone.
+    let is_missing = named.iter().all(|of| of.sense == Sense::Missing);
+    if !is_missing || discrepancy.closed_ci95.is_none_or(|[_, high]| high >= CLOSED) || all < MATERIAL * explained {
+        return Vec::new();
+    }
+    let own = found.channels.iter().map(|of| {
+        let nats = left(of);
+        Remnant { channel: of.prepared.channel, nats, p_value: (-nats).exp(), is_gap: true }
+    });
+    own.filter(|of| of.nats > PART * all).collect()
+}
+
 /// The remainder.
 struct Remains {
     worst: Option<(Channel, Statistic)>,
@@ -112,12 +147,17 @@ struct Remains {
 
 /// Returns the places where something remains, and how much of it.
 fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
-    let of_odd =
-        odd.iter().map(|(channel, of)| Remnant { channel: *channel, nats: of.nats, p_value: (-of.nats).exp() });
+    let of_odd = odd.iter().map(|(channel, of)| Remnant {
+        channel: *channel,
+        nats: of.nats,
+        p_value: (-of.nats).exp(),
+        is_gap: false,
+    });
     let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
         channel: *channel,
         nats: remainder::bounded(*nats, found.samples as f64),
         p_value: *p_value,
+        is_gap: false,
     });
     let mut remnants: Vec<Remnant> = of_odd.collect();
     for of in of_statistics {
@@ -143,7 +183,8 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         // An effect of the model that comes and goes does so differently in every record; a band whose level changes
         // does not move.
         let changes = of.prepared.changes;
-        let swells = own.iter().any(|one| one.effect.kind() == EffectKind::ModulatedBand);
+        let is_of = |kinds: &[EffectKind]| own.iter().any(|one| kinds.contains(&one.effect.kind()));
+        let swells = is_of(&[EffectKind::ModulatedBand, EffectKind::WanderingLine]);
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the middle value is the most frequent.

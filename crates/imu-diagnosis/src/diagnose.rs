@@ -24,6 +24,7 @@ use super::series::Series;
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
+use super::wandering::{self, Wander};
 use super::zero_rows;
 use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
@@ -72,18 +73,19 @@ pub struct Options<'a> {
     pub tails: Option<&'a Tails>,
 }
 
+/// Effects with the spectrum of a band.
+const BANDS: [EffectKind; 3] = [EffectKind::Resonance, EffectKind::ModulatedBand, EffectKind::WanderingLine];
+
 impl Options<'_> {
     /// Returns whether an effect is looked for.
     pub fn wants(&self, effect: EffectKind) -> bool {
-        // Lines at multiples of one another are found as tones, and bands whose level changes as bands.
-        let alike = match effect {
-            EffectKind::Tone => EffectKind::Comb,
-            EffectKind::Comb => EffectKind::Tone,
-            EffectKind::Resonance => EffectKind::ModulatedBand,
-            EffectKind::ModulatedBand => EffectKind::Resonance,
-            other => other,
+        // Lines at multiples of one another are found as tones. Bands whose level changes and lines that wander are found as bands.
+        let alike: &[EffectKind] = match effect {
+            EffectKind::Tone | EffectKind::Comb => &[EffectKind::Tone, EffectKind::Comb],
+            band if BANDS.contains(&band) => &BANDS,
+            _ => &[],
         };
-        self.effects.is_none_or(|kinds| kinds.contains(&effect) || kinds.contains(&alike))
+        self.effects.is_none_or(|kinds| kinds.contains(&effect) || alike.iter().any(|kind| kinds.contains(kind)))
     }
 }
 
@@ -136,6 +138,8 @@ pub(super) struct Findings {
     pub(super) nameless: Vec<(f64, f64)>,
     /// Bands whose level changes.
     pub(super) levels: Vec<Levels>,
+    /// Bands that are lines whose frequency wanders.
+    pub(super) wanders: Vec<Wander>,
     /// The tiles of time and frequency in which the residual still differs from the law.
     pub(super) after: Tiles,
     pub(super) statistics: Vec<(Statistic, f64)>,
@@ -275,13 +279,18 @@ fn explain(
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let nameless = nameless::density(&series);
-    let has_bands = prepared.has.iter().any(|kind| matches!(kind, EffectKind::Resonance | EffectKind::ModulatedBand));
-    let levels = if has_bands { Vec::new() } else { modulated::levels(&mut series) };
+    let mut parts = omnibus::component::parts(&mut series);
+    let has_bands = prepared.has.iter().any(|kind| BANDS.contains(kind));
+    let (levels, wanders) = match has_bands {
+        true => (Vec::new(), Vec::new()),
+        false => (modulated::levels(&series, &parts), wandering::lines(&parts)),
+    };
+    parts.retain(|part| wanders.iter().all(|wander| wander.term != part.place));
     let after = Tiles::of(&series);
     let model = sim.channels.get(&prepared.channel);
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
-    let statistics = omnibus::statistics(&mut series, prepared.facts.atom);
+    let statistics = omnibus::statistics(&mut series, prepared.facts.atom, &parts);
     // The model's lines keep the model's amplitudes, unless the channel has other amplitudes.
     let mut known = known;
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
@@ -298,6 +307,7 @@ fn explain(
         halves,
         base: &base,
         declared: &prepared.spectral,
+        wandering: &prepared.wandering,
         beliefs: series.beliefs,
         rate_hz: ready.rate_hz,
         reach: prepared.reach,
@@ -327,6 +337,7 @@ fn explain(
             bands,
             nameless,
             levels,
+            wanders,
             after,
             statistics,
             scores,

@@ -33,7 +33,8 @@ impl Series<'_> {
 
     fn odd_terms(&self) -> impl Iterator<Item = &Term> {
         let declared = self.setting().declared.iter().filter(|(place, _)| !self.explanation.without.contains(place));
-        let terms = self.explanation.law.terms.iter().chain(declared.map(|(_, term)| term));
+        let declared = declared.map(|(_, term)| term).chain(self.setting().wandering);
+        let terms = self.explanation.law.terms.iter().chain(declared);
         terms.filter(|term| matches!(term.shape, Shape::Resonance | Shape::QuantizationNoise))
     }
 

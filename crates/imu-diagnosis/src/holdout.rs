@@ -66,6 +66,8 @@ pub struct Whole<'a> {
     pub base: BaseOf<'a>,
     /// The model's own spectral effects.
     pub declared: &'a [(usize, Term)],
+    /// Bands with the spectra of its wandering lines.
+    pub wandering: &'a [Term],
     /// The priors of the levels.
     pub beliefs: Beliefs,
     /// Samples per second.
@@ -166,6 +168,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         courses: &courses[half],
         base: whole.base,
         declared: whole.declared,
+        wandering: whole.wandering,
         white: whole.known.law.levels[0],
         beliefs: whole.beliefs,
         rate_hz: whole.rate_hz,

@@ -104,6 +104,7 @@ pub mod tiles;
 pub mod transform;
 pub mod translate;
 mod variances;
+mod wandering;
 mod written;
 mod zero_rows;
 

@@ -1,7 +1,7 @@
 //! Modulated: found bands whose level changes with time.
 
 use super::law::Shape;
-use super::omnibus::component;
+use super::omnibus::component::Part;
 use super::series::Series;
 use imu_model::effects::profile::mean_power_of;
 use std::f64::consts::TAU;
@@ -19,7 +19,7 @@ pub(super) struct Levels {
 /// The mean square of a normal process of bandwidth w (full width at half power) over a time T is about that of 2π·w·T
 /// squares of normal values: its square has the autocovariance σ⁴·exp(−2πw|t|). Levels in stretches gain ν/2·(r − 1 −
 /// ln r) each.
-pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
+pub(super) fn levels(series: &Series<'_>, parts: &[Part]) -> Vec<Levels> {
     /// Minimum number of independent values in a stretch.
     const LEAST: f64 = 24.0;
     const FEWEST: usize = 4;
@@ -30,19 +30,14 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
     /// Levels below this part of the average count as silence.
     const SILENT: f64 = 0.01;
     let (n, rate_hz) = (series.len(), series.setting().rate_hz);
-    let is_band = series.explanation.law.terms.iter().any(|term| term.shape == Shape::Resonance);
-    // White noise of changing variance shows in every band.
-    if !is_band || !series.variance.is_empty() {
+    // White noise whose variance changes is heard in every band.
+    if !series.variance.is_empty() {
         return Vec::new();
     }
-    let bands: Vec<usize> =
-        series.explanation.law.terms.iter().enumerate().filter(|(_, term)| term.adds()).map(|(at, _)| at).collect();
     let mut found = Vec::new();
-    for (term, (own, course, _)) in bands.into_iter().zip(component::courses(series)) {
-        let Some(width_hz) = own.numbers.get(2).map(|width| width.exp()).filter(|_| own.shape == Shape::Resonance)
-        else {
-            continue;
-        };
+    for Part { place, term: own, course, .. } in parts {
+        let width_hz = own.numbers.get(2).map(|width| width.exp()).filter(|_| own.shape == Shape::Resonance);
+        let Some(width_hz) = width_hz else { continue };
         let free = TAU * width_hz * n as f64 / rate_hz;
         let count = ((free / LEAST) as usize).min(MOST);
         if count < FEWEST {
@@ -62,7 +57,7 @@ pub(super) fn levels(series: &mut Series<'_>) -> Vec<Levels> {
             // The level is interpolated linearly between the middles of stretches.
             let square = mean_power_of(&points, n as f64, 2);
             points.iter_mut().for_each(|point| point.1 /= square.sqrt());
-            found.push(Levels { term, points });
+            found.push(Levels { term: *place, points });
         }
     }
     found

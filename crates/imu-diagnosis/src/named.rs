@@ -88,6 +88,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         temperature_c: found.temperature_c,
         average_variance: of.average_variance,
         levels: &of.levels,
+        wanders: &of.wanders,
         sim,
     };
     let effects = translate::effects(&of.explanation, &of.spread, units);

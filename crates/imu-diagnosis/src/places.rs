@@ -18,6 +18,8 @@ pub(super) struct Remnant {
     pub(super) channel: Channel,
     pub(super) nats: f64,
     pub(super) p_value: f64,
+    /// Whether the nats are those of the gap itself, not those of the most conspicuous statistic.
+    pub(super) is_gap: bool,
 }
 
 /// The place of an effect on a channel.
@@ -211,7 +213,7 @@ fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> 
     let (spot, nats, p_value) = match heaviest {
         Some(one) => {
             let spot = Spot { band_hz: one.band_hz, time_s: one.time_s, weight: 1.0, is_louder: one.ratio >= 1.0 };
-            (spot, one.excess, channels * one.p_value)
+            (spot, if of.is_gap { of.nats } else { one.excess }, channels * one.p_value)
         }
         None => {
             let spot = Spot {

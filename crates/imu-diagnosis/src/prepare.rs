@@ -63,6 +63,8 @@ pub struct Prepared {
     pub step: Option<f64>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub spectral: Vec<(usize, Term)>,
+    /// Bands with the spectra of the model's wandering lines.
+    pub wandering: Vec<Term>,
     /// The model's lines, with the model's amplitudes.
     pub sines: Vec<Sine>,
     /// For each line, the place of its effect in the model's list, and its amplitude over that of the effect alone.
@@ -116,6 +118,7 @@ impl Ready {
             courses: &self.courses,
             base,
             declared: &prepared.spectral,
+            wandering: &prepared.wandering,
             white: prepared.declared.levels[0],
             beliefs: prepared.beliefs,
             rate_hz: self.rate_hz,
@@ -396,6 +399,7 @@ fn channel_of(
         declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
         beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
         spectral: terms_of(model, scale, density, sim.rate_hz),
+        wandering: super::wandering::bands_of(model, scale),
         sines,
         lines,
         shifts,

@@ -8,14 +8,22 @@ use std::collections::BTreeSet;
 pub const MATERIAL: f64 = 0.02;
 
 impl Remainder {
-    /// Creates the remainder from the places of a record. `all` is the number of its samples on all channels. `None` if
-    /// nothing remains.
-    pub(super) fn of(places: &[Place], what: BTreeSet<String>, all: f64) -> Option<Self> {
+    /// Creates the remainder from the places of a record. `all` is the number of its samples on all channels; `is_fact` holds for
+    /// places of effects that values and stamps show without inference: their nats are counts of samples, and no part of the gap.
+    /// `None` if nothing remains.
+    pub(super) fn of(
+        places: &[Place],
+        what: BTreeSet<String>,
+        all: f64,
+        is_fact: impl Fn(&Place) -> bool,
+    ) -> Option<Self> {
         let own = || places.iter().filter(|place| place.of == Of::Remainder);
         let channels: BTreeSet<&str> = own().map(|place| place.channel.as_str()).collect();
+        let nats: f64 = own().map(|place| place.nats).sum();
+        let gap: f64 = places.iter().filter(|place| !is_fact(place)).map(|place| place.nats).sum();
         (!channels.is_empty()).then(|| Self {
-            share: own().map(|place| place.share).sum::<f64>().min(1.0),
-            nats: own().map(|place| place.nats).sum::<f64>() / all.max(1.0),
+            share: nats / gap.max(f64::MIN_POSITIVE),
+            nats: nats / all.max(1.0),
             channels: channels.into_iter().map(str::to_owned).collect(),
             what: what.into_iter().collect(),
         })
@@ -48,11 +56,9 @@ mod tests {
     #[test]
     fn only_a_material_remainder_is_unknown() {
         let of = |share| {
-            Remainder::of(
-                &[Place::in_tests(Of::Cause(0), 1.0 - share), Place::in_tests(Of::Remainder, share)],
-                [].into(),
-                1e4,
-            )
+            let fact = Place::in_tests(Of::Cause(1), 1e3);
+            let places = [fact, Place::in_tests(Of::Cause(0), 1.0 - share), Place::in_tests(Of::Remainder, share)];
+            Remainder::of(&places, [].into(), 1e4, |place| place.of == Of::Cause(1))
         };
         let decide = |share: f64| verdict(of(share).as_ref(), MATERIAL, share < 1.0, false);
         assert_eq!(decide(0.5), Verdict::UnknownEffect);
@@ -62,7 +68,7 @@ mod tests {
         assert_eq!(verdict(None, MATERIAL, false, false), Verdict::NoGap);
         let remainder = of(0.5).unwrap();
         assert_eq!((remainder.share, remainder.nats, remainder.channels), (0.5, 0.05, vec!["gyro_x".to_owned()]));
-        assert_eq!(Remainder::of(&[Place::in_tests(Of::Cause(0), 1.0)], ["x".to_owned()].into(), 1.0), None);
+        assert_eq!(Remainder::of(&[Place::in_tests(Of::Cause(0), 1.0)], ["x".to_owned()].into(), 1.0, |_| false), None);
     }
 
     #[test]

@@ -26,6 +26,8 @@ pub struct Setting<'a> {
     pub base: BaseOf<'a>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
     pub declared: &'a [(usize, Term)],
+    /// Bands with the spectra of the model's wandering lines.
+    pub wandering: &'a [Term],
     /// ln of the power of the model's white noise.
     pub white: f64,
     /// Priors of the levels with which a search begins.
@@ -476,7 +478,7 @@ impl<'a> Series<'a> {
     /// Returns a grid that resolves these narrow bands and those of the law and of the model.
     pub(super) fn resolving(&self, more: &[Narrow]) -> Grid {
         let rate_hz = self.setting.rate_hz;
-        let declared = self.setting.declared.iter().map(|(_, term)| term);
+        let declared = self.setting.declared.iter().map(|(_, term)| term).chain(self.setting.wandering);
         let own = self.explanation.law.terms.iter().chain(declared).flat_map(|term| term.narrow(rate_hz));
         let lines: Vec<Narrow> = own.chain(more.iter().copied()).collect();
         Grid::new(self.len(), rate_hz, &lines)

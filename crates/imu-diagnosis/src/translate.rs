@@ -7,6 +7,7 @@ use super::law::{Shape, Term};
 use super::modulated::Levels;
 use super::prepare::Prepared;
 use super::spread::Spread;
+use super::wandering::Wander;
 use imu_model::effects::{
     BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage,
     PowerLaw, QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange,
@@ -29,6 +30,8 @@ pub(super) struct Units<'a> {
     pub average_variance: f64,
     /// Bands whose level changes.
     pub levels: &'a [Levels],
+    /// Bands that are lines whose frequency wanders.
+    pub wanders: &'a [Wander],
     /// The model, and its output rate.
     pub sim: &'a SensorModel,
 }
@@ -134,7 +137,7 @@ const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// Returns the effects of an explanation; effects that the model has already are left out.
 pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, samples, temperature_c, average_variance, levels, sim } = units;
+    let Units { prepared, samples, temperature_c, average_variance, levels, wanders, sim } = units;
     let rate_hz = sim.rate_hz;
     let internal_hz = sim.internal_rate_hz(rate_hz);
     let scale = prepared.scale;
@@ -204,6 +207,9 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
     let spectral: Vec<Spectral> = terms
         .filter_map(|(place, (term, errors))| {
             let found = spectral(term, errors, [scale, white, rate_hz, internal_hz])?;
+            if let Some(wander) = wanders.iter().find(|wander| wander.term == place) {
+                return Some(wandering(term, found, wander, scale, rate_hz));
+            }
             let level = levels.iter().find(|levels| levels.term == place);
             Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
         })
@@ -347,6 +353,19 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
     // Such a band is symmetric.
     let ci95 = ci95.into_iter().filter(|(name, _)| *name != "asymmetry").collect();
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
+}
+
+/// A line whose frequency wanders. The record shows its place and its power; the other numbers only reproduce its spectrum.
+fn wandering(term: &Term, (kind, _, ci95): Spectral, wander: &Wander, scale: f64, rate_hz: f64) -> Spectral {
+    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let sigma = (0.5 * at(0)).exp() * scale;
+    let line = wander.line(at(1), at(2).exp(), sigma, rate_hz);
+    let shown = |(name, [low, high]): (&'static str, [f64; 2])| match name {
+        "sigma" => Some(("amplitude", [low, high].map(|of| of / sigma * line.amplitude))),
+        "frequency_hz" => Some((name, [low, high])),
+        _ => None,
+    };
+    (kind, Arc::new(line), ci95.into_iter().filter_map(shown).collect())
 }
 
 /// Translates a term to the channel's unit. `units` are its scale, N of the channel in U/√Hz, and the output's and the

@@ -11,8 +11,38 @@ use crate::series::Series;
 /// Minimum number of independent values; the moments of fewer carry little information.
 const FEWEST: f64 = 24.0;
 
-/// Returns the most probable course in a record of each term that adds noise, and its power in each coefficient.
-pub(crate) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)> {
+/// The most probable course of a term that adds noise.
+pub(crate) struct Part {
+    /// The term's place in the law.
+    pub(crate) place: usize,
+    pub(crate) term: Term,
+    pub(crate) course: Vec<f64>,
+    /// The course's power in each coefficient.
+    power: Vec<f64>,
+    /// Part of the course's power that the term made; the rest is noise in its band.
+    pub(crate) purity: f64,
+}
+
+impl Part {
+    /// Returns the third and fourth moments of the course in its standard deviation, each with the number of independent normal
+    /// values whose moments scatter alike. `None` if the fourth has too few.
+    fn moments(&self) -> Option<[(f64, f64); 2]> {
+        let count = self.course.len() as f64;
+        let (third, fourth) = correlations(&self.power, self.course.len())?;
+        let variance = self.course.iter().map(|x| x * x).sum::<f64>() / count;
+        let moment = |order: i32| self.course.iter().map(|x| (x / variance.sqrt()).powi(order)).sum::<f64>() / count;
+        let is_enough = variance > 0.0 && count / fourth >= FEWEST;
+        is_enough.then(|| [(moment(3), count / third.max(0.0)), (moment(4), count / fourth)])
+    }
+
+    /// Returns the kurtosis of the course, and its deviation from that of a normal process as a standard normal value.
+    pub(crate) fn kurtosis(&self) -> Option<(f64, f64)> {
+        self.moments().map(|[_, (kurtosis, count)]| (kurtosis, kurtosis_score(kurtosis, count)))
+    }
+}
+
+/// Returns the most probable course of each term that adds noise.
+pub(crate) fn parts(series: &mut Series<'_>) -> Vec<Part> {
     let terms = series.explanation.law.terms.clone();
     let rate_hz = series.setting().rate_hz;
     let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
@@ -22,7 +52,7 @@ pub(crate) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)
         gain.iter_mut().zip(filter.gains(&hz, rate_hz)).for_each(|(all, one)| *all *= one);
     }
     let mut found = Vec::new();
-    for term in terms.into_iter().filter(Term::adds) {
+    for (place, term) in terms.into_iter().enumerate().filter(|(_, term)| term.adds()) {
         let added = term.added(&hz, rate_hz).into_iter().zip(&gain);
         let logarithms: Vec<f64> = added.map(|(power, gain)| (power * gain).max(f64::MIN_POSITIVE).ln()).collect();
         let own = series.grid.fill(&logarithms);
@@ -33,27 +63,22 @@ pub(crate) fn courses(series: &mut Series<'_>) -> Vec<(Term, Vec<f64>, Vec<f64>)
         // A record's mean is unknown.
         (course[0], power[0]) = (0.0, 0.0);
         series.transform().backward(&mut course);
-        found.push((term, course, power));
+        let pure = power.iter().zip(&share).map(|(power, share)| power * share).sum::<f64>();
+        let purity = pure / power.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        found.push(Part { place, term, course, power, purity });
     }
     found
 }
 
-/// Returns half the square of the largest deviation of a moment of any term, in standard deviations.
-pub(super) fn worst(series: &mut Series<'_>) -> f64 {
-    let n = series.len();
+/// Returns half the square of the largest deviation of a moment of any part, in standard deviations.
+pub(super) fn worst(parts: &[Part]) -> f64 {
     let mut found = 0.0f64;
-    for (term, course, power) in courses(series) {
-        let Some((third, fourth)) = correlations(&power, n) else { continue };
-        let count = n as f64;
-        let variance = course.iter().map(|x| x * x).sum::<f64>() / count;
-        let moment = |order: i32| course.iter().map(|x| (x / variance.sqrt()).powi(order)).sum::<f64>() / count;
-        if variance <= 0.0 || count / fourth < FEWEST {
-            continue;
-        }
-        found = found.max(half_square(kurtosis_score(moment(4), count / fourth)));
+    for part in parts {
+        let Some([(third, alike), (fourth, count)]) = part.moments() else { continue };
+        found = found.max(half_square(kurtosis_score(fourth, count)));
         // The third moment of a narrow band is almost 0 for any process.
-        if term.shape != Shape::Resonance && third > 0.0 {
-            found = found.max(half_square(moment(3) / (6.0 * third / count).sqrt()));
+        if part.term.shape != Shape::Resonance && alike.is_finite() {
+            found = found.max(half_square(third / (6.0 / alike).sqrt()));
         }
     }
     found

@@ -115,12 +115,13 @@ impl Statistic {
     }
 }
 
-/// Returns all statistics of a series' residual; `atom` is that of its values as they were sent.
-pub fn statistics(series: &mut Series<'_>, atom: f64) -> Vec<(Statistic, f64)> {
+/// Returns all statistics of a series' residual; `atom` is that of its values as they were sent, `parts` are those whose courses
+/// must look normal.
+pub(super) fn statistics(series: &mut Series<'_>, atom: f64, parts: &[component::Part]) -> Vec<(Statistic, f64)> {
     let mut found = Vec::with_capacity(Statistic::ALL.len());
     found.push((Statistic::Atom, atom));
     found.push((Statistic::Skewness, skewness(series.innovations())));
-    found.push((Statistic::Component, component::worst(series)));
+    found.push((Statistic::Component, component::worst(parts)));
     series.residual = series.scores().into_owned();
     let residual = series.residual.clone();
     let count = residual.len() as f64;

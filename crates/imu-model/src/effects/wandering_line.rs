@@ -3,8 +3,8 @@
 use super::described::effect;
 use super::gauss_markov::lorentzian;
 use super::spec::{FROM_ZERO, above};
-use super::{Effect, Line, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, each, sampled};
-use std::f64::consts::TAU;
+use super::{Effect, Extent, Line, Moments, Record, Refusal, Resonance, Sampler, Stage, Stream, each, sampled};
+use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
 effect! {
@@ -17,7 +17,8 @@ effect! {
     /// 9. The phase is integrated exactly between samples, so that it holds at any rate.
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct WanderingLine: dyn Effect, 22, Stage::Noise;
-    "a line whose frequency and amplitude wander";
+    "a line whose frequency and amplitude wander"
+        => "a line about {frequency_hz:.2} Hz whose frequency wanders{more}";
     frequency_hz: f64 = above(0.0), "Hz", "mean frequency, Hz; below half the rate at which it acts";
     amplitude: f64 = FROM_ZERO, "U", "root mean square of the line times √2, U";
     frequency_sigma_hz: f64 = FROM_ZERO, "Hz", "root mean square of the frequency about its mean, Hz";
@@ -32,6 +33,9 @@ const SUMMED_UP_TO: f64 = 8.0;
 /// The largest `amplitude_sigma`: two standard deviations are then a factor of 400, and no record shows the mean
 /// square.
 const AMPLITUDE_SIGMA_MAX: f64 = 3.0;
+
+/// Full width at half height of a normal distribution, in its standard deviation.
+const HALF_HEIGHT: f64 = 2.354_820_045;
 
 impl WanderingLine {
     /// Returns (2πσT)²: the mean square of the phase accumulated in one stay at a frequency.
@@ -55,6 +59,11 @@ impl WanderingLine {
 }
 
 impl Effect for WanderingLine {
+    fn extents(&self) -> Vec<Extent> {
+        let lorentzian_hz = self.beta() / (PI * self.frequency_tc_s);
+        let bandwidth_hz = lorentzian_hz.min(HALF_HEIGHT * self.frequency_sigma_hz);
+        vec![Extent::band(self.frequency_hz, bandwidth_hz, 1.0)]
+    }
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         if self.amplitude_sigma > AMPLITUDE_SIGMA_MAX {
             let allowed =
@@ -114,7 +123,6 @@ impl Effect for WanderingLine {
     }
     /// For a slowly wandering frequency: a band as wide as the distribution of the frequency, at half its height.
     fn stationary(&self, record: Record) -> Option<Arc<dyn Effect>> {
-        const HALF_HEIGHT: f64 = 2.354_820_045;
         self.psd(self.frequency_hz, record.rate_hz).is_none().then(|| {
             let bandwidth_hz = HALF_HEIGHT * self.frequency_sigma_hz;
             let sigma = self.amplitude * std::f64::consts::FRAC_1_SQRT_2;
