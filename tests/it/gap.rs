@@ -36,7 +36,7 @@ fn number(of: &Value, name: &str) -> f64 {
 
 /// Returns whether a channel has a line, steady or wandering, at a frequency.
 fn has_line(found: &Value, channel: &str, frequency_hz: f64) -> bool {
-    on(found, &["tone", "resonance"], channel)
+    on(found, &["tone", "resonance", "wandering_line"], channel)
         .iter()
         .any(|line| (number(line, "frequency_hz") - frequency_hz).abs() < 2e-3 * frequency_hz + 0.01)
 }
@@ -149,7 +149,7 @@ fn a_phones_motor_is_found_with_its_time_and_its_frequency() {
     // The motor is on throughout.
     let found = against_plain(&world, &broad(&world, &shaken, "on.csv", 7, [161.2, 164.75]), &quiet, &[]);
     for channel in ["accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y"] {
-        let bands = on(&found, &["resonance", "tone"], channel);
+        let bands = on(&found, &["resonance", "tone", "wandering_line"], channel);
         let near = |of: &Value, hz: f64| (number(of, "frequency_hz") - hz).abs() < 1.0;
         assert!([41.2, 101.0].iter().all(|hz| bands.iter().any(|of| near(of, *hz))), "{channel}: {bands:?}");
     }

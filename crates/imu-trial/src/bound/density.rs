@@ -60,10 +60,10 @@ pub(super) fn nats(samples: usize, frequencies: &[f64], base: &[f64], added: &[f
     samples as f64 * integral(frequencies, divergence)
 }
 
-/// Returns the nats that noise common to several channels is worth through the correlation between them: n ∫₀^½ [Σ ln(1
-/// + aᵢ²/Sᵢ) − ln(1 + Σ aᵢ²/Sᵢ)] df, −½ ln det of the correlations of every coefficient. `ratios` are aᵢ²/Sᵢ per
-/// channel, one per frequency. The noise added to each single channel is worth 0 nats, because the model's N is not
-/// that well known.
+/// Returns the nats that noise common to several channels is worth through the correlation between them:
+/// n ∫₀^½ [Σ ln(1 + aᵢ²/Sᵢ) − ln(1 + Σ aᵢ²/Sᵢ)] df, −½ ln det of the correlations of every coefficient. `ratios` are
+/// aᵢ²/Sᵢ per channel, one per frequency. The noise added to each single channel is worth 0 nats, because the model's N is
+/// not that well known.
 ///
 /// # Source
 /// T. W. Anderson, *An Introduction to Multivariate Statistical Analysis* (2003), section 9.2: tests of independence; the
