@@ -57,6 +57,11 @@ impl Session {
             self.fail(now_ns, SensorState::WrongUnit, hint, actions);
             return;
         }
+        // A line that carries nothing to the sensor: its registers will not be answered either.
+        if self.options.output == Output::Keep && self.registers.is_empty() {
+            self.measure(now_ns);
+            return;
+        }
         self.phase = Phase::Describing;
         let steps = DESCRIPTIVE.into_iter().map(|register| Step::optional(Command::read(register))).collect();
         self.script.begin(now_ns, steps, actions);

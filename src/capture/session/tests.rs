@@ -464,6 +464,25 @@ fn another_unit_that_sends_before_it_answers_is_noticed_where_the_output_is_kept
     }
 }
 
+/// A line that carries nothing to the sensor any more is recorded, without the serial number of before.
+#[test]
+fn a_kept_output_that_is_no_longer_answered_goes_on_without_its_serial_number() {
+    let ymr = ascii_kind(14).unwrap();
+    let mut world = World::new(Output::Keep);
+    world.give(Input::Expect(Some("0100012345".to_owned())));
+    world.pass(1_000_000_000);
+    assert!(world.measured(ymr));
+    world.give(Input::Disconnected("gone".to_owned()));
+    world.plugged += 1;
+    world.sensor.answers = false;
+    let taken = (0..400).filter(|_| {
+        world.pass(25_000_000);
+        world.measured(ymr)
+    });
+    assert!(taken.count() > 100);
+    assert_eq!(world.session.status().serial_number, None);
+}
+
 #[derive(Debug, Clone)]
 enum Happening {
     Pass(u64),
