@@ -60,11 +60,10 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let mut causes = causes(&named, total, discrepancy.closed);
     let alternatives = alternatives(found, &named);
     let is_open = (!open.is_empty()).then(|| NOT_OF_BOTH.to_owned());
-    let remnants = match remains.worst.is_some() || !foreign.is_empty() {
-        _ if is_open.is_some() => open,
-        true => remnants(found, &remains, &odd),
-        false => Vec::new(),
-    };
+    let has_remnants = remains.worst.is_some() || !foreign.is_empty();
+    let mut remnants = if has_remnants { remnants(found, &remains, &odd) } else { Vec::new() };
+    remnants.retain(|of| open.iter().all(|other| other.channel != of.channel));
+    remnants.extend(open);
     let places = places(found, &named, &causes, &parameters, &remnants, real);
     let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
     let what = foreign.iter().cloned().chain(of_worst.clone()).chain(is_open).collect();
@@ -111,13 +110,14 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     Outcome { diagnosis, augmented, residuals: Vec::new() }
 }
 
-/// Returns the channels with the gap of the second half that remains, if the effects close less than a good part of it. They were
-/// found in the whole record with the levels of the first half, so that they do not act on the second half as they did on the
-/// first. If most of what they explain lies in the first half, a small gap of the second shows nothing.
+/// Returns the channels on which a gap of the second half remains, if the effects close too little of it. The effects were found in
+/// the whole record, and then act otherwise in its halves. If most of the explained nats lie in the first half, the small gap of
+/// the second half shows nothing, and no channel is returned.
 fn open(found: &Found, named: &[Named], discrepancy: &Discrepancy) -> Vec<Remnant> {
+    /// Part of the gap that the effects close, from which on nothing remains.
     const CLOSED: f64 = 0.8;
-    /// Part of the nats that the effects explain in the whole record.
-    const MATERIAL: f64 = 0.1;
+    /// Least remaining gap, as a part of the nats that the effects explain in the whole record.
+    const OF_EXPLAINED: f64 = 0.1;
     /// Part of the remaining gap from which a channel has it.
     const PART: f64 = 0.05;
     let left = |of: &Findings| of.scores.ceiling.iter().sum::<f64>() - of.scores.effects.iter().sum::<f64>();
@@ -125,7 +125,7 @@ fn open(found: &Found, named: &[Named], discrepancy: &Discrepancy) -> Vec<Remnan
     let explained: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
     // The model's own effects are where the model has them, and that may be the first half alone.
     let is_missing = named.iter().all(|of| of.sense == Sense::Missing);
-    if !is_missing || discrepancy.closed_ci95.is_none_or(|[_, high]| high >= CLOSED) || all < MATERIAL * explained {
+    if !is_missing || discrepancy.closed_ci95.is_none_or(|[_, high]| high >= CLOSED) || all < OF_EXPLAINED * explained {
         return Vec::new();
     }
     let own = found.channels.iter().map(|of| {
@@ -183,8 +183,8 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         // An effect of the model that comes and goes does so differently in every record; a band whose level changes
         // does not move.
         let changes = of.prepared.changes;
-        let is_of = |kinds: &[EffectKind]| own.iter().any(|one| kinds.contains(&one.effect.kind()));
-        let swells = is_of(&[EffectKind::ModulatedBand, EffectKind::WanderingLine]);
+        let swells =
+            own.iter().any(|one| matches!(one.effect.kind(), EffectKind::ModulatedBand | EffectKind::WanderingLine));
         let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the middle value is the most frequent.

@@ -30,7 +30,7 @@ pub(super) fn levels(series: &Series<'_>, parts: &[Part]) -> Vec<Levels> {
     /// Levels below this part of the average count as silence.
     const SILENT: f64 = 0.01;
     let (n, rate_hz) = (series.len(), series.setting().rate_hz);
-    // White noise whose variance changes is heard in every band.
+    // White noise of changing variance shows in every band.
     if !series.variance.is_empty() {
         return Vec::new();
     }

@@ -34,7 +34,7 @@ impl Preconditioner {
         };
         let work =
             |firsts: &[usize]| firsts.iter().enumerate().map(|(row, first)| (row - first + 1).pow(2)).sum::<usize>();
-        let is_whole = work(&vec![0; places.len()]) <= WORK;
+        let is_whole = places.len().pow(3) / 3 <= WORK;
         let mut reach = if is_whole { length } else { REACH };
         let mut first = firsts(reach);
         while !is_whole && reach > LEAST && work(&first) > WORK {

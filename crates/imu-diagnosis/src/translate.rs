@@ -355,7 +355,8 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
 }
 
-/// A line whose frequency wanders. The record shows its place and its power; the other numbers only reproduce its spectrum.
+/// Translates a band that is a wandering line. The record shows its frequency and amplitude; the other numbers only
+/// reproduce its spectrum.
 fn wandering(term: &Term, (kind, _, ci95): Spectral, wander: &Wander, scale: f64, rate_hz: f64) -> Spectral {
     let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
     let sigma = (0.5 * at(0)).exp() * scale;

@@ -1,4 +1,4 @@
-//! Wandering: lines whose frequency wanders. They have the spectrum of noise in a band and keep their amplitude.
+//! Wandering: lines whose frequency wanders. Their spectrum is that of noise in a band, but their amplitude is steady.
 
 use super::law::{Shape, Term};
 use super::omnibus::component::Part;
@@ -7,7 +7,7 @@ use imu_model::simulator::ChannelModel;
 use std::f64::consts::{FRAC_1_SQRT_2, PI, SQRT_2, TAU};
 use std::sync::Arc;
 
-/// A band of the law that is a line which wanders.
+/// A band of the law that is a wandering line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Wander {
     /// The place of its term in the law.
@@ -48,7 +48,7 @@ pub(super) fn bands_of(model: &ChannelModel, scale: f64) -> Vec<Term> {
     model.effects.iter().filter(|effect| effect.kind() == EffectKind::WanderingLine).filter_map(of).collect()
 }
 
-/// Returns after how many samples the square of a course has forgotten all but 1/e of what it keeps over a block of samples.
+/// Returns the lag, in samples, at which the autocovariance of a course's power falls to 1/e of that at one block of samples.
 fn remembered(course: &[f64]) -> f64 {
     /// Blocks of this many samples hold several periods of most lines.
     const BLOCK: usize = 64;
@@ -67,7 +67,7 @@ impl Wander {
     /// Returns the line of a band with this centre, full width at half power, and root mean square.
     ///
     /// The width determines the product of the frequency's variance and correlation time alone, as long as the frequency changes
-    /// often while the phase wanders off; [`Self::HELD`] sets how often.
+    /// often while the phase wanders off.
     pub(super) fn line(&self, frequency_hz: f64, bandwidth_hz: f64, sigma: f64, rate_hz: f64) -> WanderingLine {
         /// The mean square of the phase, rad², that one stay at a frequency gathers.
         const HELD: f64 = 0.02;
