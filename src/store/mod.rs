@@ -41,6 +41,7 @@ mod schema;
 mod time_axis;
 mod times;
 mod trail;
+mod unfinished;
 mod utc;
 mod writer;
 
@@ -57,7 +58,7 @@ mod tests;
 
 pub use accounting::DeviceClockRow;
 pub use backup::BackupReport;
-pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NAME_MAX, NewCapture, Unfinished, check_name};
+pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NAME_MAX, NewCapture, check_name};
 pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use diagnoses::DiagnosisRow;
 pub use error::{StoreError, StoreErrorKind};
@@ -78,6 +79,7 @@ pub use schema::{APPLICATION_ID, is_of_database, schema_version};
 pub use time_axis::{Moment, SampleRange, TimeAxis};
 pub use times::UtcNs;
 pub use trail::{EventRow, GapRow, Missing, SegmentRow};
+pub use unfinished::Unfinished;
 pub use writer::{COMMIT_AFTER, COMMIT_RECORDS};
 
 use crate::clock::{Clock, SystemClock};

@@ -86,6 +86,7 @@ mod preconditioner;
 pub mod prepare;
 pub mod prices;
 pub mod recording;
+mod refinement;
 mod remainder;
 pub mod report;
 pub mod response;
