@@ -75,7 +75,7 @@ fn median(times: &mut [f64]) -> f64 {
     times[times.len() / 2]
 }
 
-/// Returns a value as the sensor's binary output has it, or with the decimals of its `$VN…` lines.
+/// Returns a value with the precision of the sensor's binary output, or with the decimals of its `$VN…` lines.
 fn written(channel: Channel, value: f64, binary: bool) -> f64 {
     if binary {
         return f64::from(value as f32);
