@@ -12,7 +12,7 @@ const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
 const BOOT_SILENCE_NS: u64 = 500_000_000;
 const AFTER_BOOT_NS: u64 = 10_000_000_000;
 /// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right.
-const DOUBT_EVERY_NS: u64 = 5_000_000_000;
+const DOUBT_EVERY_NS: u64 = 1_900_000_000;
 
 impl Session {
     /// Records a sample that arrives after a silence.

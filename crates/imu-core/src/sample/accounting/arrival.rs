@@ -29,8 +29,10 @@ const RATE_MIN: usize = 8;
 const RATE_LATE: f64 = 0.1;
 /// Rates that differ by less are equal, and a measured rate this close to one of the sensor's is that rate.
 const RATE_NEAR: f64 = 0.04;
-/// Samples that are held for longer than this put the rate in doubt, ns.
+/// Samples that are held for longer than this put the rate in doubt, ns; and again after the second time, since the rate may
+/// change after the sensor has answered.
 const DOUBT_NS: u64 = 600_000_000;
+const DOUBT_AGAIN_NS: u64 = 2_000_000_000;
 /// The longest time for which samples are held, ns, and the maximum number of held samples.
 const HELD_NS: f64 = 6e9;
 const HELD_MAX: usize = 16_384;
@@ -52,8 +54,8 @@ pub(super) struct Arrival {
     early_ns: f64,
     /// The host's trouble when the first held sample arrived.
     host_trouble: Option<GapCause>,
-    /// Whether the doubt was reported.
-    told: bool,
+    /// When the doubt is due to be reported, ns of the host's monotonic clock.
+    doubt_due_ns: u64,
     /// Whether the sensor's registers state that the rate is unchanged.
     confirmed: bool,
 }
@@ -115,7 +117,9 @@ impl Accountant {
     fn hold(&mut self, sample: Sample, out: &mut Vec<Record>) {
         if self.arrival.held.is_empty() {
             self.arrival.host_trouble = self.host_trouble.map(|(cause, _)| cause);
+            self.arrival.doubt_due_ns = sample.host_mono_ns + DOUBT_NS;
         }
+        let now_ns = sample.host_mono_ns;
         self.arrival.held.push(sample);
         let held = &self.arrival.held;
         // If many samples are held, each further one changes little.
@@ -124,12 +128,17 @@ impl Accountant {
         }
         let span_ns = held[held.len() - 1].host_mono_ns.saturating_sub(held[0].host_mono_ns);
         let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
-        if self.is_steady() || span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
+        if let Some(late_from) = self.steady_until() {
+            let late = self.arrival.held.split_off(late_from);
+            self.release(out);
+            self.arrival.held = late;
+        } else if span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
             self.release(out);
         } else if let Some(rate_hz) = self.other_rate() {
             self.adopt_arrivals(rate_hz, out);
             self.doubt = Some(RateDoubt::Changed);
-        } else if span_ns > DOUBT_NS && !std::mem::replace(&mut self.arrival.told, true) {
+        } else if now_ns > self.arrival.doubt_due_ns {
+            self.arrival.doubt_due_ns = now_ns + DOUBT_AGAIN_NS;
             self.doubt = Some(RateDoubt::Open);
         }
     }
@@ -144,22 +153,25 @@ impl Accountant {
         Some(from.min(held.len().checked_sub(least)?))
     }
 
-    /// Returns whether the last held samples keep the rate: the earliest arrivals of the four quarters of their time
-    /// agree.
-    fn is_steady(&self) -> bool {
+    /// Returns the end of the held samples that keep the rate: the earliest arrivals of the four quarters of their time
+    /// agree. Those after the end are late again, and stay undecided.
+    fn steady_until(&self) -> Option<usize> {
         let period = period_ns(self.rate_hz);
-        let Some(from) = self.tail(STEADY_NS, STEADY_MIN) else { return false };
+        let from = self.tail(STEADY_NS, STEADY_MIN)?;
         let held = &self.arrival.held[from..];
         let since_ns = |sample: &Sample| sample.host_mono_ns.saturating_sub(held[0].host_mono_ns);
         let span_ns = since_ns(&held[held.len() - 1]);
         let mut earliest_ns = [f64::INFINITY; 4];
-        for (sample, late_ns) in held.iter().zip(residuals_ns(held, period)) {
+        let late_ns = residuals_ns(held, period);
+        for (sample, late_ns) in held.iter().zip(&late_ns) {
             let quarter = &mut earliest_ns[(4 * since_ns(sample) / (span_ns + 1)) as usize];
-            *quarter = quarter.min(late_ns);
+            *quarter = quarter.min(*late_ns);
         }
         let heard = earliest_ns.into_iter().filter(|ns| ns.is_finite());
         let (least, most) = heard.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), ns| (a.min(ns), b.max(ns)));
-        most - least <= (LATE_PERIODS * period).clamp(0.4 * HOST_JITTER_NS, HOST_JITTER_NS).max(self.host_jitter_ns)
+        let agreement_ns = (LATE_PERIODS * period).clamp(0.4 * HOST_JITTER_NS, HOST_JITTER_NS).max(self.host_jitter_ns);
+        let on_time = |late_ns: &f64| late_ns - least < (LATE_PERIODS * period).max(self.jitter_ns());
+        (most - least <= agreement_ns).then(|| from + late_ns.iter().rposition(on_time).map_or(0, |last| last + 1))
     }
 
     /// Returns another rate that the last held samples keep, Hz.
@@ -247,6 +259,13 @@ impl Accountant {
         let late_ns = residuals_ns(held, period);
         let line_ns = late_ns[held.len() * 3 / 4..].iter().copied().fold(f64::INFINITY, f64::min);
         let begun_ns = held[0].host_mono_ns as f64 - next_mono_ns;
+        // After a boot the new rate begins with the first sample, although the samples of a higher rate soon make up for the
+        // silence at the old rate. Samples that were only read late come at once.
+        let head = &late_ns[..late_ns.len().min(2 * STEADY_MIN)];
+        let spread_ns = head.iter().copied().fold(0.0, f64::max) - head.iter().copied().fold(0.0, f64::min);
+        if begun_ns > RESET_SILENCE_NS && spread_ns <= self.tolerance_ns() {
+            return 0;
+        }
         let old_late_ns: Vec<f64> = residuals_ns(held, old_period).iter().map(|ns| begun_ns + ns).collect();
         let (mut first, mut fewest) = (0, f64::INFINITY);
         let (mut least_ns, mut most_ns) = (0.0_f64, 0.0_f64);
@@ -270,10 +289,19 @@ impl Accountant {
         first
     }
 
+    /// Returns the first held sample with the same count as the one before it: it is no message of the old rate.
+    fn first_with_the_same_count(&self) -> usize {
+        let before = std::iter::once(self.last.and_then(|last| last.sync_count));
+        let counts = before.chain(self.arrival.held.iter().map(|sample| sample.sync_count));
+        let is_same = |(before, sample): (Option<u32>, &Sample)| before.is_some() && before == sample.sync_count;
+        counts.zip(&self.arrival.held).position(is_same).unwrap_or(usize::MAX)
+    }
+
     /// Assigns the held samples to this rate, from the first possible one on.
     fn adopt_arrivals(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
-        let held = self.arrival.held.split_off(self.first_of(rate_hz));
+        let first = self.first_of(rate_hz).min(self.first_with_the_same_count());
+        let held = self.arrival.held.split_off(first);
         if !self.arrival.held.is_empty() {
             self.release(out);
         }

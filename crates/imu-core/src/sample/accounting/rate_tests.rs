@@ -139,16 +139,53 @@ fn a_reset_to_another_rate_is_one_gap_by_the_hosts_clock() {
     }
 }
 
+/// After the boot, samples at a much higher rate arrive as if they made up for it at the old rate.
+#[test]
+fn a_reset_to_a_much_higher_rate_is_one_gap_whatever_the_latency() {
+    for (from_hz, to_hz) in [(1.0, 4.0), (4.0, 20.0), (10.0, 40.0), (10.0, 200.0), (20.0, 100.0), (40.0, 200.0)] {
+        for (latency_ns, registers) in
+            [0_u64, 2, 12, 18].into_iter().flat_map(|ms| [(ms * 1_000_000, false), (ms * 1_000_000, true)])
+        {
+            for seed in 0..20 {
+                let latency = |index| random(index + 1000 * seed) % (latency_ns + 1);
+                let mut line = Line::default();
+                line.send(from_hz, 40.0, |_| false, latency);
+                line.silence(1.25);
+                line.send(to_hz, 20.0, |_| false, latency);
+                let told = |at_ns| registers.then_some(if at_ns < START_NS + 40_000_000_000 { from_hz } else { to_hz });
+                let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, told);
+                let case = format!("{from_hz} to {to_hz}, {latency_ns}, {registers}, {seed}");
+                assert_eq!((accountant.rate_hz(), gaps(&out).len()), (to_hz, 1), "{case}");
+                assert!(
+                    (accountant.missing() as f64 - 1.25 * from_hz).abs() <= 2.0,
+                    "{case}: {}",
+                    accountant.missing()
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn messages_that_are_counted_by_another_clock_than_their_rate_lose_nothing_when_it_changes() {
     for to_hz in [20.0, 25.0, 50.0, 100.0, 200.0, 10.0] {
-        let mut line = Line::default();
-        line.send(40.0, 10.0, |_| false, |_| 0);
-        line.send(to_hz, 10.0, |_| false, |_| 0);
-        let (mut accountant, out) = line.observed(40.0, Timebase::SyncCounter);
-        assert_eq!((accountant.rate_hz(), accountant.missing()), (to_hz, 0), "{to_hz}");
-        assert_eq!(accountant.received(), line.arrivals.len() as u64);
-        assert_eq!((accountant.take_doubt(), rates(&out)), (Some(RateDoubt::Changed), vec![40.0, to_hz]));
+        for seed in 0..40 {
+            let delay = |rate_hz: f64| {
+                move |index: u64| match seed {
+                    0 => 0,
+                    1 => adapter(rate_hz)(index),
+                    _ => random(index + 1000 * seed) % (seed * 500_000),
+                }
+            };
+            let mut line = Line::default();
+            line.send(40.0, 10.0, |_| false, delay(40.0));
+            line.send(to_hz, 10.0, |_| false, delay(to_hz));
+            let (mut accountant, out) = line.observed(40.0, Timebase::SyncCounter);
+            let case = format!("{to_hz}, {seed}");
+            assert_eq!((accountant.rate_hz(), accountant.missing()), (to_hz, 0), "{case}");
+            assert_eq!(accountant.received(), line.arrivals.len() as u64, "{case}");
+            assert_eq!((accountant.take_doubt(), rates(&out)), (Some(RateDoubt::Changed), vec![40.0, to_hz]), "{case}");
+        }
     }
 }
 
@@ -199,6 +236,35 @@ fn registers_that_were_read_again_decide_about_what_is_held() {
     }
 }
 
+/// The rate changes on a line that loses some samples and delivers late. The sensor either answers queries or only sends.
+fn changed_among_losses_and_bursts(pair: usize, every: u64, burst: u64, at: u64, answers: bool) {
+    let (from_hz, to_hz) = PAIRS[pair];
+    // A sensor that only sends must be heard for two seconds without a loss or a long burst.
+    let (every, burst) = if answers { (every, burst) } else { (every.max(3 * to_hz as u64), burst / 2) };
+    let mut line = Line::default();
+    // Between two rates, it is open at which of them a sample was lost.
+    let lost = move |index: u64| index > 3 && (index + at).is_multiple_of(every);
+    // A burst each three seconds.
+    let late = move |rate_hz: f64| {
+        move |index: u64| {
+            let into_ms = (index * 1000 / rate_hz as u64 + at * 17) % 3000;
+            burst.saturating_sub(into_ms) * 1_000_000
+        }
+    };
+    line.send(from_hz, 10.0, lost, late(from_hz));
+    line.send(to_hz, 12.0, lost, late(to_hz));
+    let all_lost = line.lost;
+    line.send(to_hz, 2.0, |_| false, |_| 0);
+    let registers = |at_ns| answers.then_some(if at_ns < START_NS + 10_000_000_000 { from_hz } else { to_hz });
+    let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, registers);
+    assert_eq!(accountant.received(), line.arrivals.len() as u64);
+    assert_eq!(rates(&out), vec![from_hz, to_hz]);
+    // One sample more or less is possible where the rates meet; a loss of less than 20 ms is not yet lateness, and a stall
+    // hides the change.
+    let unseen = 4 + (0.04 * (from_hz + to_hz)) as u64;
+    assert!(accountant.missing().abs_diff(all_lost) <= unseen, "{} of {all_lost}", accountant.missing());
+}
+
 proptest! {
     /// Losses of any pattern that is not as regular as another rate are losses.
     #[test]
@@ -218,34 +284,18 @@ proptest! {
         prop_assert_eq!(accountant.missing(), line.lost);
     }
 
-    /// The rate changes on a line that loses some samples and delivers late. The sensor either answers queries or only
-    /// sends.
     #[test]
     fn a_changed_rate_is_found_among_losses_and_bursts(pair in 0_usize..9, every in 40_u64..200, burst in 0_u64..300, at in 0_u64..50, answers in any::<bool>()) {
-        let (from_hz, to_hz) = PAIRS[pair];
-        // A sensor that only sends must be heard for two seconds without a loss or a long burst.
-        let (every, burst) = if answers { (every, burst) } else { (every.max(3 * to_hz as u64), burst / 2) };
-        let mut line = Line::default();
-        // Between two rates, it is open at which of them a sample was lost.
-        let lost = move |index: u64| index > 3 && (index + at).is_multiple_of(every);
-        // A burst each three seconds.
-        let late = move |rate_hz: f64| move |index: u64| {
-            let into_ms = (index * 1000 / rate_hz as u64 + at * 17) % 3000;
-            burst.saturating_sub(into_ms) * 1_000_000
-        };
-        line.send(from_hz, 10.0, lost, late(from_hz));
-        line.send(to_hz, 12.0, lost, late(to_hz));
-        let all_lost = line.lost;
-        line.send(to_hz, 2.0, |_| false, |_| 0);
-        let registers = |at_ns| answers.then_some(if at_ns < START_NS + 10_000_000_000 { from_hz } else { to_hz });
-        let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, registers);
-        prop_assert_eq!(accountant.received(), line.arrivals.len() as u64);
-        prop_assert_eq!(rates(&out), vec![from_hz, to_hz]);
-        // One sample more or less is possible where the rates meet; a loss of less than 20 ms is not yet lateness, and
-        // a stall hides the change.
-        let unseen = 4 + (0.04 * (from_hz + to_hz)) as u64;
-        prop_assert!(accountant.missing().abs_diff(all_lost) <= unseen, "{} of {}", accountant.missing(), all_lost);
+        changed_among_losses_and_bursts(pair, every, burst, at, answers);
     }
+}
+
+/// In the first case samples of the new rate come while those of the old one are undecided; in the second, a burst puts the
+/// rate in doubt just before it changes.
+#[test]
+fn a_rate_that_changes_while_samples_are_held_is_found() {
+    changed_among_losses_and_bursts(6, 52, 7, 48, true);
+    changed_among_losses_and_bursts(1, 60, 261, 0, true);
 }
 
 /// Observes one sample after another, at ticks of the sensor's clock and of the host's, both in ns.
