@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_serial::SerialStream;
-use vn100_proto::{Decoder, DecoderOptions, Event};
+use vn100_proto::{Decoder, DecoderOptions, Event, Measurement};
 
 /// The interval at which time-outs, discards and progress are examined, in real time.
 const TICK: Duration = Duration::from_millis(200);
@@ -88,6 +88,8 @@ struct Shell {
     device_clock: DeviceClock,
     /// The time at which the estimate of the sensor's clock is recorded next, ns.
     clock_due_ns: u64,
+    /// Measurements with their arrival (monotonic and UTC ns), of a unit that has not stated its serial number yet.
+    unrecognised: Vec<(u64, i64, Measurement)>,
     /// Whether the session knows which sensor the capture is of.
     expecting: bool,
     ended: bool,
@@ -119,6 +121,7 @@ pub async fn run(
         host: HostWatch::default(),
         device_clock: DeviceClock::default(),
         clock_due_ns: 0,
+        unrecognised: Vec::new(),
         expecting: false,
         ended: false,
         clock,
@@ -196,6 +199,7 @@ pub async fn run(
             shell.publish(&progress);
         }
     }
+    shell.recognised();
     shell.state.close().await;
     shell.publish(&progress);
 }
@@ -211,6 +215,32 @@ async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -
     match stream {
         Some((port, _)) => port.read(buffer).await,
         None => std::future::pending().await,
+    }
+}
+
+/// Takes a measurement that arrived at these times (monotonic and UTC ns).
+fn measured(
+    session: &mut Session,
+    state: &mut RecorderState,
+    device_clock: &mut DeviceClock,
+    actions: &mut Vec<Action>,
+    (mono_ns, utc_ns): (u64, i64),
+    measurement: &Measurement,
+) {
+    let before = actions.len();
+    let taken = session.measured(mono_ns, measurement, actions);
+    if actions.len() > before {
+        state.note(actions, utc_ns);
+    }
+    if taken {
+        state.sample(measurement.to_sample(mono_ns, utc_ns));
+        if let Some(device_time_ns) = measurement.device_time_ns {
+            device_clock.note(state.clock_run(), device_time_ns, mono_ns);
+        }
+    } else if session.sees_another_format() {
+        state.refuse(DiscardCause::UnexpectedFormat);
+    } else {
+        state.refuse(DiscardCause::Probing);
     }
 }
 
@@ -326,29 +356,19 @@ impl Shell {
 
     fn received(&mut self, bytes: &[u8]) {
         let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
-        let Self { session, decoder, state, actions, device_clock, .. } = self;
+        self.recognised();
+        let Self { session, decoder, state, actions, device_clock, unrecognised, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);
         if bytes.len() >= FULL_BYTES && self.clock.speed() == 1.0 {
             // Data that the full line could not take was lost, and with it a part of a frame.
             state.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
         }
         decoder.push(bytes, &mut |event| match event {
+            Event::Measurement(measurement) if session.is_unit_open() => {
+                unrecognised.push((mono_ns, utc_ns, measurement.clone()));
+            }
             Event::Measurement(measurement) => {
-                let before = actions.len();
-                let taken = session.measured(mono_ns, measurement, actions);
-                if actions.len() > before {
-                    state.note(actions, utc_ns);
-                }
-                if taken {
-                    state.sample(measurement.to_sample(mono_ns, utc_ns));
-                    if let Some(device_time_ns) = measurement.device_time_ns {
-                        device_clock.note(state.clock_run(), device_time_ns, mono_ns);
-                    }
-                } else if session.sees_another_format() {
-                    state.refuse(DiscardCause::UnexpectedFormat);
-                } else {
-                    state.refuse(DiscardCause::Probing);
-                }
+                measured(session, state, device_clock, actions, (mono_ns, utc_ns), measurement);
             }
             Event::Reply(reply) => {
                 session.handle(mono_ns, Input::Reply(&reply), actions);
@@ -369,8 +389,19 @@ impl Shell {
         if let Some(doubt) = state.doubt.take() {
             session.handle(mono_ns, Input::RateDoubted(doubt), actions);
         }
+        self.recognised();
         self.filter();
         self.settle();
+    }
+
+    /// Takes the measurements of a unit that was not recognised when they arrived, if it is now or cannot be.
+    fn recognised(&mut self) {
+        let Self { session, state, actions, device_clock, unrecognised, .. } = self;
+        if !session.is_unit_open() || self.ended {
+            for (mono_ns, utc_ns, measurement) in unrecognised.drain(..) {
+                measured(session, state, device_clock, actions, (mono_ns, utc_ns), &measurement);
+            }
+        }
     }
 
     /// Passes on the written records, and closes a capture that has its planned duration. A capture belongs to the
@@ -410,6 +441,7 @@ impl Shell {
                 self.state.clock_stepped(by_ns, utc_ns);
             }
         }
+        self.recognised();
         self.state.tick(mono_ns, utc_ns);
         self.note_clock(mono_ns);
         self.settle();

@@ -28,6 +28,16 @@ impl Session {
         self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }
 
+    /// Returns whether it is open which unit sends: its output is kept, the line was silent, and the unit has not stated its
+    /// serial number yet. What arrives meanwhile belongs to a capture only if it is the unit of before.
+    pub fn is_unit_open(&self) -> bool {
+        self.options.output == Output::Keep
+            && self.phase == Phase::Streaming
+            && self.status.state == SensorState::Stalled
+            && self.status.serial_number.is_some()
+            && !self.script.is_done()
+    }
+
     /// Takes a valid measurement frame and returns whether it is a sample of the stream.
     pub fn measured(&mut self, now_ns: u64, measurement: &Measurement, actions: &mut Vec<Action>) -> bool {
         let kind = measurement.kind;

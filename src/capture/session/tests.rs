@@ -434,6 +434,35 @@ fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
     assert!(world.measured(default_kind()));
 }
 
+/// The line is given to another unit without closing the port.
+#[test]
+fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
+    let ymr = ascii_kind(14).unwrap();
+    for serial in ["0100012345", "0100099999"] {
+        let mut world = World::new(Output::Keep);
+        world.give(Input::Expect(Some("0100012345".to_owned())));
+        world.pass(1_000_000_000);
+        assert!(world.measured(ymr) && !world.session.is_unit_open());
+        world.sensor.answers = false;
+        world.pass(1_100_000_000);
+        assert_eq!((world.state(), world.session.is_unit_open()), (SensorState::Stalled, true));
+        world.sensor.registers.insert(3, serial.to_owned());
+        world.sensor.answers = true;
+        world.pass(1_000_000_000);
+        assert!(!world.session.is_unit_open());
+        assert_eq!(world.measured(ymr), serial == "0100012345");
+    }
+    // A line that carries nothing to the sensor: nothing is known of its unit.
+    let mut world = World::new(Output::Keep);
+    world.sensor.answers = false;
+    for _ in 0..200 {
+        world.pass(25_000_000);
+        world.measured(ymr);
+    }
+    world.pass(1_100_000_000);
+    assert!(!world.session.is_unit_open());
+}
+
 /// A unit whose serial number was read before is asked for it again, also if it sends before it answers.
 #[test]
 fn another_unit_that_sends_before_it_answers_is_noticed_where_the_output_is_kept() {
