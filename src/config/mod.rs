@@ -56,11 +56,11 @@ pub struct Loaded {
 /// [`ConfigError`]: exit code 78.
 pub fn load(flag: Option<&Path>, environment: &Environment, overrides: &Overrides) -> Result<Loaded, ConfigError> {
     if let Some(file) = environment.named_config(flag) {
-        let text = std::fs::read_to_string(&file).map_err(|source| ConfigError::Read { file: file.clone(), source })?;
+        let text = text_in(&file).map_err(|source| ConfigError::Read { file: file.clone(), source })?;
         return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) });
     }
     for file in environment.searched_configs() {
-        match std::fs::read_to_string(&file) {
+        match text_in(&file) {
             Ok(text) => return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) }),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             Err(error) if error.kind() == std::io::ErrorKind::NotADirectory => {}
@@ -94,8 +94,10 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
     if !overrides.without_token {
         read_token(source, &mut config)?;
     }
+    let from_file = !config.http.token_file.as_os_str().is_empty();
     check(&config).map_err(|refusal| ConfigError::Value {
-        place: source.place(refusal.key),
+        // The token of a file is not in the configuration, only the file's name.
+        place: source.place(if refusal.key == "http.token" && from_file { "http.token-file" } else { refusal.key }),
         key: refusal.key.to_owned(),
         found: refusal.found,
         allowed: refusal.allowed,
@@ -107,8 +109,24 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
     Ok(config)
 }
 
-/// The maximum number of bytes that are read from a token's file.
-const TOKEN_FILE_BYTES: u64 = 64 * 1024;
+/// The maximum size of a configuration or a token's file, in bytes.
+const FILE_BYTES: u64 = 1 << 20;
+
+/// Reads a small file. A pipe may never end and a device has no end, so that only a regular file is read.
+fn text_in(file: &Path) -> std::io::Result<String> {
+    let metadata = std::fs::metadata(file)?;
+    let refuse = |reason| Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason));
+    if !metadata.is_file() {
+        return refuse("expected a regular file");
+    }
+    if metadata.len() > FILE_BYTES {
+        return refuse("expected a file of at most 1 MiB");
+    }
+    let mut text = String::new();
+    // It may grow meanwhile.
+    std::fs::File::open(file)?.take(FILE_BYTES).read_to_string(&mut text)?;
+    Ok(text)
+}
 
 /// Reads the token from its separate file, so that the configuration may be readable by all users.
 fn read_token(source: &Source<'_>, config: &mut Config) -> Result<(), ConfigError> {
@@ -146,10 +164,7 @@ pub const MACHINE_TOKEN: &str = "/etc/vn100d/token";
 /// # Errors
 /// The error that the system reports.
 pub fn token_in(file: &Path) -> std::io::Result<Token> {
-    let mut text = String::new();
-    // Bounded: a device such as /dev/zero has no end.
-    std::fs::File::open(file)?.take(TOKEN_FILE_BYTES).read_to_string(&mut text)?;
-    Ok(Token::new(text.lines().next().unwrap_or_default().trim()))
+    Ok(Token::new(text_in(file)?.lines().next().unwrap_or_default().trim()))
 }
 
 #[cfg(test)]

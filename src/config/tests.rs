@@ -258,6 +258,35 @@ fn a_token_may_lie_in_a_file_of_its_own() {
     assert!(refused(&both).contains("give one of them"));
 }
 
+/// A pipe may never end, and a device has no end: a daemon that reads its configuration again must not wait or fill up.
+#[test]
+fn only_a_small_regular_file_is_read() {
+    let directory = tempfile::tempdir().unwrap();
+    let pipe = directory.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let large = directory.path().join("large");
+    std::fs::File::create(&large).unwrap().set_len(FILE_BYTES + 1).unwrap();
+    for (file, expected) in [
+        (Path::new("/dev/zero"), "expected a regular file"),
+        (&pipe, "expected a regular file"),
+        (&large, "expected a file of at most 1 MiB"),
+    ] {
+        let error = load(Some(file), &Environment::of([]), &Overrides::default()).unwrap_err().to_string();
+        assert!(error.ends_with(expected), "{error}");
+        let text = format!("[http]\ntoken-file = {file:?}");
+        assert!(refused(&text).ends_with(expected), "{}", refused(&text));
+    }
+}
+
+#[test]
+fn the_place_of_a_token_that_is_too_short_is_its_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("token");
+    std::fs::write(&file, "short\n").unwrap();
+    let message = refused(&format!("[http]\ntoken-file = {file:?}"));
+    assert!(message.starts_with("x.toml:2: `http.token`"), "{message}");
+}
+
 #[test]
 fn flags_count_more_than_the_file() {
     let directory = tempfile::tempdir().unwrap();
