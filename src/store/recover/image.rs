@@ -28,14 +28,23 @@ pub(super) struct Image {
     pub(super) pages: u32,
     /// Frames of the log that fail their checksum.
     pub(super) damaged_frames: u64,
+    /// Whether some pages are pointer maps.
+    has_pointer_maps: bool,
 }
 
 impl Image {
     pub(super) fn open(path: &Path, log: &Path) -> io::Result<Self> {
         let file = File::open(path)?;
         let length = file.metadata()?.len();
-        let mut image =
-            Self { file, log: None, newer: BTreeMap::new(), page_size: PAGE_SIZE, pages: 0, damaged_frames: 0 };
+        let mut image = Self {
+            file,
+            log: None,
+            newer: BTreeMap::new(),
+            page_size: PAGE_SIZE,
+            pages: 0,
+            damaged_frames: 0,
+            has_pointer_maps: false,
+        };
         let mut header = [0; 100];
         if length >= 100 && image.file.read_exact_at(&mut header, 0).is_ok() && header.starts_with(b"SQLite format 3\0")
         {
@@ -51,6 +60,7 @@ impl Image {
         if let Ok(log) = File::open(log) {
             image.take_log(log)?;
         }
+        image.has_pointer_maps = image.page(1).is_some_and(|page| u32_at(&page, 52) > 0);
         Ok(image)
     }
 
@@ -102,6 +112,16 @@ impl Image {
         }
         self.log = Some(log);
         Ok(())
+    }
+
+    /// Returns whether a page is a pointer map, which holds no rows and may begin as a page of rows does (fileformat2, 1.8).
+    pub(super) fn is_pointer_map(&self, number: u32) -> bool {
+        let size = self.page_size as u64;
+        let every = size / 5 + 1;
+        // The page of the file's locks is never used.
+        let lock_page = (1 << 30) / size + 1;
+        let map = number.checked_sub(2).map(|after| u64::from(after) / every * every + 2);
+        self.has_pointer_maps && map.is_some_and(|map| u64::from(number) == map + u64::from(map == lock_page))
     }
 
     /// Returns a page, counted from 1; `None` if it cannot be read.

@@ -67,7 +67,7 @@ impl Salvage {
         let owners = salvage.owners();
         let free = salvage.free_pages();
         for number in 1..=salvage.image.pages {
-            if free.contains(&number) {
+            if free.contains(&number) || salvage.image.is_pointer_map(number) {
                 continue;
             }
             let owner = owners.get(&number).map(String::as_str);
