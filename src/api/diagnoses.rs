@@ -4,7 +4,7 @@ use super::analysis::{unfinished, with_stale};
 use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
-use super::{aside, conditional, jobs, page};
+use super::{aside, conditional, held, jobs, page};
 use crate::jobs::{DiagnosisBody as Body, DiagnosisDocument, read_diagnosis};
 use crate::page as pages;
 use crate::store::{DiagnosisRow, JobKind, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
@@ -103,8 +103,6 @@ const LARGE_BODY: aside::Kind = aside::Kind {
     bytes_max: 32 << 20,
     time_max: Some(Duration::from_secs(120)),
 };
-/// A body of at most this many bytes is read at once; a larger one is stored and read by a separate process.
-const SMALL_BYTES: usize = 64 * 1024;
 
 /// Compares a capture with a simulator, as a job. The same request again returns the same job.
 #[utoipa::path(post, path = "/v1/captures/{id}/diagnoses", tag = "diagnoses",
@@ -132,8 +130,7 @@ pub(super) async fn submit(
     let capture_id = state.resolve(capture).await?;
     LARGE_BODY.room_for(&state, announced.unwrap_or(0))?;
     if !is_put_aside(&request) {
-        let body = axum::body::to_bytes(request.into_body(), SMALL_BYTES).await;
-        let body = body.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
+        let (body, _hold) = held::body(&state, request.into_body()).await?;
         return jobs::queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, Body::Bytes(&body))).await;
     }
     let permit = state.body_permit()?;
@@ -148,7 +145,7 @@ pub(super) async fn submit(
 
 /// Returns whether this request asks for a diagnosis with a body that may be large.
 pub(super) fn is_put_aside(request: &Request) -> bool {
-    let is_small = request.body().size_hint().upper().is_some_and(|bytes| bytes <= SMALL_BYTES as u64);
+    let is_small = request.body().size_hint().upper().is_some_and(|bytes| bytes <= held::BODY_BYTES as u64);
     request.method() == Method::POST && request.uri().path().ends_with("/diagnoses") && !is_small
 }
 

@@ -1,7 +1,8 @@
 //! Extractors for the parts of a request, with errors of our own.
 
+use super::held::{self, Hold};
 use super::problem::{ApiError, ProblemType};
-use axum::extract::rejection::{BytesRejection, FailedToBufferBody};
+use super::state::ApiState;
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::{HeaderMap, header, request::Parts};
 use serde::de::DeserializeOwned;
@@ -64,28 +65,23 @@ pub(super) fn no_json() -> ApiError {
     )
 }
 
-/// A JSON body; `None` if the request has no body.
-#[derive(Debug, Clone)]
-pub(super) struct J<T>(pub Option<T>);
+/// A JSON body, or `None` if the request has no body, with its memory. Bind both: the memory counts until it is dropped.
+#[derive(Debug)]
+pub(super) struct J<T>(pub Option<T>, pub Option<Hold>);
 
-impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for J<T> {
+impl<T: DeserializeOwned> FromRequest<ApiState> for J<T> {
     type Rejection = ApiError;
-    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+    async fn from_request(request: Request, state: &ApiState) -> Result<Self, ApiError> {
         let is_json = is_json(request.headers());
-        let bytes = axum::body::Bytes::from_request(request, state).await.map_err(|rejection| match rejection {
-            BytesRejection::FailedToBufferBody(FailedToBufferBody::LengthLimitError(_)) => {
-                ApiError::new(ProblemType::TooLarge, "a body holds at most 64 KiB")
-            }
-            rejection => ApiError::bad_request(rejection.body_text()),
-        })?;
+        let (bytes, hold) = held::body(state, request.into_body()).await?;
         if bytes.is_empty() {
-            return Ok(Self(None));
+            return Ok(Self(None, hold));
         }
         if !is_json {
             return Err(no_json());
         }
         serde_json::from_slice(&bytes)
-            .map(|body| Self(Some(body)))
+            .map(|body| Self(Some(body), hold))
             .map_err(|error| ApiError::bad_request(format!("the body: {error}")))
     }
 }

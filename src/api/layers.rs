@@ -24,6 +24,8 @@ pub(super) struct Streamed;
 
 /// Handles the outermost layer: the request's id, its line in the log, its count, and the form of errors.
 pub(super) async fn observe(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    // A client that sends many requests at once is answered one at a time, in turn with the others.
+    tokio::task::yield_now().await;
     let started = Instant::now();
     let number = REQUESTS.fetch_add(1, Ordering::Relaxed);
     // The process id distinguishes requests of one start from those of the next.

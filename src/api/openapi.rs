@@ -62,7 +62,7 @@ fn any_error() -> utoipa::openapi::Response {
 
 /// Returns the route `GET /openapi.json`.
 pub(super) fn route(document: &Document) -> Router<ApiState> {
-    let text = text(document);
+    let text = axum::body::Bytes::from(text(document));
     Router::new().route(
         "/openapi.json",
         get(move || {

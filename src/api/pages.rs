@@ -76,6 +76,7 @@ pub(super) async fn dashboard(
 
 /// Returns a capture's page: its data, the numbers, the pictures.
 pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result<Response, ApiError> {
+    let _permit = state.drawing_permit().await?;
     let (facts, diagnoses, jobs) = state
         .read(move |reader| {
             let id = reader.resolve(&name)?;

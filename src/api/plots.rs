@@ -67,6 +67,7 @@ pub(super) async fn plot(
         return Err(ApiError::new(ProblemType::NotFound, message));
     }
     let id = row.id.to_string();
+    let _permit = state.drawing_permit().await?;
     let (mut documents, mut results) = (Documents::default(), Vec::new());
     for kind in picture.needs() {
         match analysis::drawn(&state, *kind, &id).await {

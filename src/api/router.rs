@@ -1,9 +1,10 @@
 //! The routes, one per line, and the layers around them.
 
+use super::held;
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
 use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, pages, plots, samples, status};
-use axum::extract::{DefaultBodyLimit, Request};
+use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
 use tower_http::compression::CompressionLayer;
@@ -11,8 +12,6 @@ use tower_http::compression::predicate::{Predicate, SizeAbove};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-/// Maximum size of a request's body in bytes.
-const BODY_BYTES: usize = 64 * 1024;
 /// Answers smaller than this are not worth compressing.
 const COMPRESS_BYTES: u64 = 1024;
 
@@ -55,20 +54,21 @@ pub fn router(parts: ApiParts) -> Router {
         CompressionLayer::new().gzip(true).compress_when(SizeAbove::new(COMPRESS_BYTES).and(worth_compressing));
     // The last layer is the outermost.
     routes
-        .merge(openapi::route(&document))
         .route("/", axum::routing::get(pages::dashboard))
         .route("/captures/{id}", axum::routing::get(pages::capture))
         .route("/captures/{id}/series/{channel}", axum::routing::get(pages::series))
-        .route(crate::page::SCRIPT_PATH, axum::routing::get(pages::script))
         .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))
+        .layer(compress)
+        .layer(middleware::from_fn_with_state(state.clone(), held::answer))
+        // What all share takes no memory of each, and is not compressed for each.
+        .merge(openapi::route(&document))
+        .route(crate::page::SCRIPT_PATH, axum::routing::get(pages::script))
         .fallback(nothing_here)
         .layer(middleware::from_fn_with_state(state.clone(), layers::limit_time))
         .layer(middleware::from_fn(layers::slow_refusals))
         .layer(middleware::from_fn_with_state(state.clone(), layers::authorize))
-        .layer(DefaultBodyLimit::max(BODY_BYTES))
         .layer(middleware::from_fn_with_state(state.clone(), layers::check_host))
         .layer(middleware::from_fn_with_state(state.clone(), layers::observe))
-        .layer(compress)
         .with_state(state)
 }
 

@@ -7,10 +7,12 @@ use axum::Router;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
+use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
@@ -34,6 +36,8 @@ pub struct Limits {
     pub turn: Duration,
     /// Maximum number of other queries; one more waits for its turn.
     pub light_queries: usize,
+    /// Memory that the bodies and answers of all connections take together, in bytes.
+    pub held_bytes: usize,
     /// Time for running requests at the end.
     pub farewell: Duration,
 }
@@ -49,7 +53,8 @@ impl Default for Limits {
             computations: 2,
             turn: Duration::from_secs(5),
             light_queries: 16,
-            farewell: Duration::from_secs(5),
+            held_bytes: 8 << 20,
+            farewell: Duration::from_secs(1),
         }
     }
 }
@@ -84,9 +89,26 @@ const HEAD_BYTES: usize = 16 * 1024;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// Maximum time for a refusal.
 const REFUSAL: Duration = Duration::from_secs(1);
+/// Bytes that the kernel keeps for a client that does not read. Its own choice is up to 4 MiB, which a service pays for,
+/// and which takes seconds to fill for a crowd.
+const UNREAD_BYTES: u32 = 128 * 1024;
+/// Number of connections that wait to be accepted.
+const BACKLOG: u32 = 1024;
 /// The answer to a surplus connection.
 const FULL: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\nConnection: close\r\nContent-Length: 0\r\n\r\n";
+
+/// Returns a listener whose connections hold few unread bytes in the kernel.
+///
+/// # Errors
+/// The system's error if the address cannot be used.
+pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    socket.set_reuseaddr(true)?;
+    socket.set_send_buffer_size(UNREAD_BYTES)?;
+    socket.bind(address)?;
+    socket.listen(BACKLOG)
+}
 
 /// Serves `router` on `listener` until `stop` is cancelled, then ends: no new connections are accepted, and running
 /// requests have [`Limits::farewell`].

@@ -19,6 +19,9 @@ const CHANGES: usize = 4;
 /// Maximum number of diagnoses received at once, at most one of them with a large body.
 const TAKERS: usize = 3;
 
+/// Maximum number of pages and pictures that hold their documents at once.
+const DRAWINGS: usize = 8;
+
 /// Maximum number of listeners to events; each has a connection.
 const LISTENERS: usize = 64;
 
@@ -66,12 +69,14 @@ pub(super) struct Inner {
     readers: ReaderPool,
     streams: Arc<Semaphore>,
     computations: Arc<Semaphore>,
+    drawings: Arc<Semaphore>,
     light: Arc<Semaphore>,
     changes: Arc<Semaphore>,
     imports: Arc<Semaphore>,
     bodies: Arc<Semaphore>,
     takers: Arc<Semaphore>,
     listeners: Arc<Semaphore>,
+    budget: Arc<Semaphore>,
     pub(super) latest: Latest,
 }
 
@@ -90,12 +95,14 @@ impl ApiState {
             started: Instant::now(),
             streams: Arc::new(Semaphore::new(streams)),
             computations: Arc::new(Semaphore::new(computations)),
+            drawings: Arc::new(Semaphore::new(DRAWINGS)),
             light: Arc::new(Semaphore::new(light_queries)),
             changes: Arc::new(Semaphore::new(CHANGES)),
             imports: Arc::new(Semaphore::new(1)),
             bodies: Arc::new(Semaphore::new(1)),
             takers: Arc::new(Semaphore::new(TAKERS)),
             listeners: Arc::new(Semaphore::new(LISTENERS)),
+            budget: Arc::new(Semaphore::new(parts.limits.held_bytes / 1024)),
             latest: Latest::default(),
             parts,
         }))
@@ -123,9 +130,14 @@ impl ApiState {
         Arc::clone(&self.streams).try_acquire_owned().map_err(|_| busy())
     }
 
-    fn busy(&self, reason: String, retry_after_s: u32) -> ApiError {
+    pub(super) fn busy(&self, reason: String, retry_after_s: u32) -> ApiError {
         self.parts.metrics.query_refused();
         ApiError::busy(reason, retry_after_s)
+    }
+
+    /// Returns the memory of bodies and answers, in KiB.
+    pub(super) fn budget(&self) -> Arc<Semaphore> {
+        Arc::clone(&self.budget)
     }
 
     /// Returns the permit to listen to events, or 429 at once.
@@ -155,15 +167,29 @@ impl ApiState {
         &self,
         work: impl FnOnce(&Reader, &ApiParts) -> Result<T, JobError> + Send + 'static,
     ) -> Result<T, ApiError> {
-        let Limits { turn, computations: most, .. } = self.parts.limits;
-        let permit = tokio::time::timeout(turn, Arc::clone(&self.computations).acquire_owned()).await;
-        let busy = |_| {
-            let reason = format!("{most} computations are running, which is all that may, and others wait: ask again");
-            self.busy(reason, turn.as_secs() as u32)
-        };
-        let permit = permit.map_err(busy)?.map_err(|_| stopping())?;
+        let most = self.parts.limits.computations;
+        let permit = self.turn(&self.computations, || format!("{most} computations are running")).await?;
         let state = self.clone();
         self.query(permit, move |reader| work(reader, &state.parts)).await
+    }
+
+    /// Returns the permit to hold the documents of a page or of a picture. Waits for its turn, and answers 429 if that does not
+    /// come.
+    pub(super) async fn drawing_permit(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        self.turn(&self.drawings, || format!("{DRAWINGS} pages and pictures are being made")).await
+    }
+
+    async fn turn(
+        &self,
+        turns: &Arc<Semaphore>,
+        what: impl FnOnce() -> String,
+    ) -> Result<OwnedSemaphorePermit, ApiError> {
+        let turn = self.parts.limits.turn;
+        let permit = tokio::time::timeout(turn, Arc::clone(turns).acquire_owned()).await;
+        let busy = |_| {
+            self.busy(format!("{}, which is all that may, and others wait: ask again", what()), turn.as_secs() as u32)
+        };
+        permit.map_err(busy)?.map_err(|_| stopping())
     }
 
     async fn query<T: Send + 'static, E: From<StoreError> + Into<ApiError> + Send + 'static>(

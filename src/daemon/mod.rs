@@ -162,8 +162,7 @@ pub async fn run(
     let config = configuration.borrow().clone();
     let session = session_options(&config)?;
     let address = config.http.listen;
-    let listener =
-        tokio::net::TcpListener::bind(address).await.map_err(|source| DaemonError::Listen { address, source })?;
+    let listener = api::listen(address).map_err(|source| DaemonError::Listen { address, source })?;
     let address = listener.local_addr().map_err(|source| DaemonError::Listen { address, source })?;
     let store_options = StoreOptions {
         queue: config.storage.queue_samples(),

@@ -155,6 +155,61 @@ fn a_thousand_idle_connections_and_200_requests_a_second_harm_nobody() {
     settle(&world);
 }
 
+/// Opens as many connections, sends what the daemon takes of these bytes without reading, and asks for the status meanwhile.
+/// Returns the greatest memory and the times of the status.
+fn crowd(world: &World, daemon: &Process, connections: usize, bytes: &[u8]) -> (u64, Vec<Duration>) {
+    let mut sockets: Vec<(TcpStream, usize)> = (0..connections)
+        .map(|_| {
+            let stream = connect(world);
+            stream.set_nonblocking(true).unwrap();
+            (stream, 0)
+        })
+        .collect();
+    let mut most = 0;
+    let took = std::thread::scope(|scope| {
+        let asking = scope.spawn(|| ask(world, 20, Duration::from_secs(6)));
+        while !asking.is_finished() {
+            for (stream, sent) in &mut sockets {
+                let rest = &bytes[*sent..bytes.len().min(*sent + 32_768)];
+                // A daemon that takes no more, or has closed, gets no more.
+                *sent += stream.write(rest).unwrap_or(0);
+            }
+            most = most.max(memory(daemon.id(), "VmRSS"));
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        asking.join().unwrap()
+    });
+    (most, took)
+}
+
+/// Row E8.
+#[test]
+fn clients_that_finish_no_body_or_read_no_answer_share_one_budget() {
+    let world = World::new();
+    let (_sensor, daemon) = capturing(&world);
+    let post = "POST /v1/models HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 65500\r\n\r\n";
+    let body = format!("{post}{{\"name\":\"{}", "x".repeat(65_400));
+    let get =
+        |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nAccept-Encoding: gzip\r\n\r\n").repeat(600);
+    let (page, openapi) = (get("/captures/latest"), get("/openapi.json"));
+    for (what, connections, bytes) in
+        [("unfinished bodies", 900, &body), ("unread pages", 900, &page), ("unread descriptions", 500, &openapi)]
+    {
+        let (most, took) = crowd(&world, &daemon, connections, bytes.as_bytes());
+        eprintln!(
+            "E8: {connections} {what}: {} MiB, status p99 {:?}, slowest {:?}",
+            most / MIB,
+            p99(&took),
+            took.last()
+        );
+        assert!(most < 64 * MIB, "{what}: {} MiB", most / MIB);
+        assert!(took.last().is_some_and(|slowest| *slowest < Duration::from_secs(2)), "{what}: {:?}", took.last());
+    }
+    nothing_missing(&world);
+    drop(daemon);
+    settle(&world);
+}
+
 /// Row E3.
 #[test]
 fn readers_of_a_byte_a_second_are_dropped_after_30_s_and_hold_nothing() {

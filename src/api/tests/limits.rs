@@ -135,6 +135,48 @@ fn a_refusal_takes_a_second_and_holds_nobody_else_up() {
     assert!(begun.elapsed() >= Duration::from_secs(1), "{:?}", begun.elapsed());
 }
 
+/// Returns a connection on which this was sent, as much of it as the other side takes.
+fn pushed(world: &World, bytes: &[u8]) -> TcpStream {
+    let mut stream = TcpStream::connect(world.address).unwrap();
+    stream.set_write_timeout(Some(Duration::from_millis(50))).unwrap();
+    // What the other side does not take is not sent.
+    let _ = stream.write_all(bytes);
+    stream
+}
+
+/// The answers are in the daemon's memory until they are read: together they have a limit.
+#[test]
+fn answers_that_nobody_reads_share_a_limit() {
+    let world = limited(|limits| limits.held_bytes = 64 * 1024);
+    world.capture("a", CaptureState::Complete, 1_000);
+    let page = "/captures/a";
+    assert!(world.get(page).text.len() > 8 * 1024, "it is large enough to count");
+    let many = format!("GET {page} HTTP/1.1\r\nHost: localhost\r\n\r\n").repeat(400);
+    let unread: Vec<TcpStream> = (0..16).map(|_| pushed(&world, many.as_bytes())).collect();
+    let refused = eventually("the limit is reached", || world.get(page), |answer| answer.status == 429);
+    refused.problem(429, "busy");
+    assert_eq!(world.get("/v1/status").status, 200, "small answers are given meanwhile");
+    assert_eq!(world.get("/openapi.json").status, 200, "what all share counts for nobody");
+    drop(unread);
+    eventually("the memory comes back", || world.get(page), |answer| answer.status == 200);
+}
+
+/// Bodies that do not end are in the daemon's memory: together they have a limit.
+#[test]
+fn bodies_that_do_not_end_share_a_limit() {
+    let world = limited(|limits| limits.held_bytes = 2 << 20);
+    let model = |length: usize| format!("{{\"name\":\"{}\"}}", "x".repeat(length));
+    let head = "POST /v1/models HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 60000\r\n\r\n";
+    let unfinished: Vec<TcpStream> =
+        (0..4).map(|_| pushed(&world, format!("{head}{}", model(20_000)).as_bytes())).collect();
+    let refused =
+        eventually("the limit is reached", || world.post("/v1/models", &model(20_000)), |answer| answer.status == 429);
+    refused.problem(429, "busy");
+    assert_eq!(world.post("/v1/models", &model(100)).status, 400, "small bodies are read meanwhile");
+    drop(unfinished);
+    eventually("the memory comes back", || world.post("/v1/models", &model(20_000)), |answer| answer.status == 400);
+}
+
 #[test]
 fn a_body_that_never_comes_is_not_waited_for() {
     let world = limited(|limits| limits.answer = Duration::from_millis(200));

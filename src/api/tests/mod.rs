@@ -7,7 +7,7 @@ mod diagnoses;
 mod limits;
 mod samples;
 
-use super::{ApiParts, Limits, router, serve};
+use super::{ApiParts, Limits, listen, router, serve};
 use crate::control::{
     CaptureControl, CaptureRequest, Command, ControlError, ImportError, ImportReport, ImportRequest, Importer,
 };
@@ -116,7 +116,7 @@ impl World {
                 }
             }
         });
-        let listener = runtime.block_on(tokio::net::TcpListener::bind("127.0.0.1:0")).unwrap();
+        let listener = runtime.block_on(async { listen("127.0.0.1:0".parse().unwrap()) }).unwrap();
         let address = listener.local_addr().unwrap();
         let stop = CancellationToken::new();
         let limits = parts.limits;

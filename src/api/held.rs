@@ -1,0 +1,98 @@
+//! Held: the memory that the bodies and answers of all connections take together.
+//!
+//! The number of connections is limited, and so is each body and each query. A thousand clients that send almost all of a
+//! body and stop, or that read no answer, would still add up. What is larger than [`FREE_BYTES`] therefore takes part of one
+//! budget for as long as it is in memory, and is answered 429 if nothing is left.
+
+use super::layers::Streamed;
+use super::problem::{ApiError, ProblemType};
+use super::state::ApiState;
+use axum::body::{Body, Bytes};
+use axum::extract::{Request, State};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use hyper::body::Body as _;
+use std::pin::Pin;
+use tokio::sync::OwnedSemaphorePermit;
+
+/// Maximum size of a body that is kept in memory, in bytes.
+pub(super) const BODY_BYTES: usize = 64 * 1024;
+/// A body or answer of at most this size takes nothing of the budget: 1,024 of them have 4 MiB.
+const FREE_BYTES: usize = 4 * 1024;
+/// The part of the budget that a larger body takes: JSON of 64 KiB has up to eight times its size when it is parsed.
+const PARSED_BYTES: usize = 8 * BODY_BYTES;
+
+/// A part of the budget, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Hold {
+    _permit: OwnedSemaphorePermit,
+}
+
+/// Reads a body into memory. The body's memory counts until the returned part of the budget is dropped.
+///
+/// # Errors
+/// [`ApiError`]: 413 above [`BODY_BYTES`], 429 if the budget has no room, 400 for a body that ends early.
+pub(super) async fn body(state: &ApiState, mut body: Body) -> Result<(Bytes, Option<Hold>), ApiError> {
+    let (mut bytes, mut hold) = (Vec::new(), None);
+    while let Some(frame) = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
+        let frame = frame.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
+        let Ok(data) = frame.into_data() else { continue };
+        let length = bytes.len() + data.len();
+        if length > BODY_BYTES {
+            return Err(ApiError::new(ProblemType::TooLarge, "a body holds at most 64 KiB"));
+        }
+        if length > FREE_BYTES && hold.is_none() {
+            hold = Some(state.hold(PARSED_BYTES)?);
+            bytes.reserve_exact(BODY_BYTES);
+        }
+        bytes.extend_from_slice(&data);
+    }
+    Ok((bytes.into(), hold))
+}
+
+/// An answer with its part of the budget: both end when the last byte is sent.
+struct Answer {
+    bytes: Bytes,
+    _hold: Hold,
+}
+
+impl AsRef<[u8]> for Answer {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+/// Takes a part of the budget for each answer that is in memory as a whole, or answers 429 in its place.
+pub(super) async fn answer(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    let response = next.run(request).await;
+    if response.extensions().get::<Streamed>().is_some() {
+        return response;
+    }
+    let (head, body) = response.into_parts();
+    let bytes = match axum::body::to_bytes(body, usize::MAX).await {
+        Ok(bytes) => bytes,
+        Err(error) => return ApiError::internal(error.to_string()).into_response(),
+    };
+    if bytes.len() <= FREE_BYTES {
+        return Response::from_parts(head, bytes.into());
+    }
+    match state.hold(bytes.len()) {
+        Ok(hold) => Response::from_parts(head, Bytes::from_owner(Answer { bytes, _hold: hold }).into()),
+        Err(error) => error.into_response(),
+    }
+}
+
+impl ApiState {
+    /// Returns a part of the budget, or 429 at once. A single larger answer takes the whole budget.
+    fn hold(&self, bytes: usize) -> Result<Hold, ApiError> {
+        let kib = bytes.min(self.parts.limits.held_bytes).div_ceil(1024) as u32;
+        self.budget().try_acquire_many_owned(kib).map(|permit| Hold { _permit: permit }).map_err(|_| {
+            self.busy(
+                "other clients hold as much memory as they may with bodies they do not finish and answers they do not \
+                 read: ask again"
+                    .to_owned(),
+                5,
+            )
+        })
+    }
+}
