@@ -186,7 +186,7 @@ fn crowd(world: &World, daemon: &Process, connections: usize, bytes: &[u8]) -> (
 #[test]
 fn clients_that_finish_no_body_or_read_no_answer_share_one_budget() {
     let world = World::new();
-    let (_sensor, daemon) = capturing(&world);
+    let (_sensor, mut daemon) = capturing(&world);
     let post = "POST /v1/models HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 65500\r\n\r\n";
     let body = format!("{post}{{\"name\":\"{}", "x".repeat(65_400));
     let get =
@@ -206,6 +206,12 @@ fn clients_that_finish_no_body_or_read_no_answer_share_one_budget() {
         assert!(took.last().is_some_and(|slowest| *slowest < Duration::from_secs(2)), "{what}: {:?}", took.last());
     }
     nothing_missing(&world);
+    // They do not delay the end by more than a second: nothing is recorded until the next start.
+    let _unfinished: Vec<_> = (0..100).map(|_| sent(&world, &body.as_bytes()[..3000]).unwrap()).collect();
+    let begun = Instant::now();
+    assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
+    eprintln!("E8: SIGTERM beside them took {:?}", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(4), "{:?}", begun.elapsed());
     drop(daemon);
     settle(&world);
 }
