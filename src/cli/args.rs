@@ -516,7 +516,7 @@ pub enum Work {
     /// Make a PNG of the SVG on standard input
     Png,
     /// Read the body of a request for a diagnosis
-    #[command(name = "wish")]
+    #[command(name = "diagnosis-body")]
     DiagnosisBody {
         /// The body
         #[arg(long)]

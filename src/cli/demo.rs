@@ -189,8 +189,8 @@ async fn asked(url: String) -> anyhow::Result<serde_json::Value> {
 async fn diagnosed(base: String) -> anyhow::Result<String> {
     let begun = Instant::now();
     let model = posted(format!("{base}/v1/models"), serde_json::to_value(told())?).await?;
-    let wish = serde_json::json!({ "sim": model["id"] });
-    let job = posted(format!("{base}/v1/captures/latest/diagnoses"), wish).await?;
+    let body = serde_json::json!({ "sim": model["id"] });
+    let job = posted(format!("{base}/v1/captures/latest/diagnoses"), body).await?;
     let job = loop {
         let job = asked(format!("{base}/v1/jobs/{}", job["id"])).await?;
         if !matches!(job["state"].as_str(), Some("queued" | "running")) {

@@ -81,12 +81,12 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
         serde_json::to_writer(&mut stdout, &outcome.diagnosis)?;
         return Ok(Outcome::Done);
     }
-    let wishes = plan(args.seed, args.cases, words(&args.kinds)).map_err(usage)?;
+    let plans = plan(args.seed, args.cases, words(&args.kinds)).map_err(usage)?;
     let draw = |index: usize| -> anyhow::Result<Case> {
-        let own = wishes.get(index).with_context(|| format!("there is no case {index}"))?;
+        let own = plans.get(index).with_context(|| format!("there is no case {index}"))?;
         Ok(Case::draw(args.seed, index, own, args.samples))
     };
-    let keys = || (0..wishes.len()).map(|index| Ok(draw(index)?.key())).collect::<anyhow::Result<Vec<Key>>>();
+    let keys = || (0..plans.len()).map(|index| Ok(draw(index)?.key())).collect::<anyhow::Result<Vec<Key>>>();
     match args.part {
         TrialPart::Manifest => {
             let digests = keys()?.iter().map(Key::digest).collect();

@@ -198,7 +198,7 @@ pub(super) fn read_apart<'a>(
     file: &Path,
     find_sim: impl FnOnce(Value) -> Result<Simulator, JobError>,
 ) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
-    let work = ["wish".as_ref(), "--file".as_ref(), file.as_os_str()];
+    let work = ["diagnosis-body".as_ref(), "--file".as_ref(), file.as_os_str()];
     let mut child = Child::<Message>::start(MEMORY_BYTES, TIME.as_secs(), &work, REFERENCE_PART_BYTES as u64)
         .map_err(JobError::Process)?;
     let died = |reason: String| JobError::Died { reason };

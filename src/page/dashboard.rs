@@ -48,7 +48,7 @@ pub fn dashboard(view: &DashboardView<'_>) -> String {
     let live = live(view);
     // Assistive technology announces problems in time to act, and also that the daemon does not answer.
     let mut out = format!("<p id=\"lost\" class=\"alarm\" role=\"alert\"></p><div id=\"live\">{live}</div>");
-    wishes(&mut out, view);
+    controls(&mut out, view);
     out += "<footer><a href=\"/v1/status\">status as JSON</a> · <a href=\"/v1/captures\">captures</a> · \
             <a href=\"/v1/jobs\">jobs</a> · <a href=\"/v1/diagnoses\">diagnoses</a> · <a href=\"/v1/models\">models</a> · \
             <a href=\"/metrics\">metrics</a> · <a href=\"/openapi.json\">the interface</a></footer>";
@@ -267,8 +267,8 @@ fn diagnoses(out: &mut String, diagnoses: &[DiagnosisRow]) {
 }
 
 /// Writes the forms, which scripts show and send; users without scripts have curl.
-fn wishes(out: &mut String, view: &DashboardView<'_>) {
-    *out += "<section class=\"wishes\" aria-label=\"start and stop\" hidden><h2>Record</h2>";
+fn controls(out: &mut String, view: &DashboardView<'_>) {
+    *out += "<section class=\"controls\" aria-label=\"start and stop\" hidden><h2>Record</h2>";
     let _ = write!(
         out,
         "<form data-post=\"/v1/captures\" data-when=\"idle\"><label>name <input name=\"name\" maxlength=\"100\" placeholder=\"date and time\"></label>\
@@ -394,7 +394,8 @@ mod tests {
         let page = shown(&status(SensorState::Streaming, None), Some(&stored()));
         assert!(page.contains("<noscript><meta http-equiv=\"refresh\" content=\"5\"></noscript>"), "{page}");
         assert!(
-            page.contains("class=\"wishes\" aria-label=\"start and stop\" hidden") && page.contains("class=\"token\"")
+            page.contains("class=\"controls\" aria-label=\"start and stop\" hidden")
+                && page.contains("class=\"token\"")
         );
     }
 }

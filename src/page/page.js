@@ -3,7 +3,7 @@
 
 const live = document.getElementById("live");
 
-// Token: kept as long as the tab is open, and sent with wishes alone.
+// Token: kept as long as the tab is open, and sent with changes alone.
 for (const field of document.querySelectorAll("input.token")) {
   field.value = sessionStorage.getItem("token") ?? "";
   field.addEventListener("change", () => sessionStorage.setItem("token", field.value));
@@ -19,7 +19,7 @@ function headers() {
 function become(old, fresh) {
   if (old.nodeName !== fresh.nodeName) return old.replaceWith(document.importNode(fresh, true));
   // What somebody is filling in, and what somebody has opened, is theirs.
-  if (old.classList?.contains("wishes")) return;
+  if (old.classList?.contains("controls")) return;
   if (old.nodeType === Node.TEXT_NODE) {
     if (old.data !== fresh.data) old.data = fresh.data;
     return;
@@ -31,9 +31,9 @@ function become(old, fresh) {
 
 function within(old, fresh) {
   const [had, has] = [[...old.childNodes], [...fresh.childNodes]];
-  const [at, to] = [had, has].map((nodes) => nodes.findIndex((node) => node.classList?.contains("wishes")));
+  const [at, to] = [had, has].map((nodes) => nodes.findIndex((node) => node.classList?.contains("controls")));
   if (at >= 0 && to >= 0) {
-    // What is before the wishes may become more or fewer parts: the wishes stay the same ones.
+    // What is before the controls may become more or fewer parts: the controls stay the same ones.
     parts(old, had.slice(0, at), has.slice(0, to), had[at]);
     parts(old, had.slice(at + 1), has.slice(to + 1), null);
   } else {
@@ -132,8 +132,8 @@ document.addEventListener(
   true,
 );
 
-// Sends a wish; the daemon's answer, or why there is none.
-async function wish(form) {
+// Sends a change; the daemon's answer, or why there is none.
+async function change(form) {
   const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
   for (const [name, value] of new FormData(form)) {
     if (value === "" || value.size === 0) continue;
@@ -162,15 +162,15 @@ async function wish(form) {
   }
 }
 
-// Wishes: forms that are sent as JSON.
-for (const section of document.querySelectorAll(".wishes")) {
+// Controls: forms that are sent as JSON.
+for (const section of document.querySelectorAll(".controls")) {
   section.hidden = false;
   const said = section.querySelector(".said");
   for (const form of section.querySelectorAll("form")) {
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       if (form.dataset.ask && !confirm(form.dataset.ask)) return;
-      const told = await wish(form);
+      const told = await change(form);
       said.classList.toggle("alarm", "refused" in told);
       if (told.refused) said.textContent = told.refused;
       else if (form.dataset.then) location.assign(form.dataset.then + told.id);

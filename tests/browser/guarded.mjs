@@ -67,7 +67,7 @@ async function recorded(page, checks, visit) {
   checks.that("token", desk.name === "desk" && desk.state !== "capturing", `${desk.name} is ${desk.state}`);
 }
 
-/// Where the daemon has gone the page says so, since what it shows is old, and does not take a wish for heard.
+/// Where the daemon has gone the page says so, since what it shows is old, and does not report a change as done.
 async function lost(page, checks, visit, pid) {
   await page.goto(new URL("/", page.url()).href);
   await page.locator("#minute svg path").first().waitFor({ state: "attached" });

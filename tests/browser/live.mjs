@@ -64,7 +64,7 @@ export async function keepsFocus(page, checks) {
 export async function reloads(visit, checks, address) {
   const page = await visit.page();
   await page.goto(address);
-  checks.that("static", (await page.locator("section.wishes:visible").count()) === 0, "forms are shown that need scripts");
+  checks.that("static", (await page.locator("section.controls:visible").count()) === 0, "forms are shown that need scripts");
   checks.that("static", await page.locator("noscript code", { hasText: "curl" }).isVisible(), "nothing says how to start without scripts");
   const before = await samples(page);
   await page.waitForEvent("load", { timeout: 15_000 });
@@ -81,7 +81,7 @@ export async function start(page, { name, duration, at }) {
   await page.getByRole("button", { name: "start", exact: true }).click();
 }
 
-/// What the page answers to a wish.
+/// Returns what the page answers to a change.
 export async function said(page, text) {
   await page.locator(".said").filter({ hasText: text }).waitFor();
 }

@@ -196,7 +196,7 @@ fn make(
 /// The plans of the cases.
 struct Plans {
     still: Vec<Recipe>,
-    moved: Vec<Vec<motion::kind::Wish>>,
+    moved: Vec<Vec<motion::kind::Planned>>,
 }
 
 /// Returns the outcome of an odd case: the changes, and whether the diagnosis accepted it. A panic is passed on.

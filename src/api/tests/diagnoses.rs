@@ -16,8 +16,8 @@ fn done(world: &World, id: &serde_json::Value) -> Answer {
 fn a_capture_is_compared_with_a_model_and_everyone_gets_the_form_they_read() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 2000);
-    let wish = format!(r#"{{"sim": {}}}"#, model(r#"{"N": 1e-5}"#));
-    let asked = world.post("/v1/captures/a/diagnoses", &wish);
+    let body = format!(r#"{{"sim": {}}}"#, model(r#"{"N": 1e-5}"#));
+    let asked = world.post("/v1/captures/a/diagnoses", &body);
     assert_eq!(asked.status, 202, "{asked:?}");
     let id = asked.json()["id"].clone();
     assert_eq!(
@@ -61,7 +61,7 @@ fn a_capture_is_compared_with_a_model_and_everyone_gets_the_form_they_read() {
 }
 
 #[test]
-fn the_same_wish_is_the_same_job_however_it_is_written() {
+fn the_same_request_is_the_same_job_however_it_is_written() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 1500);
     let kept = world.post("/v1/models", &model(r#"{"N": 1e-5}"#));

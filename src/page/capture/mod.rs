@@ -183,7 +183,7 @@ fn head(out: &mut String, view: &CaptureView<'_>) {
         let _ = write!(out, "<p class=\"remark\">{}</p>", escaped(remark));
     }
     if let Some(token) = view.served {
-        wishes(out, of, token);
+        controls(out, of, token);
     }
 }
 
@@ -207,9 +207,9 @@ fn sentence(of: &CaptureRow) -> String {
 }
 
 /// Writes the requests that the page offers; users without scripts have curl.
-fn wishes(out: &mut String, of: &CaptureRow, token: bool) {
+fn controls(out: &mut String, of: &CaptureRow, token: bool) {
     let id = of.id;
-    let _ = write!(out, "<section class=\"wishes\" aria-label=\"actions\" hidden>");
+    let _ = write!(out, "<section class=\"controls\" aria-label=\"actions\" hidden>");
     if of.state.is_open() {
         let _ = write!(
             out,

@@ -4,7 +4,7 @@
 use super::bound::{information, needed};
 use super::course::{FINE, Shape, course};
 use super::impose::{Imposed, behind, full_scale, shown};
-use super::kind::{Kind, Wish};
+use super::kind::{Kind, Planned};
 use crate::draw::Draw;
 use crate::ground::{TemperatureCourse, as_read, flicker};
 use imu_core::sample::{Channel, Triad};
@@ -98,7 +98,7 @@ pub struct Case {
     nbk: [[[[f64; 3]; 2]; 3]; 2],
     warms: TemperatureCourse,
     clock: Option<OwnClock>,
-    wishes: Vec<Wish>,
+    planned: Vec<Planned>,
 }
 
 /// A reference's clock that differs from the record's.
@@ -114,7 +114,7 @@ struct OwnClock {
 
 impl Case {
     /// Returns the case `number` of the sealed seed with these effects.
-    pub fn draw(seed: u64, number: usize, wishes: &[Wish], samples: Option<usize>) -> Self {
+    pub fn draw(seed: u64, number: usize, planned: &[Planned], samples: Option<usize>) -> Self {
         let mut draw = Draw::device(seed, number as u64, "motion setting");
         let rate_hz = [40.0, 50.0, 100.0][draw.whole(0, 2)];
         let drawn = (rate_hz * draw.log_uniform(300.0, 900.0)) as usize;
@@ -145,7 +145,7 @@ impl Case {
             nbk,
             warms,
             clock,
-            wishes: wishes.to_vec(),
+            planned: planned.to_vec(),
         }
     }
 
@@ -167,7 +167,7 @@ impl Case {
 
     /// Returns the effects with their sizes: log-uniform over a decade from the bound's size.
     fn effects(&self, course: &[Motion], warmth_c: &[f64]) -> Vec<(TrueEffect, Imposed)> {
-        let of = |(index, (kind, triad)): (usize, &Wish)| {
+        let of = |(index, (kind, triad)): (usize, &Planned)| {
             let mut draw = Draw::device(self.seed, self.number as u64, &format!("motion effect {index}"));
             let over_limit = draw.log_uniform(1.0, 10.0);
             let place = usize::from(*triad == Triad::Accel);
@@ -205,7 +205,7 @@ impl Case {
                 TrueEffect { kind: *kind, triad: triad.name().to_owned(), over_limit, numbers: numbers.clone(), limit };
             (told, Imposed { kind: *kind, triad: *triad, numbers })
         };
-        self.wishes.iter().enumerate().map(of).collect()
+        self.planned.iter().enumerate().map(of).collect()
     }
 
     /// Returns the key.

@@ -82,7 +82,7 @@ impl Kind {
 }
 
 /// One effect of a case: its kind and its triad.
-pub type Wish = (Kind, Triad);
+pub type Planned = (Kind, Triad);
 
 /// Words that choose classes of cases, beside the kinds' names.
 pub const CLASSES: [&str; 4] = ["none", "single", "pair", "outside"];
@@ -93,7 +93,11 @@ pub const CLASSES: [&str; 4] = ["none", "single", "pair", "outside"];
 ///
 /// # Errors
 /// The word that names neither a class nor a kind.
-pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str>) -> Result<Vec<Vec<Wish>>, String> {
+pub fn plan<'a>(
+    seed: u64,
+    cases: usize,
+    words: impl IntoIterator<Item = &'a str>,
+) -> Result<Vec<Vec<Planned>>, String> {
     let mut draw = Draw::device(seed, u64::MAX, "motion plan");
     let (mut classes, mut kinds): (Vec<&str>, Vec<Kind>) = (Vec::new(), Vec::new());
     for word in words {
@@ -127,15 +131,15 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
         _ => 2.0,
     };
     let total: f64 = classes.iter().map(|class| share(class)).sum();
-    let single = |of: &[Kind]| -> Vec<Vec<Wish>> {
+    let single = |of: &[Kind]| -> Vec<Vec<Planned>> {
         of.iter().flat_map(|kind| kind.triads().iter().map(move |triad| vec![(*kind, *triad)])).collect()
     };
-    let mut made: Vec<Vec<Wish>> = Vec::new();
+    let mut made: Vec<Vec<Planned>> = Vec::new();
     let mut until = 0.0;
     for class in classes {
         until += share(class) / total * cases as f64;
         let count = (until.round() as usize).saturating_sub(made.len());
-        let mut list: Vec<Vec<Wish>> = match class {
+        let mut list: Vec<Vec<Planned>> = match class {
             "none" => vec![Vec::new()],
             "outside" => in_turn(&single(&some(Kind::OUTSIDE))),
             "pair" => {
@@ -143,7 +147,7 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
                 let pairs = all.iter().enumerate().flat_map(|(at, one)| {
                     all[at + 1..].iter().filter(|other| goes_with(*one, **other)).map(|other| vec![*one, *other])
                 });
-                let mut pairs: Vec<Vec<Wish>> = pairs.collect();
+                let mut pairs: Vec<Vec<Planned>> = pairs.collect();
                 draw.shuffle(&mut pairs);
                 pairs
             }
@@ -159,7 +163,7 @@ pub fn plan<'a>(seed: u64, cases: usize, words: impl IntoIterator<Item = &'a str
 }
 
 /// Returns each kind once before any kind occurs on its second triad.
-fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
+fn in_turn(all: &[Vec<Planned>]) -> Vec<Vec<Planned>> {
     let mut kinds: Vec<Kind> = all.iter().flatten().map(|(kind, _)| *kind).collect();
     kinds.dedup();
     let of = |turn: usize| {
@@ -170,7 +174,7 @@ fn in_turn(all: &[Vec<Wish>]) -> Vec<Vec<Wish>> {
 
 /// Returns whether two effects can be separated: not two of the same kind on one triad, not two delays of one sensor's
 /// clock, and no effect beside a filter or a limit that would hide it.
-fn goes_with(one: Wish, other: Wish) -> bool {
+fn goes_with(one: Planned, other: Planned) -> bool {
     let alone = |kind: Kind| matches!(kind, Kind::Saturation | Kind::LowPass);
     let late = |kind: Kind| matches!(kind, Kind::Latency | Kind::LowPass);
     one != other && !(late(one.0) && late(other.0)) && !(alone(one.0) && alone(other.0)) && one.0 != other.0
@@ -183,16 +187,16 @@ mod tests {
     #[test]
     fn plans_have_their_shares_and_words_choose() {
         let all = plan(1, 1000, []).unwrap();
-        let count = |of: &dyn Fn(&Vec<Wish>) -> bool| all.iter().filter(|wishes| of(wishes)).count();
+        let count = |of: &dyn Fn(&Vec<Planned>) -> bool| all.iter().filter(|planned| of(planned)).count();
         assert_eq!(count(&Vec::is_empty), 200);
-        assert_eq!(count(&|wishes| wishes.len() == 2), 200);
-        assert_eq!(count(&|wishes| wishes.len() == 1 && wishes[0].0.effect().is_none()), 100);
+        assert_eq!(count(&|planned| planned.len() == 2), 200);
+        assert_eq!(count(&|planned| planned.len() == 1 && planned[0].0.effect().is_none()), 100);
         for kind in Kind::LIBRARY.iter().copied() {
-            let own = count(&|wishes| wishes.len() == 1 && wishes[0].0 == kind);
+            let own = count(&|planned| planned.len() == 1 && planned[0].0 == kind);
             assert!((44..=48).contains(&own), "{kind}: {own}");
         }
         let own = plan(1, 20, ["misalignment"]).unwrap();
-        assert!(own.iter().all(|wishes| wishes.len() == 1 && wishes[0].0 == Kind::Misalignment));
+        assert!(own.iter().all(|planned| planned.len() == 1 && planned[0].0 == Kind::Misalignment));
         assert!(plan(1, 5, ["mislignment"]).unwrap_err().contains("mislignment"));
     }
 }

@@ -361,10 +361,10 @@ mod tests {
         let cases: usize = told("VN100D_MOTION_CASES").and_then(|text| text.parse().ok()).unwrap_or(10);
         let seed: u64 = told("VN100D_MOTION_SEED").and_then(|text| text.parse().ok()).unwrap_or(11);
         let kinds = told("VN100D_MOTION_KINDS").unwrap_or_default();
-        let wishes = plan(seed, cases, kinds.split(',').filter(|word| !word.is_empty())).unwrap();
+        let planned = plan(seed, cases, kinds.split(',').filter(|word| !word.is_empty())).unwrap();
         let mut judged = Vec::new();
-        for (index, wish) in wishes.iter().enumerate() {
-            let case = Case::draw(seed, index, wish, None);
+        for (index, own) in planned.iter().enumerate() {
+            let case = Case::draw(seed, index, own, None);
             let (recording, model, reference) = unpack(&pack(&case, &case.model(false).unwrap()).unwrap()).unwrap();
             let report = diagnose_moved(&recording, &reference, &model, &Options::default())
                 .map(|outcome| serde_json::to_value(&outcome.diagnosis).unwrap())
