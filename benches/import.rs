@@ -43,7 +43,7 @@ fn timed<T>(work: impl FnOnce() -> T) -> (f64, f64, T) {
 }
 
 /// Prints the median of several rounds by their time.
-fn tell(what: &str, rows: u64, mut rounds: Vec<(f64, f64)>) {
+fn print_median(what: &str, rows: u64, mut rounds: Vec<(f64, f64)>) {
     rounds.sort_by(|one, other| one.0.total_cmp(&other.0));
     let (took_s, worked_s) = rounds[rounds.len() / 2];
     println!("{what}: {:>9.0} rows/s ({rows} in {took_s:.3} s, {worked_s:.3} s of processor)", rows as f64 / took_s);
@@ -86,8 +86,8 @@ fn main() {
         assert_eq!(read as u64, rows);
         second.push((took_s, worked_s));
     }
-    tell("parse: values and times", rows, second);
-    tell("parse: rate, channels, findings", rows, first);
+    print_median("parse: values and times", rows, second);
+    print_median("parse: rate, channels, findings", rows, first);
 
     let mut imports = Vec::new();
     for round in 0..rounds.min(3) {
@@ -98,5 +98,5 @@ fn main() {
         imports.push((took_s, worked_s));
         store.close().unwrap();
     }
-    tell("import into SQLite", rows, imports);
+    print_median("import into SQLite", rows, imports);
 }

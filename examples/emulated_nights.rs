@@ -154,10 +154,10 @@ fn main() -> Result<(), Failed> {
                 }
             }
         }
-        let Found { channels, inside, named, unusable, missing, error, square, slow: [held, told, below] } = found;
+        let Found { channels, inside, named, unusable, missing, error, square, slow: [held, intervals, below] } = found;
         let count = f64::from(channels);
         println!(
-            "| {rate} | {nights} | {inside} of {channels} ({:.1} %) | {:+.3} % | {:.3} % | {named} | {unusable} | {held} of {told} | {below} | {missing} |",
+            "| {rate} | {nights} | {inside} of {channels} ({:.1} %) | {:+.3} % | {:.3} % | {named} | {unusable} | {held} of {intervals} | {below} | {missing} |",
             100.0 * f64::from(inside) / count,
             100.0 * error / count,
             100.0 * (square / count).sqrt()

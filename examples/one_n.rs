@@ -77,18 +77,18 @@ fn of_noise(channel: &Value, letter: &str) -> Option<Answer> {
 /// Returns N, B or K of a model. N is the plateau, between the values for the ends of its own N.
 fn of_model(model: &SensorModel, channel: Channel, letter: &str, samples: u64) -> Option<Answer> {
     let own = model.channels.get(&channel)?;
-    let told = match letter {
+    let stated = match letter {
         "N" => own.n,
         "B" => own.b,
         _ => own.k,
     };
-    let seen = |told: f64| {
+    let seen = |stated: f64| {
         let mut model = model.clone();
-        model.channels.get_mut(&channel).expect("it is there").n = told;
-        if letter == "N" { plateau(&model, channel, samples) } else { told }
+        model.channels.get_mut(&channel).expect("it is there").n = stated;
+        if letter == "N" { plateau(&model, channel, samples) } else { stated }
     };
     match (own.interval(letter), own.upper_limit(letter)) {
-        (Some(ends), _) if told > 0.0 => Some(Answer { value: Some(seen(told)), ends: ends.map(seen) }),
+        (Some(ends), _) if stated > 0.0 => Some(Answer { value: Some(seen(stated)), ends: ends.map(seen) }),
         (_, Some(limit)) => Some(Answer { value: None, ends: [0.0, limit] }),
         _ => None,
     }
@@ -150,7 +150,7 @@ impl Bench {
         });
         let (model, better) = (self.file("wrong.json"), self.file("better.json"));
         std::fs::write(&model, serde_json::to_string(&wrong).expect("a model is JSON")).expect("the folder is there");
-        let told = with(&[
+        let printed = with(&[
             "diagnose",
             "--real",
             recording,
@@ -161,7 +161,7 @@ impl Bench {
             "--force",
             "--json",
         ]);
-        let diagnosis = match told {
+        let diagnosis = match printed {
             Ok(text) => serde_json::from_str::<Value>(&text).expect("diagnose writes JSON"),
             Err(why) => return println!("{name}: {why}"),
         };
@@ -199,8 +199,8 @@ impl Bench {
                         .iter()
                         .zip(met)
                         .map(|((who, other), met)| {
-                            let said = other.map_or_else(|| "–".to_owned(), |other| other.to_string());
-                            format!("{who} {said}{}", if met { "" } else { " !" })
+                            let text = other.map_or_else(|| "–".to_owned(), |other| other.to_string());
+                            format!("{who} {text}{}", if met { "" } else { " !" })
                         })
                         .collect();
                     let truth = self.truth.as_ref().map_or(String::new(), |truth| {

@@ -43,15 +43,15 @@ fn row(name: &str, document: &Value) -> String {
             withheld.push((channel.clone(), reason));
         }
     }
-    let mut said: Vec<String> = Vec::new();
+    let mut reasons: Vec<String> = Vec::new();
     if let Some((_, reason)) = withheld.first().filter(|first| withheld.iter().all(|of| of.1 == first.1)) {
-        said.push(if withheld.len() == all { reason.clone() } else { format!("{}: {reason}", channels(&withheld)) });
+        reasons.push(if withheld.len() == all { reason.clone() } else { format!("{}: {reason}", channels(&withheld)) });
     } else {
-        said.extend(withheld.iter().map(|(channel, reason)| format!("{channel}: {reason}")));
+        reasons.extend(withheld.iter().map(|(channel, reason)| format!("{channel}: {reason}")));
     }
     let rate_hz = document["rate_hz"].as_f64().unwrap_or_default();
     let times = ["duration_s", "at_rest_s"].map(|key| seconds(&document[key]));
-    format!("| {name} | {rate_hz:.2} | {} | {} | {usable} of {all} | {} |", times[0], times[1], said.join("; "))
+    format!("| {name} | {rate_hz:.2} | {} | {} | {usable} of {all} | {} |", times[0], times[1], reasons.join("; "))
 }
 
 fn channels(of: &[(String, String)]) -> String {
@@ -80,8 +80,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         match serde_json::from_slice::<Value>(&output.stdout) {
             Ok(document) => println!("{}", row(&name, &document)),
             Err(_) => {
-                let said = String::from_utf8_lossy(&output.stderr);
-                println!("| {name} | – | – | – | – | {} |", said.lines().last().unwrap_or_default());
+                let stderr = String::from_utf8_lossy(&output.stderr);
+                println!("| {name} | – | – | – | – | {} |", stderr.lines().last().unwrap_or_default());
             }
         }
     }

@@ -32,7 +32,7 @@ fn unit_with_the_built_binary(directory: &Path, name: &str, shipped: &str) -> st
     Ok(unit)
 }
 
-fn said(output: &Output) -> String {
+fn printed(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }
 
@@ -44,8 +44,8 @@ fn systemd_finds_nothing_to_say_about_the_units() {
         let Some(output) = analyze(&["verify"], &unit) else { return };
         // Its reports about other units of this machine do not concern these units.
         let ours: Vec<String> =
-            said(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
-        assert!(ours.is_empty() && output.status.success(), "{name}: {}", said(&output));
+            printed(&output).lines().filter(|line| line.contains("vn100d")).map(str::to_owned).collect();
+        assert!(ours.is_empty() && output.status.success(), "{name}: {}", printed(&output));
     }
 }
 
@@ -55,7 +55,7 @@ fn the_units_exposure_is_at_most_1_6() {
     for (name, shipped) in UNITS {
         let unit = unit_with_the_built_binary(directory.path(), name, shipped).unwrap();
         let Some(output) = analyze(&["security", "--offline=true", THRESHOLD], &unit) else { return };
-        assert!(output.status.success(), "{name}: {}", said(&output));
+        assert!(output.status.success(), "{name}: {}", printed(&output));
     }
 }
 

@@ -125,7 +125,7 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
 
 fn linked(id: &str, picture: Picture) -> Figure {
     let address = format!("/v1/captures/{id}/plots/{}.svg", picture.name());
-    Figure::Linked { told: picture.told(), address, height: picture.height() }
+    Figure::Linked { alt: picture.description(), address, height: picture.height() }
 }
 
 /// Returns the progress of a job.

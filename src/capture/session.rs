@@ -48,7 +48,7 @@ pub struct SessionOptions {
 enum Phase {
     Absent,
     Opening,
-    Scanning { index: usize, since_ns: u64, heard: bool, valid: bool },
+    Scanning { index: usize, since_ns: u64, received: bool, valid: bool },
     Identifying,
     Describing,
     Configuring,
@@ -100,7 +100,7 @@ pub struct Session {
     counted: bool,
     /// Whether a sample with that count has arrived.
     numbered: bool,
-    heard_any: bool,
+    received_any: bool,
     /// Whether bytes arrived at the last good baud rate that were no frames.
     good_is_garbled: bool,
     stopping: bool,
@@ -136,7 +136,7 @@ impl Session {
             flowing: false,
             counted: false,
             numbered: false,
-            heard_any: false,
+            received_any: false,
             good_is_garbled: false,
             stopping: false,
         }
@@ -173,9 +173,9 @@ impl Session {
             Input::OpenFailed(error) => self.open_failed(now_ns, &error, actions),
             Input::Disconnected(reason) => self.disconnected(now_ns, &reason, actions),
             Input::Bytes(count) => {
-                self.heard_any |= count > 0;
+                self.received_any |= count > 0;
                 if count > 0 {
-                    self.heard(now_ns);
+                    self.received(now_ns);
                 }
             }
             Input::Rejected(count) => self.rejected_since_sample = self.rejected_since_sample.saturating_add(count),

@@ -1,6 +1,6 @@
 //! The input of an analysis: captures in the database, or recordings' files directly.
 
-use super::source::{Source, has_rejected, tell_rate};
+use super::source::{Source, has_rejected, note_assumed_rate};
 use super::{Context, usage};
 use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, one_sensor};
 use crate::store::{CaptureRow, Chunk, Missing, Reader, StoreError};
@@ -53,8 +53,8 @@ impl Together {
     ///
     /// # Errors
     /// If the statement contradicts the samples' rate or register 85.
-    pub(super) fn sampled(&mut self, told: Option<StatedSampling>) -> anyhow::Result<()> {
-        told.map_or(Ok(()), |told| self.plan.sampled(told)).map_err(contradicted)
+    pub(super) fn sampled(&mut self, stated: Option<StatedSampling>) -> anyhow::Result<()> {
+        stated.map_or(Ok(()), |stated| self.plan.sampled(stated)).map_err(contradicted)
     }
 
     /// Returns whether frames or lines of a capture were rejected on the way in.
@@ -199,7 +199,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             return Err(JobError::Together { reason }.into());
         }
         if material.rate_assumed {
-            tell_rate(name, material.setting.rate_hz);
+            note_assumed_rate(name, material.setting.rate_hz);
         }
         if let Some(overridden) = &material.overridden {
             eprintln!("note: {name}: {overridden}");

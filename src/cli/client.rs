@@ -206,9 +206,9 @@ impl<R: io::Read> io::Read for Sent<R> {
                 Ok(read)
             }
             Err(error) => {
-                let told = io::Error::new(error.kind(), "the body ended early");
+                let reported = io::Error::new(error.kind(), "the body ended early");
                 self.failed = Some(error);
-                Err(told)
+                Err(reported)
             }
         }
     }

@@ -71,7 +71,7 @@ impl Transport for Connection {
     fn transmit_output(&mut self, amount: usize, timeout: NextTimeout) -> Result<(), ureq::Error> {
         self.stream.set_write_timeout(timeout.not_zero().map(|timeout| *timeout))?;
         let output = self.buffers.output().get(..amount).unwrap_or_default();
-        self.stream.write_all(output).map_err(|error| told(error, &timeout))
+        self.stream.write_all(output).map_err(|error| convert_error(error, &timeout))
     }
 
     fn await_input(&mut self, timeout: NextTimeout) -> Result<bool, ureq::Error> {
@@ -79,7 +79,7 @@ impl Transport for Connection {
         let read = loop {
             match self.stream.read(self.buffers.input_append_buf()) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                read => break read.map_err(|error| told(error, &timeout))?,
+                read => break read.map_err(|error| convert_error(error, &timeout))?,
             }
         };
         self.buffers.input_appended(read);
@@ -93,7 +93,7 @@ impl Transport for Connection {
 }
 
 /// Converts the two errors with which the system gives up a socket; the time limit for a lost host is not ours.
-fn told(error: io::Error, timeout: &NextTimeout) -> ureq::Error {
+fn convert_error(error: io::Error, timeout: &NextTimeout) -> ureq::Error {
     match error.kind() {
         io::ErrorKind::WouldBlock => ureq::Error::Timeout(timeout.reason),
         _ => error.into(),

@@ -72,11 +72,11 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
         let running = tokio::spawn({
             let stop = stop.clone();
             async move {
-                let told = |handle| {
+                let on_ready = |handle| {
                     // If the demonstration was interrupted, the receiver is gone.
                     let _ = ready.send(handle);
                 };
-                daemon::run(options, stop, told).await
+                daemon::run(options, stop, on_ready).await
             }
         });
         let shown = match started.await {
@@ -106,7 +106,7 @@ fn humming() -> SensorModel {
 }
 
 /// Returns the model for the comparison: the channels whose noise is analysed.
-fn told() -> SensorModel {
+fn comparison_model() -> SensorModel {
     let mut model = default_model();
     model.channels.retain(|channel, _| Channel::ANALYSED.contains(channel));
     model
@@ -163,7 +163,7 @@ async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationTo
         HUM.frequency_hz, HUM.amplitude
     ))?;
     tokio::select! {
-        said = diagnosed(base.clone()) => say(&said?)?,
+        diagnosis = diagnosed(base.clone()) => say(&diagnosis?)?,
         () = stop.cancelled() => return Ok(Outcome::Done),
     }
     let tries = ["status", "captures/latest", "captures/latest/noise", "captures/latest/allan", "diagnoses/latest"];
@@ -188,7 +188,7 @@ async fn asked(url: String) -> anyhow::Result<serde_json::Value> {
 /// Compares the capture with the model by an ordinary job, and returns the result as text.
 async fn diagnosed(base: String) -> anyhow::Result<String> {
     let begun = Instant::now();
-    let model = posted(format!("{base}/v1/models"), serde_json::to_value(told())?).await?;
+    let model = posted(format!("{base}/v1/models"), serde_json::to_value(comparison_model())?).await?;
     let body = serde_json::json!({ "sim": model["id"] });
     let job = posted(format!("{base}/v1/captures/latest/diagnoses"), body).await?;
     let job = loop {

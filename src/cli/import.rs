@@ -38,13 +38,13 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
     let columns = ColumnMap::parse(&args.columns).map_err(|error| usage(format!("--{error}")))?;
     let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
     let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
-    let told = Given { columns, definitions };
+    let stated = Given { columns, definitions };
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
         let report = match &writer {
-            Writer::Own(store) => import_here(store, file, args, &told)?,
-            Writer::Daemon { base_url, token } => send((base_url, token), file, args, &told)?,
+            Writer::Own(store) => import_here(store, file, args, &stated)?,
+            Writer::Daemon { base_url, token } => send((base_url, token), file, args, &stated)?,
         };
         if report.rejected.values().any(|count| *count > 0) {
             outcome = Outcome::WithLoss;
@@ -134,11 +134,11 @@ fn is_somebody_elses(error: &StoreError) -> bool {
     }
 }
 
-fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
+fn import_here(store: &Store, file: &Path, args: &ImportArgs, stated: &Given) -> anyhow::Result<ImportReport> {
     let bar = bar("{bar:40} {percent} %  {human_pos} samples", 0);
     // Another instance's daemon may capture beside it.
     crate::process::step_back();
-    let Given { columns, definitions } = told;
+    let Given { columns, definitions } = stated;
     let (columns, definitions) = (columns.clone(), definitions.clone());
     let (rate_hz, sampling) = (args.rate, args.sampling.stated());
     let source = Source { rate_hz, sampling, columns, definitions, ..Source::of(file) };
@@ -155,10 +155,15 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, told: &Given) -> a
 }
 
 /// Sends the recording's bytes to the daemon (address and token), which may not be able to read the user's files.
-fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &Given) -> anyhow::Result<ImportReport> {
+fn send(
+    (base_url, token): (&str, &str),
+    file: &Path,
+    args: &ImportArgs,
+    stated: &Given,
+) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
     // A file that is not a recording is not sent.
-    detect(&Input::file(file).with_columns(told.columns.clone()))?;
+    detect(&Input::file(file).with_columns(stated.columns.clone()))?;
     if let Some(log) = unmerged_log(file) {
         // The daemon gets one file: data that is only in the log would be missing without notice.
         let (file, log) = (file.display(), log.display());
@@ -175,13 +180,13 @@ fn send((base_url, token): (&str, &str), file: &Path, args: &ImportArgs, told: &
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
     query.extend(args.sampling.filter_window.map(|window| ("filter_window", window.to_string())));
     query.extend(args.sampling.internal_rate.map(|rate_hz| ("internal_rate_hz", rate_hz.to_string())));
-    if !told.columns.is_empty() {
-        query.push(("columns", told.columns.to_string()));
+    if !stated.columns.is_empty() {
+        query.push(("columns", stated.columns.to_string()));
     }
-    if !told.definitions.is_empty() {
+    if !stated.definitions.is_empty() {
         let text =
             |given: &MessageDefinition| MessageText { name: given.name().to_owned(), text: given.text().to_owned() };
-        let texts: Vec<MessageText> = told.definitions.iter().map(text).collect();
+        let texts: Vec<MessageText> = stated.definitions.iter().map(text).collect();
         query.push(("message_definitions", serde_json::to_string(&texts)?));
     }
     let body = bar.wrap_read(opened);

@@ -209,8 +209,8 @@ fn address(listen: Option<&str>) -> Result<Option<SocketAddr>, CliError> {
 
 /// Returns how long the sensor was at rest and how long it moved, as a line; empty if motion is unknown.
 fn stillness(at_rest_s: Option<f64>, moving_s: Option<f64>) -> String {
-    let told = at_rest_s.zip(moving_s);
-    told.map_or_else(String::new, |(at_rest_s, moving_s)| {
+    let times_s = at_rest_s.zip(moving_s);
+    times_s.map_or_else(String::new, |(at_rest_s, moving_s)| {
         format!("At rest {at_rest_s:.1} s, in motion {moving_s:.1} s; only the time at rest is analysed.\n")
     })
 }
@@ -416,9 +416,9 @@ mod tests {
     fn an_error_is_one_line_and_says_no_cause_twice() {
         let io = || std::io::Error::from_raw_os_error(5);
         let error = StoreError::Create { path: "/data/vn100d.db.lock".into(), source: io() };
-        let said = sentence(&anyhow::Error::from(error));
+        let line = sentence(&anyhow::Error::from(error));
         assert_eq!(
-            said,
+            line,
             "cannot create /data/vn100d.db.lock: Input/output error (os error 5); see that its directory exists, has room and may be written to"
         );
         let error = anyhow::Error::from(io()).context("the token\n  file cannot be read");

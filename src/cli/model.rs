@@ -112,7 +112,7 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
         for (index, (effect, name)) in of.effects.iter().zip(named).enumerate() {
             for (key, value) in effect.parameters() {
                 let known = of.effect_interval(index, key).map(ends).unwrap_or_default();
-                add(format!("{name}.{key}"), told(&value), known);
+                add(format!("{name}.{key}"), value_text(&value), known);
             }
         }
     }
@@ -121,7 +121,7 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
         let named = numbered(of.effects.iter().map(|effect| effect.name()));
         for (effect, name) in of.effects.iter().zip(named) {
             for (key, value) in effect.parameters() {
-                rows.add_row([std::mem::take(&mut head), format!("{name}.{key}"), told(&value), String::new()]);
+                rows.add_row([std::mem::take(&mut head), format!("{name}.{key}"), value_text(&value), String::new()]);
             }
         }
     }
@@ -163,7 +163,7 @@ fn ends([low, high]: [f64; 2]) -> String {
 }
 
 /// Returns a parameter; numbers have the relevant digits.
-fn told(value: &Value) -> String {
+fn value_text(value: &Value) -> String {
     match value.as_f64() {
         Some(number) if number != 0.0 && !(9.99e-4..1e6).contains(&number.abs()) => format!("{number:.4e}"),
         Some(number) => {
@@ -213,10 +213,10 @@ fn show_differences(found: &[Difference]) -> std::io::Result<()> {
         let cell = |value: &Value| match value {
             Value::Null => "–".to_owned(),
             Value::Object(effect) => {
-                let parameter = |(key, value): (&String, &Value)| format!("{key} {}", told(value));
+                let parameter = |(key, value): (&String, &Value)| format!("{key} {}", value_text(value));
                 effect.iter().filter(|(key, _)| *key != "effect").map(parameter).collect::<Vec<_>>().join("\n")
             }
-            other => told(other),
+            other => value_text(other),
         };
         let within = of.within_ci95.map_or("–", |within| if within { "yes" } else { "no" });
         rows.add_row([
@@ -273,7 +273,7 @@ mod tests {
             (json!("signed"), "signed"),
             (json!([[0, 1]]), "[[0,1]]"),
         ] {
-            assert_eq!(told(&value), text);
+            assert_eq!(value_text(&value), text);
         }
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");

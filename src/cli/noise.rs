@@ -417,12 +417,12 @@ mod tests {
     fn the_table_says_how_long_to_record_and_why_no_walk_is_seen() {
         let directory = tempfile::tempdir().unwrap();
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
-        let said = |report: &NoiseReport| {
+        let rendered = |report: &NoiseReport| {
             let mut table = Vec::new();
             write_table(&mut table, report).unwrap();
             String::from_utf8(table).unwrap()
         };
-        let white = said(&report);
+        let white = rendered(&report);
         for part in [
             "gyro_x: lowest Allan deviation ",
             "and B is at most this, to within the scatter of the curve",
@@ -436,7 +436,7 @@ mod tests {
         gyro.b = Estimate::of("rad/s", 2e-5, [1e-5, 3e-5]);
         gyro.record_needed.b = Some(2400.0);
         gyro.walk_shows_beyond_s = Some(1e5);
-        let flicker = said(&report);
+        let flicker = rendered(&report);
         assert!(
             flicker.contains("gyro_x: to know a value to ±20 %, record at rest and without a gap: 40 min for B\n"),
             "{flicker}"
@@ -452,14 +452,14 @@ mod tests {
     fn what_is_not_usable_is_marked_and_goes_to_no_program() {
         let directory = tempfile::tempdir().unwrap();
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
-        let said = |report: &NoiseReport| {
+        let rendered = |report: &NoiseReport| {
             let (mut text, mut csv) = (Vec::new(), Vec::new());
             write_table(&mut text, report).unwrap();
             write_paste(&mut text, &Paste::of(report), "white.csv").unwrap();
             write_csv(&mut csv, report).unwrap();
             [text, csv].map(|bytes| String::from_utf8(bytes).unwrap())
         };
-        let [text, csv] = said(&report);
+        let [text, csv] = rendered(&report);
         for part in ["vn100d noise white.csv --format NAME", "│ kalibr ", "e-5 rad/s/√Hz ", "often ten times as large"]
         {
             assert!(text.contains(part), "{part} is not in\n{text}");
@@ -471,7 +471,7 @@ mod tests {
         let gyro = report.channels.get_mut(&Channel::GyroX).unwrap();
         gyro.refuse("it predicts another deviation".to_owned());
         gyro.n.source = Some("allan deviation".to_owned());
-        let [text, csv] = said(&report);
+        let [text, csv] = rendered(&report);
         for part in [
             "│ gyro_x ! ",
             "] * ",
@@ -527,17 +527,17 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = means_of_four(directory.path());
         let density = 1e-3 / 800f64.sqrt();
-        let mut told = opened(path.clone());
-        told.sampled(Some(StatedSampling { filter_window: 4, internal_rate_hz: None })).unwrap();
-        for (together, source, internal) in [(told, "option", true), (opened(path), "fitted", false)] {
+        let mut stated = opened(path.clone());
+        stated.sampled(Some(StatedSampling { filter_window: 4, internal_rate_hz: None })).unwrap();
+        for (together, source, internal) in [(stated, "option", true), (opened(path), "fitted", false)] {
             let report = report(together);
             let found = &report.channels[&Channel::GyroX];
             let [low, high] = found.n.ci95.unwrap();
             assert!(found.usable && low < density && density < high, "{found:?}");
             assert!((high - low) / density < 0.1, "{found:?}");
             let bandwidth = found.bandwidth.as_ref().unwrap();
-            let said = (bandwidth.kind.as_str(), bandwidth.value, bandwidth.source.as_str());
-            assert_eq!(said, ("moving_average", Some(4.0), source), "{found:?}");
+            let actual = (bandwidth.kind.as_str(), bandwidth.value, bandwidth.source.as_str());
+            assert_eq!(actual, ("moving_average", Some(4.0), source), "{found:?}");
             assert_eq!(found.n.internal.is_some(), internal);
             assert!(
                 found.k.value.is_none() && found.k.upper_limit95.is_some_and(|limit| limit < 1e-3),

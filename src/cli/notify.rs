@@ -33,8 +33,8 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
         print_json(&list)?;
     } else {
         for (receiver, error) in &outcomes {
-            let said = error.as_ref().map_or("told".to_owned(), |error| format!("not told: {error}"));
-            writeln!(std::io::stdout(), "{receiver}: {said}")?;
+            let outcome = error.as_ref().map_or("told".to_owned(), |error| format!("not told: {error}"));
+            writeln!(std::io::stdout(), "{receiver}: {outcome}")?;
         }
     }
     let refused = outcomes.iter().filter(|(_, error)| error.is_some()).count();

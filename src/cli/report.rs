@@ -165,8 +165,8 @@ impl Diagnosed {
                 },
                 None => {
                     let why = job.error.as_ref().map_or_else(String::new, |why| format!(": {why}"));
-                    let told = || format!("diagnosis {}, {}{why}", job.id, job.state.name());
-                    row.summary = Some(row.summary.take().unwrap_or_else(told));
+                    let state = || format!("diagnosis {}, {}{why}", job.id, job.state.name());
+                    row.summary = Some(row.summary.take().unwrap_or_else(state));
                     own.others.push(row);
                 }
             }

@@ -1,7 +1,7 @@
 //! Samples: reads the samples to export, from a capture of the database or a recording's file, block by block.
 
 use super::Context;
-use super::source::{Source, has_rejected, tell_rate, tell_time};
+use super::source::{Source, has_rejected, note_assumed_rate, note_assumed_time};
 use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use imu_core::sample::{Channel, Gap, Record, Sample, SensorDescription};
 use imu_files::export::samples::{About, Rows, Tally};
@@ -92,10 +92,10 @@ impl Samples {
         let info = recording.info();
         let has: Vec<Channel> = info.channels.iter().collect();
         if info.rate_assumed {
-            tell_rate(named, info.rate_hz);
+            note_assumed_rate(named, info.rate_hz);
         }
         if info.stamps != Stamps::Unix {
-            tell_time(named);
+            note_assumed_time(named);
         }
         let about = About {
             id: None,

@@ -138,8 +138,8 @@ impl<'a> Sealed<'a> {
         if output.status.success() {
             return Ok(Ok(output.stdout));
         }
-        let said = String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        Ok(Err(if said.is_empty() { format!("the diagnosis ended with {}", output.status) } else { said }))
+        let stderr = String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        Ok(Err(if stderr.is_empty() { format!("the diagnosis ended with {}", output.status) } else { stderr }))
     }
 
     /// Returns the file of a case's corrected model, if those are kept.
@@ -159,8 +159,8 @@ impl<'a> Sealed<'a> {
                 return Ok(None);
             };
             let output = self.command(TrialPart::Again, Some(case))?.arg("--corrected").arg(path).output()?;
-            let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
-            anyhow::ensure!(output.status.success(), "case {case} could not be tried again: {}", said());
+            let stderr = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
+            anyhow::ensure!(output.status.success(), "case {case} could not be tried again: {}", stderr());
             self.keep(&format!("reports/{case:05}-again.json"), &output.stdout)?;
             of(case, &output.stdout).map(Some)
         })
@@ -197,8 +197,8 @@ impl<'a> Sealed<'a> {
     /// Returns the output of a part.
     fn ask(&self, part: TrialPart, case: Option<usize>) -> anyhow::Result<Vec<u8>> {
         let output = self.command(part, case)?.stdin(Stdio::null()).output()?;
-        let said = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
-        anyhow::ensure!(output.status.success(), "the trial's {part} failed: {}", said());
+        let stderr = || String::from_utf8_lossy(&output.stderr).trim().to_owned();
+        anyhow::ensure!(output.status.success(), "the trial's {part} failed: {}", stderr());
         Ok(output.stdout)
     }
 }

@@ -39,20 +39,20 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     let (out, motion_out) = outputs(args)?;
     let rate_hz = args.rate.unwrap_or(model.rate_hz);
     let internal_hz = model.internal_rate_hz(rate_hz);
-    let told_s = args.duration.map(|duration| duration.as_secs_f64());
-    let motion = args.motion.as_deref().map(|named| given(named, rate_hz, internal_hz, told_s)).transpose()?;
+    let requested_s = args.duration.map(|duration| duration.as_secs_f64());
+    let motion = args.motion.as_deref().map(|named| given(named, rate_hz, internal_hz, requested_s)).transpose()?;
     let motion_s = match &motion {
         Some(Given::File { rows, samples_per_row, .. }) => {
             Some(*rows as f64 * f64::from(*samples_per_row) / internal_hz)
         }
         _ => None,
     };
-    let duration_s = match (told_s, motion_s) {
-        (Some(told_s), Some(motion_s)) => {
-            if motion_s < told_s {
+    let duration_s = match (requested_s, motion_s) {
+        (Some(requested_s), Some(motion_s)) => {
+            if motion_s < requested_s {
                 eprintln!("note: the motion ends after {motion_s:.3} s, and with it the simulation");
             }
-            told_s.min(motion_s)
+            requested_s.min(motion_s)
         }
         (Some(one), None) | (None, Some(one)) => one,
         (None, None) => return Err(usage("--duration is missing: how much sample time, such as 5h")),

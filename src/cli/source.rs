@@ -40,11 +40,11 @@ pub(super) fn has_rejected(info: &RecordingInfo) -> bool {
 }
 
 /// Reports on standard error that no source states the rate, so that machine-readable output stays clean.
-pub(super) fn tell_rate(named: &str, rate_hz: f64) {
+pub(super) fn note_assumed_rate(named: &str, rate_hz: f64) {
     eprintln!("note: {named} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
 }
 
 /// Reports on standard error that no source states the time.
-pub(super) fn tell_time(named: &str) {
+pub(super) fn note_assumed_time(named: &str) {
     eprintln!("note: {named} tells no time of day: its first sample counts as taken now");
 }

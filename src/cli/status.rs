@@ -83,9 +83,9 @@ fn table(status: &Value) -> Table {
         row("", format!("capture {id} ({name}) will be deleted on {at} unless it is pinned"));
     }
     let notify = &status["notify"];
-    let told = ["sent", "failed", "dropped", "queued"].map(|name| notify[name].as_u64().unwrap_or(0));
-    if told.iter().any(|count| *count > 0) {
-        row("notify", format!("{} sent, {} failed, {} dropped, {} waiting", told[0], told[1], told[2], told[3]));
+    let tally = ["sent", "failed", "dropped", "queued"].map(|name| notify[name].as_u64().unwrap_or(0));
+    if tally.iter().any(|count| *count > 0) {
+        row("notify", format!("{} sent, {} failed, {} dropped, {} waiting", tally[0], tally[1], tally[2], tally[3]));
         if !notify["error"].is_null() {
             row("", shown(&notify["error"]));
         }

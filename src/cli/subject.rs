@@ -3,7 +3,7 @@
 use super::analysis::contradicted;
 use super::emulate::stop_on_signal;
 use super::progress::bar;
-use super::source::{file, tell_rate, tell_time};
+use super::source::{file, note_assumed_rate, note_assumed_time};
 use super::{Context, failed};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
@@ -66,7 +66,7 @@ pub(super) struct Subject {
     /// Whether it is a recording's file, so that its id has no meaning elsewhere.
     pub of_file: bool,
     /// The command's statement about the sampling.
-    told: Option<StatedSampling>,
+    stated: Option<StatedSampling>,
     /// Remarks for a page, as sentences.
     pub remarks: Vec<String>,
     /// The folder of the recording's database, kept as long as it is read.
@@ -82,24 +82,24 @@ impl Subject {
         context: &Context,
         named: &str,
         rate_hz: Option<f64>,
-        told: Option<StatedSampling>,
+        stated: Option<StatedSampling>,
         stop: &Stop,
     ) -> anyhow::Result<Self> {
         let mut subject = match file(named) {
             Some(path) => stop.unless(Self::of_recording(path, rate_hz, stop))?,
             None => {
                 let (reader, row) = context.capture(named)?;
-                Self { reader, row, of_file: false, told: None, remarks: Vec::new(), _folder: None }
+                Self { reader, row, of_file: false, stated: None, remarks: Vec::new(), _folder: None }
             }
         };
         if subject.row.rate_assumed {
-            tell_rate(named, subject.row.rate_hz.unwrap_or_default());
+            note_assumed_rate(named, subject.row.rate_hz.unwrap_or_default());
         }
-        if let Some(told) = told {
+        if let Some(stated) = stated {
             let row = &subject.row;
             let mut plan = Plan::read(&subject.reader, row.id, row.samples, &Channel::ANALYSED)?;
-            plan.sampled(told).map_err(contradicted)?;
-            subject.told = Some(told);
+            plan.sampled(stated).map_err(contradicted)?;
+            subject.stated = Some(stated);
         }
         subject.end_with(stop)?;
         Ok(subject)
@@ -124,12 +124,12 @@ impl Subject {
         let row = reader.capture(imported.end.id())?;
         let mut remarks = Vec::new();
         if imported.info.stamps != Stamps::Unix {
-            tell_time(&file.display().to_string());
+            note_assumed_time(&file.display().to_string());
             remarks.push(
                 "The recording tells no time of day: its first sample counts as taken when this was made.".to_owned(),
             );
         }
-        Ok(Self { reader, row, of_file: true, told: None, remarks, _folder: Some(folder) })
+        Ok(Self { reader, row, of_file: true, stated: None, remarks, _folder: Some(folder) })
     }
 
     /// Ends reading on a signal, because reading takes long.
@@ -151,7 +151,7 @@ impl Subject {
     /// # Errors
     /// The errors of [`direct::document`]; those of a recording name it.
     pub(super) fn document(&self, kind: JobKind) -> Result<Documents, JobError> {
-        direct::document(&self.reader, &self.row, kind, self.told).map_err(|error| match error {
+        direct::document(&self.reader, &self.row, kind, self.stated).map_err(|error| match error {
             JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
                 reason: reason.replace(&format!("capture {}", self.row.id), &self.row.name),
             },

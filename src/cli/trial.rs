@@ -61,7 +61,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         |index| !keys[index].class.is_silent(),
         |index, text| {
             let then: Diagnoses = read(text, "diagnoses")?;
-            Ok(reports[index].as_ref().ok().map(|said| Again::of(said, &then, &keys[index])))
+            Ok(reports[index].as_ref().ok().map(|report| Again::of(report, &then, &keys[index])))
         },
     )?;
     let mut answers = Vec::with_capacity(cases);

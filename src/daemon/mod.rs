@@ -264,7 +264,7 @@ pub async fn run(
     });
     let server = tokio::spawn(api::serve(listener, router, limits, metrics, serving.clone()));
     let warming = tokio::spawn(publish::keep_warm(store.clone(), live, status.clone(), publishing.clone()));
-    let ends = tokio::spawn(notices::tell_of_ends(store.clone(), tap, status.clone(), publishing.clone()));
+    let ends = tokio::spawn(notices::report_ends(store.clone(), tap, status.clone(), publishing.clone()));
     let notifying = tokio::spawn(notifier.run(status.clone(), Arc::clone(&clock), publishing.clone()));
     let feeder = tokio::spawn(watchdog::feed(turns, store.clone(), publishing.clone()));
 

@@ -44,15 +44,15 @@ pub fn options(config: &Config, database: &Path) -> NotifyOptions {
 
 /// Reports each capture that leaves the status because it is complete, once its last sample is on disk. Runs until
 /// `stop`.
-pub async fn tell_of_ends(store: Store, tap: Tap, mut status: watch::Receiver<Status>, stop: CancellationToken) {
-    if !tap.is_heard() {
+pub async fn report_ends(store: Store, tap: Tap, mut status: watch::Receiver<Status>, stop: CancellationToken) {
+    if !tap.has_receiver() {
         return;
     }
     let mut running = None;
     loop {
         let now = status.borrow_and_update().capture.as_ref().map(|capture| capture.id);
         if let Some(ended) = std::mem::replace(&mut running, now).filter(|before| Some(*before) != now) {
-            tokio::spawn(tell_of_end(store.clone(), tap.clone(), ended));
+            tokio::spawn(report_end(store.clone(), tap.clone(), ended));
         }
         tokio::select! {
             () = stop.cancelled() => return,
@@ -65,7 +65,7 @@ pub async fn tell_of_ends(store: Store, tap: Tap, mut status: watch::Receiver<St
     }
 }
 
-async fn tell_of_end(store: Store, tap: Tap, id: i64) {
+async fn report_end(store: Store, tap: Tap, id: i64) {
     // A disk that refuses writes leaves the end in memory; it is reported when it can be looked up.
     if !matches!(tokio::time::timeout(PATIENCE, store.flush()).await, Ok(Ok(()))) {
         return;

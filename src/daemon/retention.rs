@@ -49,7 +49,7 @@ impl Retention {
     pub async fn run(self, status: watch::Sender<RetentionStatus>, stop: CancellationToken) {
         let every = (self.limits.notice / 4).clamp(EVERY.0, EVERY.1);
         let mut judge = Judge::default();
-        let mut said = None;
+        let mut logged = None;
         loop {
             let this = self.clone();
             let now = Moment {
@@ -69,10 +69,10 @@ impl Retention {
                     judge = judged;
                     // Without limits ages are irrelevant.
                     let found = verdict.distrust.filter(|_| !self.limits.is_unlimited());
-                    let distrust = found.map(|distrust| told(distrust, now.utc_ns));
-                    if found != said {
+                    let distrust = found.map(|distrust| clock_distrust(distrust, now.utc_ns));
+                    if found != logged {
                         say(distrust.as_ref(), now.utc_ns);
-                        said = found;
+                        logged = found;
                     }
                     let planned_total = planned.len() as u64;
                     let planned = planned.into_iter().take(LISTED).collect();
@@ -113,8 +113,8 @@ impl Retention {
         };
         let mut changes = Vec::new();
         for one in planned.iter().filter(|one| one.is_new) {
-            let Announcement { said_utc_ns, delete_at_utc_ns } = one.announcement;
-            changes.push((one.id, Some((said_utc_ns, delete_at_utc_ns))));
+            let Announcement { made_utc_ns, delete_at_utc_ns } = one.announcement;
+            changes.push((one.id, Some((made_utc_ns, delete_at_utc_ns))));
         }
         let stays = |row: &&RetentionRow| row.announced.is_some() && !planned.iter().any(|one| one.id == row.id);
         changes.extend(rows.iter().filter(stays).map(|row| (row.id, None)));
@@ -157,7 +157,7 @@ impl Retention {
 }
 
 /// Returns the reason why the clock is distrusted, for the status.
-fn told(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
+fn clock_distrust(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
     let now = rfc3339(now_utc_ns);
     let message = match distrust {
         Distrust::Unset => format!(
@@ -195,7 +195,7 @@ pub(super) fn candidate(row: &RetentionRow) -> Candidate {
         bytes: row.bytes,
         open: row.open,
         pinned: row.pinned,
-        announced: row.announced.map(|(said_utc_ns, delete_at_utc_ns)| Announcement { said_utc_ns, delete_at_utc_ns }),
+        announced: row.announced.map(|(made_utc_ns, delete_at_utc_ns)| Announcement { made_utc_ns, delete_at_utc_ns }),
     }
 }
 
@@ -222,11 +222,11 @@ mod tests {
         let clock = Arc::new(ManualClock::new(wrong_ns));
         let limits =
             Limits { keep: Some(Duration::from_secs(86_400)), keep_bytes: None, notice: Duration::from_secs(1) };
-        let told = crate::daemon::notices::options(&Config::default(), store.path());
+        let notify_options = crate::daemon::notices::options(&Config::default(), store.path());
         let retention = Retention {
             store: store.clone(),
             jobs: jobs.clone(),
-            tap: Notifier::start(told).unwrap().tap(),
+            tap: Notifier::start(notify_options).unwrap().tap(),
             clock: Arc::clone(&clock) as Arc<dyn Clock>,
             limits,
         };
@@ -244,7 +244,7 @@ mod tests {
         for _ in 0..8 {
             pass().await;
         }
-        let (left, said) = (count(), pass().await.distrust.map(|distrust| distrust.reason));
+        let (left, reason) = (count(), pass().await.distrust.map(|distrust| distrust.reason));
         clock.step_utc(right_ns - clock.utc_ns());
         for _ in 0..200 {
             if count() == 0 {
@@ -260,7 +260,7 @@ mod tests {
             store.close()
         });
         ended.await.unwrap().unwrap();
-        (left, said)
+        (left, reason)
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -67,7 +67,7 @@ struct Waiting {
     night: Night,
     why: Why,
     /// The last logged reason.
-    told: String,
+    reason: String,
 }
 
 /// The reasons why a night has not begun.
@@ -129,15 +129,15 @@ impl Scheduler {
             synchronised: self.clock.is_synchronised(),
         };
         let nights = self.schedule.nights(now.utc_ns, &self.zone);
-        if let Some(Waiting { night, told, .. }) =
+        if let Some(Waiting { night, reason, .. }) =
             course.waiting.take_if(|waiting| nights.due.as_ref() != Some(&waiting.night))
         {
             // Otherwise the clock was set back before its hour and the night may still come, or the zone has changed
             // and it begins at another time.
             let is_same = nights.due.as_ref().is_some_and(|due| due.date == night.date);
             if now.utc_ns >= night.start_utc_ns && !is_same {
-                tracing::warn!(night = night.name, "the night was skipped: {told}");
-                self.tap.night_skipped(night.name, told);
+                tracing::warn!(night = night.name, "the night was skipped: {reason}");
+                self.tap.night_skipped(night.name, reason);
             }
         }
         let due = nights.due.filter(|night| course.done != Some(night.date));
@@ -158,12 +158,12 @@ impl Scheduler {
                     course.waiting = None;
                 }
                 Attempt::Waits(why) => {
-                    let told = why.message(now.utc_ns);
+                    let reason = why.message(now.utc_ns);
                     if course.waiting.as_ref().is_none_or(|before| before.why != why) {
                         let until = rfc3339(night.end_utc_ns);
-                        tracing::warn!(night = night.name, until, "the night waits: {told}");
+                        tracing::warn!(night = night.name, until, "the night waits: {reason}");
                     }
-                    course.waiting = Some(Waiting { night, why, told });
+                    course.waiting = Some(Waiting { night, why, reason });
                 }
                 Attempt::Stopping => return None,
             }
@@ -172,10 +172,10 @@ impl Scheduler {
             Duration::from_nanos(u64::try_from(next.start_utc_ns.saturating_sub(now.utc_ns)).unwrap_or(0))
         });
         let (next, waits) = match &course.waiting {
-            Some(Waiting { night, told, .. }) => (Some(night), Some(told.clone())),
+            Some(Waiting { night, reason, .. }) => (Some(night), Some(reason.clone())),
             None => (nights.next.as_ref(), None),
         };
-        Some((next.map(|night| self.told(night, waits)), until_next.min(EVERY)))
+        Some((next.map(|night| self.status_of(night, waits)), until_next.min(EVERY)))
     }
 
     /// Reads from the database the verdict of its captures on the clock, and whether the night has a capture.
@@ -219,7 +219,7 @@ impl Scheduler {
         }
     }
 
-    fn told(&self, next: &Night, waits: Option<String>) -> ScheduleStatus {
+    fn status_of(&self, next: &Night, waits: Option<String>) -> ScheduleStatus {
         ScheduleStatus {
             at: self.schedule.at.format("%H:%M").to_string(),
             next_start: rfc3339(next.start_utc_ns),

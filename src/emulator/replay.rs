@@ -30,7 +30,7 @@ impl Replay {
     }
 
     /// Records that the host sent a command.
-    pub fn heard(&mut self, now_ns: u64) {
+    pub fn on_command(&mut self, now_ns: u64) {
         self.asked_ns = Some(now_ns);
     }
 
@@ -71,7 +71,7 @@ mod tests {
         let lines: Vec<Vec<u8>> = (0..3).map(|line| format!("$VNYPR,{line}").into_bytes()).collect();
         let mut replay = Replay::new(Box::new(lines.into_iter()), 1.0);
         assert_eq!(replay.next_tick(0, 40.0, 0), None);
-        replay.heard(1_000_000_000);
+        replay.on_command(1_000_000_000);
         assert_eq!(replay.next_tick(800, 40.0, 1_000_000_000 + QUIET_NS - 1), None);
         let mut out = Vec::new();
         let mut ticks = Vec::new();

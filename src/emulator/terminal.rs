@@ -188,10 +188,10 @@ impl Terminal {
         let mut free_again = Instant::now();
         let mut emitted = Vec::new();
         while !stop.load(Ordering::Relaxed) {
-            self.hear(&mut sensor, &mut source, tick, clock)?;
+            self.receive(&mut sensor, &mut source, tick, clock)?;
             // The sensor's output: everything that is due, as far as the terminal accepts it.
             let due = (clock.schedule_mono_ns() - origin_ns) / TICK_NS;
-            while let Some(fault) = self.said()? {
+            while let Some(fault) = self.next_live_fault()? {
                 self.fault(fault, tick.max(due), &mut sensor, clock)?;
             }
             let mut caught_up = false;
@@ -280,7 +280,7 @@ impl Terminal {
     }
 
     /// Passes the host's bytes to the sensor.
-    fn hear(
+    fn receive(
         &mut self,
         sensor: &mut VirtualSensor,
         source: &mut Source,
@@ -297,21 +297,21 @@ impl Terminal {
         if self.line.is_silent(tick) {
             return Ok(());
         }
-        let mut heard = buffer[..count].to_vec();
+        let mut received = buffer[..count].to_vec();
         if let Some(set) = self.wrong_baud(sensor) {
-            heard = uart::heard(&heard, set, sensor.baud());
+            received = uart::received(&received, set, sensor.baud());
         }
         let mut replies = Vec::new();
-        sensor.on_bytes(tick, &heard, &mut replies);
+        sensor.on_bytes(tick, &received, &mut replies);
         self.reply(sensor, tick, &replies);
         if let Source::Replay(replay) = source {
-            replay.heard(clock.schedule_mono_ns());
+            replay.on_command(clock.schedule_mono_ns());
         }
         Ok(())
     }
 
     /// Returns the next live fault, which occurs at once.
-    fn said(&mut self) -> Result<Option<Fault>, EmulatorError> {
+    fn next_live_fault(&mut self) -> Result<Option<Fault>, EmulatorError> {
         match self.options.live_faults.as_ref().map(mpsc::Receiver::try_recv) {
             Some(Ok(fault)) => Ok(Some(fault?)),
             // The source of faults has ended.
@@ -412,7 +412,7 @@ impl Terminal {
         if let Some(set) = self.wrong_baud(sensor)
             && !piece.bytes.is_empty()
         {
-            piece.bytes = uart::heard(&piece.bytes, sensor.baud(), set);
+            piece.bytes = uart::received(&piece.bytes, sensor.baud(), set);
             piece.frame = piece.frame.map(|(frame, _)| (frame, Fate::WrongBaud));
         }
         if tick < self.line.hold_until {

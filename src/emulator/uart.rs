@@ -3,10 +3,10 @@
 /// Bits of one byte on the line: start, eight data bits from the lowest, stop.
 const BITS: usize = 10;
 
-/// Returns the bytes that a receiver at `heard_baud` reads from `bytes` sent without pause at `sent_baud`, with an idle
-/// line before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
-pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
-    if sent_baud == heard_baud || bytes.is_empty() {
+/// Returns the bytes that a receiver at `receiver_baud` reads from `bytes` sent without pause at `sent_baud`, with an
+/// idle line before and after them. A byte whose stop bit is missing is read as 0, as a terminal does.
+pub fn received(bytes: &[u8], sent_baud: u32, receiver_baud: u32) -> Vec<u8> {
+    if sent_baud == receiver_baud || bytes.is_empty() {
         return bytes.to_vec();
     }
     // The first bit is the idle line.
@@ -17,7 +17,7 @@ pub fn heard(bytes: &[u8], sent_baud: u32, heard_baud: u32) -> Vec<u8> {
         Some((Some(byte), bit)) => byte >> (bit - 1) & 1 == 1,
     };
     // Time is counted in bits of the sender.
-    let ratio = f64::from(sent_baud) / f64::from(heard_baud);
+    let ratio = f64::from(sent_baud) / f64::from(receiver_baud);
     let at = |time: f64| level(time as usize);
     let mut out = Vec::new();
     let mut time = 0.0_f64;
@@ -46,19 +46,19 @@ mod tests {
 
     #[test]
     fn at_the_same_rate_everything_is_heard() {
-        assert_eq!(heard(b"$VNRRG,01*72\r\n", 115_200, 115_200), b"$VNRRG,01*72\r\n");
+        assert_eq!(received(b"$VNRRG,01*72\r\n", 115_200, 115_200), b"$VNRRG,01*72\r\n");
         // 2 % is within a receiver's tolerance
-        assert_eq!(heard(b"$VNRRG,01*72\r\n", 117_000, 115_200), b"$VNRRG,01*72\r\n");
+        assert_eq!(received(b"$VNRRG,01*72\r\n", 117_000, 115_200), b"$VNRRG,01*72\r\n");
     }
 
     #[test]
     fn a_faster_receiver_hears_more_bytes_and_a_slower_one_fewer() {
         let bytes: Vec<u8> = (0..=255).collect();
-        let more = heard(&bytes, 115_200, 921_600).len();
-        let fewer = heard(&bytes, 921_600, 115_200).len();
+        let more = received(&bytes, 115_200, 921_600).len();
+        let fewer = received(&bytes, 921_600, 115_200).len();
         assert!(more > 256 && fewer < 256 / 4 && fewer > 0, "{more} {fewer}");
         // U is 01010101: at half the rate every two bits are read as one byte
-        assert_eq!(heard(b"U", 9600, 9600), b"U");
-        assert_ne!(heard(b"UUUU", 19_200, 9600), b"UUUU");
+        assert_eq!(received(b"U", 9600, 9600), b"U");
+        assert_ne!(received(b"UUUU", 19_200, 9600), b"UUUU");
     }
 }

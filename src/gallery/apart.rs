@@ -1,7 +1,7 @@
 //! Apart: converts a picture to PNG in a separate process, because that takes many times the memory of its SVG.
 
 use crate::plot::raster::{self, SCALE};
-use crate::process::{Child, Frame, FrameError, Heard, write_frame};
+use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write};
 use std::time::Duration;
@@ -36,11 +36,11 @@ pub fn png(svg: &str) -> Result<Vec<u8>, String> {
         // A child that does not read has ended, and reports the reason below.
         let _ = stdin.write_all(svg.as_bytes());
     }
-    match child.hear(TIME).map_err(failed)? {
-        Heard::Frame(Frame { header: Word::Png, body }) => Ok(body),
-        Heard::Frame(Frame { header: Word::Refused(reason), .. }) => Err(reason),
-        Heard::Ended(ended) => Err(format!("the picture was not made: {}", ended.reason)),
-        Heard::Nothing => Err(format!("the picture was not made within {} s", TIME.as_secs())),
+    match child.receive(TIME).map_err(failed)? {
+        Received::Frame(Frame { header: Word::Png, body }) => Ok(body),
+        Received::Frame(Frame { header: Word::Refused(reason), .. }) => Err(reason),
+        Received::Ended(ended) => Err(format!("the picture was not made: {}", ended.reason)),
+        Received::Nothing => Err(format!("the picture was not made within {} s", TIME.as_secs())),
     }
 }
 

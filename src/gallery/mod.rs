@@ -107,7 +107,7 @@ impl Picture {
     }
 
     /// Returns a description of the picture for users who cannot see it.
-    pub fn told(self) -> String {
+    pub fn description(self) -> String {
         match self {
             Self::Timeseries(channel) => format!("{} over time", channel.name()),
             Self::Histogram(channel) => format!("Histogram of {}", channel.name()),

@@ -7,7 +7,7 @@
 
 use super::JobError;
 use super::runner::{CHUNK, InStore, Keeper, Outcome, work};
-use crate::process::{Child, Frame, FrameError, Heard, write_frame};
+use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use crate::store::{JobCheckpoint, JobRow, Reader, Store, StoreError};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsStr;
@@ -58,29 +58,29 @@ pub(super) fn run(
     let mut keeper = InStore::new(store, job.id, keep_on);
     let (mut looked, mut gets_on) = (Instant::now(), false);
     loop {
-        let kept = match child.hear(LOOK).map_err(JobError::Process)? {
-            Heard::Frame(Frame { header: Message::Checkpoint { next_seq, progress }, body }) => {
+        let kept = match child.receive(LOOK).map_err(JobError::Process)? {
+            Received::Frame(Frame { header: Message::Checkpoint { next_seq, progress }, body }) => {
                 gets_on = true;
                 keeper.checkpoint(JobCheckpoint { next_seq, state: body }, progress)
             }
-            Heard::Frame(Frame { header: Message::Progress(progress), .. }) => keeper.progress(progress),
-            Heard::Frame(Frame { header: Message::Done, body }) => {
+            Received::Frame(Frame { header: Message::Progress(progress), .. }) => keeper.progress(progress),
+            Received::Frame(Frame { header: Message::Done, body }) => {
                 let text = String::from_utf8(body).map_err(|error| JobError::Died { reason: error.to_string() });
                 return keeper.end(text);
             }
-            Heard::Frame(Frame { header: Message::Failed { reason, sqlite }, .. }) => {
+            Received::Frame(Frame { header: Message::Failed { reason, sqlite }, .. }) => {
                 return Err(match sqlite {
                     Some(code) => StoreError::of_code(code, reason).into(),
                     None => JobError::Refused { reason },
                 });
             }
-            Heard::Frame(Frame { header: Message::Unopened(reason), .. }) => {
+            Received::Frame(Frame { header: Message::Unopened(reason), .. }) => {
                 return Err(JobError::Process(std::io::Error::other(reason)));
             }
             // The next process would end in the same way.
-            Heard::Ended(ended) if ended.out_of_time && !gets_on => return Err(JobError::OutOfTime),
-            Heard::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
-            Heard::Nothing => Ok(()),
+            Received::Ended(ended) if ended.out_of_time && !gets_on => return Err(JobError::OutOfTime),
+            Received::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
+            Received::Nothing => Ok(()),
         };
         let kept = kept.and_then(|()| {
             if looked.elapsed() < LOOK {

@@ -5,7 +5,7 @@
 
 use super::diagnosis::of_csv;
 use super::{DiagnosisParameters, JobError, Simulator};
-use crate::process::{Child, Frame, FrameError, Heard, write_frame};
+use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use crate::store::{JobKind, REFERENCE_PART_BYTES, Store};
 use imu_model::motion::Kind;
 use serde::{Deserialize, Serialize};
@@ -205,32 +205,32 @@ pub(super) fn read_apart<'a>(
     let begun = Instant::now();
     let (mut find_sim, mut accepted) = (Some(find_sim), None);
     loop {
-        match child.hear(TIME.saturating_sub(begun.elapsed())).map_err(JobError::Process)? {
-            Heard::Frame(Frame { header: Message::Request { sim, reference }, .. }) => {
+        match child.receive(TIME.saturating_sub(begun.elapsed())).map_err(JobError::Process)? {
+            Received::Frame(Frame { header: Message::Request { sim, reference }, .. }) => {
                 let find_sim = find_sim.take().ok_or_else(|| died("the body was read twice".to_owned()))?;
                 accepted = Some(accept(store, &sim, reference, find_sim)?);
             }
-            Heard::Frame(Frame { header: Message::Part, body }) => {
+            Received::Frame(Frame { header: Message::Part, body }) => {
                 if let Some((_, Some(storing))) = &mut accepted {
                     storing.add(body)?;
                 }
             }
-            Heard::Frame(Frame { header: Message::Refused { reason, too_large: false }, .. }) => {
+            Received::Frame(Frame { header: Message::Refused { reason, too_large: false }, .. }) => {
                 return Err(JobError::Parameters { kind: JobKind::Diagnosis.name(), reason });
             }
-            Heard::Frame(Frame { header: Message::Refused { reason, too_large: true }, .. }) => {
+            Received::Frame(Frame { header: Message::Refused { reason, too_large: true }, .. }) => {
                 return Err(JobError::TooLarge { reason });
             }
-            Heard::Frame(Frame { header: Message::End, .. }) => {
+            Received::Frame(Frame { header: Message::End, .. }) => {
                 return accepted.ok_or_else(|| died("nothing was read of the body".to_owned()));
             }
-            Heard::Ended(ended) if ended.out_of_memory => {
+            Received::Ended(ended) if ended.out_of_memory => {
                 let most = MEMORY_BYTES >> 20;
                 let reason = format!("the body cannot be read within {most} MiB of memory: send a shorter reference");
                 return Err(JobError::TooLarge { reason });
             }
-            Heard::Ended(ended) => return Err(died(ended.reason)),
-            Heard::Nothing => return Err(died(format!("the body was not read within {} s", TIME.as_secs()))),
+            Received::Ended(ended) => return Err(died(ended.reason)),
+            Received::Nothing => return Err(died(format!("the body was not read within {} s", TIME.as_secs()))),
         }
     }
 }

@@ -126,7 +126,7 @@ fn run(command: &[String], message: &Message, limit: Duration, keep_on: impl Fn(
         body.go_on();
         match child.try_wait() {
             Ok(Some(status)) if status.success() => return Ok(()),
-            Ok(Some(status)) => return Err(DeliverError::Ended { program: named(), status: told(status) }),
+            Ok(Some(status)) => return Err(DeliverError::Ended { program: named(), status: describe(status) }),
             Ok(None) => {}
             Err(error) => {
                 kill(&mut child);
@@ -176,7 +176,7 @@ impl<'a> Handing<'a> {
     }
 }
 
-fn told(status: ExitStatus) -> String {
+fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("exit code {code}"),
         (None, Some(signal)) => format!("signal {signal}"),

@@ -58,12 +58,12 @@ impl Tap {
         let _ = self.0.as_ref().map(|sender| sender.try_send(sign));
     }
     /// Returns whether there is a receiver.
-    pub fn is_heard(&self) -> bool {
+    pub fn has_receiver(&self) -> bool {
         self.0.is_some()
     }
     /// Reports that a gap was recorded: it is closed.
     pub fn gap(&self, capture_id: i64, gap: &Gap) {
-        if self.is_heard() {
+        if self.has_receiver() {
             self.put(Sign::Gap(capture_id, gap.clone()));
         }
     }

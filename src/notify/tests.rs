@@ -146,21 +146,21 @@ fn closed(utc_s: i64, missing: u64) -> Notice {
 #[test]
 fn a_gap_a_second_does_not_make_a_message_a_second() {
     let mut coalescer = Coalescer::new(Duration::from_secs(60));
-    let mut told: Vec<(u64, Notice)> = Vec::new();
+    let mut messages: Vec<(u64, Notice)> = Vec::new();
     let hours = 8 * 3600;
     for second in 0..hours {
-        told.extend(coalescer.due(second * S).into_iter().map(|notice| (second, notice)));
-        told.extend(coalescer.offer(second * S, closed(second as i64, 3)).map(|notice| (second, notice)));
+        messages.extend(coalescer.due(second * S).into_iter().map(|notice| (second, notice)));
+        messages.extend(coalescer.offer(second * S, closed(second as i64, 3)).map(|notice| (second, notice)));
     }
     let rest = coalescer.due((hours + 3600) * S);
-    told.extend(rest.into_iter().map(|notice| (hours, notice)));
-    assert_eq!(told[0].0, 0, "the first at once");
-    assert_eq!(told[1].0, 60);
-    assert!((10..=16).contains(&told.len()), "{} messages", told.len());
-    assert_eq!(told.iter().map(|(_, notice)| notice.count).sum::<u64>(), hours);
+    messages.extend(rest.into_iter().map(|notice| (hours, notice)));
+    assert_eq!(messages[0].0, 0, "the first at once");
+    assert_eq!(messages[1].0, 60);
+    assert!((10..=16).contains(&messages.len()), "{} messages", messages.len());
+    assert_eq!(messages.iter().map(|(_, notice)| notice.count).sum::<u64>(), hours);
     let missing = |notice: &Notice| notice.gap.as_ref().unwrap().missing.unwrap();
-    assert_eq!(told.iter().map(|(_, notice)| missing(notice)).sum::<u64>(), 3 * hours);
-    assert!(told.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 3600 || pair[1].0 == hours), "at least hourly");
+    assert_eq!(messages.iter().map(|(_, notice)| missing(notice)).sum::<u64>(), 3 * hours);
+    assert!(messages.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 3600 || pair[1].0 == hours), "at least hourly");
     // After an hour without a gap the next one is reported at once.
     assert!(coalescer.offer(3 * hours * S, closed(0, 1)).is_some());
 }
@@ -214,8 +214,8 @@ fn effort(attempts: u32, timeout_ms: u64) -> Effort {
 fn receiver(answers: Vec<Option<&'static str>>) -> (Receiver, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let shown = format!("http://{}", listener.local_addr().unwrap());
-    let heard = Arc::new(Mutex::new(Vec::new()));
-    let theirs = Arc::clone(&heard);
+    let received = Arc::new(Mutex::new(Vec::new()));
+    let theirs = Arc::clone(&received);
     std::thread::spawn(move || {
         let mut open = Vec::new();
         for answer in answers {
@@ -238,7 +238,7 @@ fn receiver(answers: Vec<Option<&'static str>>) -> (Receiver, Arc<Mutex<Vec<Stri
         // Hangs until the test ends.
         std::thread::park();
     });
-    (Receiver::Url { url: format!("{shown}/secret"), shown }, heard)
+    (Receiver::Url { url: format!("{shown}/secret"), shown }, received)
 }
 
 fn until(what: &str, condition: impl Fn() -> bool) {
@@ -262,27 +262,27 @@ fn figures(worker: &Worker) -> NotifyStatus {
 
 #[test]
 fn a_receiver_that_hangs_then_errs_then_takes_it_has_it_after_three_attempts() {
-    let (receiver, heard) = receiver(vec![None, Some(SORRY), Some(OK)]);
+    let (receiver, received) = receiver(vec![None, Some(SORRY), Some(OK)]);
     let worker = Worker::start(receiver, effort(5, 300)).unwrap();
     worker.put(message());
     until("sent", || figures(&worker).sent == 1);
     let status = figures(&worker);
     assert_eq!((status.failed, status.dropped, status.queued, status.error), (0, 0, 0, None));
-    let heard = heard.lock().unwrap();
-    assert_eq!(heard.len(), 3);
-    assert!(heard.iter().all(|text| text.starts_with("POST /secret HTTP/1.1\r\n")), "{heard:?}");
-    assert!(heard[2].contains("content-type: application/json") && heard[2].contains("\"event\":\"gap_closed\""));
+    let received = received.lock().unwrap();
+    assert_eq!(received.len(), 3);
+    assert!(received.iter().all(|text| text.starts_with("POST /secret HTTP/1.1\r\n")), "{received:?}");
+    assert!(received[2].contains("content-type: application/json") && received[2].contains("\"event\":\"gap_closed\""));
     Worker::stop(vec![worker]);
 }
 
 #[test]
 fn an_answer_that_will_not_change_is_not_asked_for_again() {
     for (answer, status) in [(NOT_FOUND, 404), (MOVED, 302)] {
-        let (receiver, heard) = receiver(vec![Some(answer), Some(OK)]);
+        let (receiver, received) = receiver(vec![Some(answer), Some(OK)]);
         let worker = Worker::start(receiver, effort(5, 2000)).unwrap();
         worker.put(message());
         until("given up", || figures(&worker).failed == 1);
-        assert_eq!(heard.lock().unwrap().len(), 1);
+        assert_eq!(received.lock().unwrap().len(), 1);
         let error = figures(&worker).error.unwrap();
         assert!(error.ends_with(&format!("answered {status}")) && !error.contains("secret"), "{error}");
         Worker::stop(vec![worker]);
@@ -323,8 +323,8 @@ fn a_program_gets_the_event_in_its_environment_and_on_its_input() {
     let script = format!("(printf '%s|' \"$VN100D_EVENT\" \"$1\"; cat) > {}", out.display());
     let receiver = Receiver::Command(["sh", "-c", &script, "sh", "a b;$HOME"].map(str::to_owned).to_vec());
     receiver.attempt(&message(), Duration::from_secs(20), || true).unwrap();
-    let said = std::fs::read_to_string(&out).unwrap();
-    let (before, json) = said.split_once('{').unwrap();
+    let output = std::fs::read_to_string(&out).unwrap();
+    let (before, json) = output.split_once('{').unwrap();
     assert_eq!(before, "gap_closed|a b;$HOME|", "arguments are passed as they are");
     assert!(serde_json::from_str::<serde_json::Value>(&format!("{{{json}")).is_ok());
 }
@@ -393,7 +393,7 @@ fn a_hanging_program_ends_with_the_daemon() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hanging_receiver_costs_the_other_one_nothing() {
     let (hanging, _) = receiver(vec![None; 4]);
-    let (working, heard) = receiver(vec![Some(OK); 8]);
+    let (working, received) = receiver(vec![Some(OK); 8]);
     let notifier = Notifier::start(NotifyOptions {
         receivers: vec![hanging, working],
         events: NotifyEvent::ALL.to_vec(),
@@ -411,7 +411,7 @@ async fn a_hanging_receiver_costs_the_other_one_nothing() {
         tap.gap(7, &gap(number));
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-    tokio::task::spawn_blocking(move || until("both messages", || heard.lock().unwrap().len() >= 2)).await.unwrap();
+    tokio::task::spawn_blocking(move || until("both messages", || received.lock().unwrap().len() >= 2)).await.unwrap();
     let counts = figures.status();
     assert!((2..=8).contains(&counts.sent), "50 gaps, at most 8 messages: {counts:?}");
     assert!(counts.queued >= 1 && counts.dropped == 0, "{counts:?}");
@@ -447,8 +447,8 @@ fn every_night_that_was_skipped_is_told_by_itself_with_its_reason() {
         let night = NightFacts { name: name.to_owned(), reason };
         let notice = watcher().sign(0, Sign::Skipped(night)).remove(0);
         let notice = coalescer.offer(0, notice).unwrap();
-        let told = format!("the night {name} was not recorded: capture 7 runs or waits: stop it, or let it end");
-        assert_eq!(notice.message(), told);
+        let expected = format!("the night {name} was not recorded: capture 7 runs or waits: stop it, or let it end");
+        assert_eq!(notice.message(), expected);
         let body: serde_json::Value = serde_json::from_str(&notice.rendered(&sender()).body).unwrap();
         assert_eq!((&body["event"], &body["night"]["name"]), (&"night_skipped".into(), &name.into()));
     }
@@ -457,6 +457,6 @@ fn every_night_that_was_skipped_is_told_by_itself_with_its_reason() {
 #[test]
 fn without_receivers_the_tap_forgets() {
     let tap = Tap::default();
-    assert!(!tap.is_heard());
+    assert!(!tap.has_receiver());
     tap.gap(1, &gap(1));
 }

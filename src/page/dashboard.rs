@@ -92,8 +92,8 @@ fn state(out: &mut String, view: &DashboardView<'_>) {
     if let Some(hint) = &sensor.hint {
         let _ = write!(out, "<p class=\"alarm\">{}</p>", escaped(hint));
     }
-    for told in [&status.storage.error, &status.storage.warning].into_iter().flatten() {
-        let _ = write!(out, "<p class=\"alarm\">Disk: {}</p>", escaped(told));
+    for message in [&status.storage.error, &status.storage.warning].into_iter().flatten() {
+        let _ = write!(out, "<p class=\"alarm\">Disk: {}</p>", escaped(message));
     }
     if let Some(of) = &status.capture {
         progress(out, of, view.stored.iter().flat_map(|stored| &stored.causes));
@@ -101,8 +101,8 @@ fn state(out: &mut String, view: &DashboardView<'_>) {
     if let Some(schedule) = &status.schedule {
         let ScheduleStatus { at, next_start, name, duration_s, waits } = schedule;
         let next = clock(next_start);
-        let told = format!("Scheduled at {at}: {name}, {} from {next} UTC.", span(*duration_s));
-        let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(&told));
+        let summary = format!("Scheduled at {at}: {name}, {} from {next} UTC.", span(*duration_s));
+        let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(&summary));
         if let Some(waits) = waits {
             let _ = write!(out, "<p class=\"alarm\">{}</p>", escaped(waits));
         }
@@ -261,7 +261,7 @@ fn diagnoses(out: &mut String, diagnoses: &[DiagnosisRow]) {
     }
     *out += "<section id=\"diagnoses\"><h2>Simulator compared</h2><ul>";
     for of in diagnoses {
-        let _ = write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", of.job.id, escaped(&of.told()));
+        let _ = write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", of.job.id, escaped(&of.summary_or_state()));
     }
     *out += "</ul></section>";
 }
@@ -359,7 +359,7 @@ mod tests {
     #[test]
     fn a_capture_that_runs_is_told_with_what_is_missing_and_why() {
         let page = shown(&status(SensorState::Streaming, running()), Some(&stored()));
-        for told in [
+        for expected in [
             "<h1 class=\"good\" aria-live=\"polite\">Recording &lt;script&gt;.</h1>",
             "1 h of 5 h, 4 h to go",
             "10 missing in 2 gaps: 2 host stall, 8 unplugged",
@@ -370,7 +370,7 @@ mod tests {
             "To be deleted next, to keep within the limits: &lt;old&gt;.",
             "gyro_x over the last minute",
         ] {
-            assert!(page.contains(told), "{told}: {page}");
+            assert!(page.contains(expected), "{expected}: {page}");
         }
         assert!(!page.contains("<script>") && !page.contains("<tty>") && !page.contains("/v1/jobs/2"));
     }

@@ -36,9 +36,9 @@ pub(super) fn span(time_s: f64) -> String {
     let parts = [(whole / 86_400, "d"), (whole / 3600 % 24, "h"), (whole / 60 % 60, "min"), (whole % 60, "s")];
     let first = parts.iter().position(|(count, _)| *count > 0).unwrap_or(3);
     // Two neighbouring units are enough: seconds are irrelevant to a night.
-    let told = parts[first..].iter().take(2).filter(|(count, _)| *count > 0);
-    let told: Vec<String> = told.map(|(count, unit)| format!("{count} {unit}")).collect();
-    if told.is_empty() { "0 s".to_owned() } else { told.join(" ") }
+    let units = parts[first..].iter().take(2).filter(|(count, _)| *count > 0);
+    let units: Vec<String> = units.map(|(count, unit)| format!("{count} {unit}")).collect();
+    if units.is_empty() { "0 s".to_owned() } else { units.join(" ") }
 }
 
 /// Returns a number of bytes for display.
@@ -73,8 +73,8 @@ mod tests {
     fn spans_sizes_and_times_are_short() {
         let spans =
             [(0.2, "0 s"), (90.0, "1 min 30 s"), (18_000.0, "5 h"), (8_040.0, "2 h 14 min"), (90_061.0, "1 d 1 h")];
-        for (time_s, told) in spans {
-            assert_eq!(span(time_s), told);
+        for (time_s, expected) in spans {
+            assert_eq!(span(time_s), expected);
         }
         assert_eq!(
             (size(2.5e9), size(12e6), span(f64::NAN)),

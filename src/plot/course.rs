@@ -19,7 +19,7 @@ pub struct Course<'a> {
 }
 
 /// Returns the factor from seconds to the unit shown, and its name, by the length of the interval.
-pub(super) fn told(longest_s: f64) -> (f64, &'static str) {
+pub(super) fn time_unit(longest_s: f64) -> (f64, &'static str) {
     match longest_s {
         long if long > 3.0 * 3600.0 => (3600.0, "h"),
         long if long > 300.0 => (60.0, "min"),
@@ -33,7 +33,7 @@ impl Course<'_> {
         let times = || self.points.iter().map(|(time_s, ..)| *time_s);
         let (from_s, to_s) =
             times().fold((f64::MAX, f64::MIN), |(from, to), time_s| (from.min(time_s), to.max(time_s)));
-        let (unit_s, unit) = told(to_s - from_s);
+        let (unit_s, unit) = time_unit(to_s - from_s);
         let up = Axis::straight(self.points.iter().flat_map(|(_, low, high)| [*low, *high]));
         let Some(up) = up else { return String::new() };
         let (title, x) = (format!("{} over time", self.channel), format!("time in {unit}"));
@@ -41,7 +41,7 @@ impl Course<'_> {
         let frame = Frame { title: &title, x: &x, y: &y, height: 280.0 };
         let mut drawing = Drawing::new(frame, Axis::between(from_s / unit_s, to_s / unit_s), up);
         for gap in &self.gaps {
-            drawing.stretch("mark", gap.within_s.map(|at| at / unit_s), Some(&gap.told()));
+            drawing.stretch("mark", gap.within_s.map(|at| at / unit_s), Some(&gap.description()));
         }
         let points = self.parted();
         let points: Vec<(f64, f64, f64)> =

@@ -1,7 +1,7 @@
 //! The gaps of a capture on a time line.
 
 use super::axis::Axis;
-use super::course::told;
+use super::course::time_unit;
 use super::drawing::{Drawing, Frame};
 use imu_core::sample::GapCause;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ pub struct Gap {
 
 impl Gap {
     /// Returns the description.
-    pub(super) fn told(&self) -> String {
+    pub(super) fn description(&self) -> String {
         format!("{} missing, {}", self.missing, self.cause.name())
     }
 }
@@ -53,7 +53,7 @@ impl Gaps {
             (gaps, missing) => format!("{} samples, {missing} missing in {gaps} gaps{drawn}", self.samples),
         };
         let causes: Vec<String> = self.causes.iter().map(|(cause, missing)| format!("{cause}: {missing}")).collect();
-        let (unit_s, unit) = told(self.length_s);
+        let (unit_s, unit) = time_unit(self.length_s);
         let x = match causes.is_empty() {
             true => format!("time in {unit}"),
             false => format!("time in {unit} ({})", causes.join(", ")),
@@ -64,7 +64,7 @@ impl Gaps {
         let mut drawing = Drawing::new(frame, across, Axis::bare());
         drawing.stretch("there", [0.0, self.length_s / unit_s], None);
         for gap in &self.gaps {
-            drawing.stretch("gap", gap.within_s.map(|at| at / unit_s), Some(&gap.told()));
+            drawing.stretch("gap", gap.within_s.map(|at| at / unit_s), Some(&gap.description()));
         }
         drawing.done()
     }

@@ -102,7 +102,7 @@ fn map(what: &str, rows: &[Row<'_>], scale: &Scale, most: f64) -> String {
                 false => 0.0,
             };
             let class = if db > 0.0 { "louder" } else { "quieter" };
-            let told = format!(
+            let description = format!(
                 "{channel}, {} to {} Hz: {}{} dB, {}",
                 rounded(scale.begin_hz(band), 2),
                 rounded(scale.begin_hz(band + 1), 2),
@@ -116,7 +116,7 @@ fn map(what: &str, rows: &[Row<'_>], scale: &Scale, most: f64) -> String {
                  <title>{}</title></rect>",
                 width - 0.6,
                 ROW - 2.0,
-                escaped(&told)
+                escaped(&description)
             );
         }
     }

@@ -21,7 +21,7 @@ pub(super) fn joined(lines: &[NamedLine<'_>], channels: &[Channel], unit: &str) 
             let lines = together.iter().map(|(_, line)| *line);
             let strongest = lines.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).unwrap_or(together[0].1);
             let names: Vec<&str> = together.iter().map(|(channel, _)| channel.name()).collect();
-            let mut told = format!(
+            let mut description = format!(
                 "{}{} Hz on {}: amplitude {} {unit}",
                 if strongest.broad { "vibration around " } else { "" },
                 rounded(strongest.frequency_hz, 4),
@@ -29,9 +29,9 @@ pub(super) fn joined(lines: &[NamedLine<'_>], channels: &[Channel], unit: &str) 
                 rounded(strongest.amplitude, 2)
             );
             if let Some(mains) = strongest.may_be_mains_hz.first() {
-                told += &format!(", perhaps {} Hz from the mains", rounded(*mains, 3));
+                description += &format!(", perhaps {} Hz from the mains", rounded(*mains, 3));
             }
-            (strongest.frequency_hz, strongest.amplitude, told)
+            (strongest.frequency_hz, strongest.amplitude, description)
         })
         .collect()
 }
@@ -54,10 +54,10 @@ mod tests {
         let lines = [line(10.0, 1e-3), line(10.001, 3e-3), line(12.0, 1e-3), line(3.0, 1.0)];
         let channels = [Channel::GyroX, Channel::GyroY, Channel::GyroY, Channel::AccelX];
         let found: Vec<NamedLine<'_>> = channels.into_iter().zip(&lines).collect();
-        let told = joined(&found, &[Channel::GyroX, Channel::GyroY], "rad/s");
-        assert_eq!(told.len(), 2);
+        let combined = joined(&found, &[Channel::GyroX, Channel::GyroY], "rad/s");
+        assert_eq!(combined.len(), 2);
         assert_eq!(
-            (told[0].0, told[0].2.as_str()),
+            (combined[0].0, combined[0].2.as_str()),
             (10.001, "10 Hz on gyro_x, gyro_y: amplitude 0.003 rad/s, perhaps 50 Hz from the mains")
         );
     }

@@ -18,7 +18,7 @@ const LINE_CHARS: usize = 300;
 
 /// The outcome of listening to a child.
 #[derive(Debug)]
-pub enum Heard<H> {
+pub enum Received<H> {
     /// The child sent this frame.
     Frame(Frame<H>),
     /// Nothing has arrived yet.
@@ -97,10 +97,10 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
     ///
     /// # Errors
     /// The error that the system reports, if the child cannot be waited for.
-    pub fn hear(&mut self, time: Duration) -> std::io::Result<Heard<H>> {
+    pub fn receive(&mut self, time: Duration) -> std::io::Result<Received<H>> {
         match self.frames.recv_timeout(time) {
-            Ok(Ok(frame)) => Ok(Heard::Frame(frame)),
-            Err(RecvTimeoutError::Timeout) => Ok(Heard::Nothing),
+            Ok(Ok(frame)) => Ok(Received::Frame(frame)),
+            Err(RecvTimeoutError::Timeout) => Ok(Received::Nothing),
             Ok(Err(error)) => {
                 self.process.kill()?;
                 let mut ended = self.end()?;
@@ -109,9 +109,9 @@ impl<H: DeserializeOwned + Send + 'static> Child<H> {
                 if ended.well {
                     ended = Ended { well: false, reason: error.to_string(), ..ended };
                 }
-                Ok(Heard::Ended(ended))
+                Ok(Received::Ended(ended))
             }
-            Err(RecvTimeoutError::Disconnected) => self.end().map(Heard::Ended),
+            Err(RecvTimeoutError::Disconnected) => self.end().map(Received::Ended),
         }
     }
 

@@ -8,6 +8,6 @@ mod child;
 mod frame;
 mod limits;
 
-pub use child::{Child, Ended, Heard};
+pub use child::{Child, Ended, Received};
 pub use frame::{Frame, FrameError, read_frame, write_frame};
 pub use limits::{Confinement, Priority, confine, hurry, step_back};

@@ -53,7 +53,7 @@ pub struct Candidate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Announcement {
     /// The time of the announcement, UTC ns.
-    pub said_utc_ns: i64,
+    pub made_utc_ns: i64,
     /// The earliest time of the deletion, UTC ns.
     pub delete_at_utc_ns: i64,
 }
@@ -98,16 +98,16 @@ pub struct Planned {
 /// announcements begins now. With an untrusted clock none is deleted for its age, and the captures made first count as
 /// the oldest.
 pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: &Limits) -> Vec<Planned> {
-    let tells_ages = verdict.distrust.is_none();
+    let is_trusted = verdict.distrust.is_none();
     let mut oldest_first: Vec<&Candidate> =
         captures.iter().filter(|capture| !capture.open && !capture.pinned).collect();
     // A capture dated by a clock of 1970 must not count as the oldest while that clock still runs: ids follow the order
     // of creation.
-    oldest_first.sort_by_key(|capture| (if tells_ages { capture.since_utc_ns } else { 0 }, capture.id));
+    oldest_first.sort_by_key(|capture| (if is_trusted { capture.since_utc_ns } else { 0 }, capture.id));
     let mut total: u64 = captures.iter().fold(0, |sum, capture| sum.saturating_add(capture.bytes));
     let mut planned: Vec<Planned> = Vec::new();
     for capture in oldest_first {
-        let has_age = tells_ages && capture.since_utc_ns >= UTC_UNSET_BEFORE_NS;
+        let has_age = is_trusted && capture.since_utc_ns >= UTC_UNSET_BEFORE_NS;
         let old_at = limits.keep.filter(|_| has_age).map(|keep| {
             let keep_ns = i64::try_from(keep.as_nanos()).unwrap_or(i64::MAX);
             capture.since_utc_ns.saturating_add(keep_ns)
@@ -125,12 +125,12 @@ pub fn plan(captures: &[Candidate], now_utc_ns: i64, verdict: &Verdict, limits: 
             !verdict.stepped
                 // The deletion was announced by this clock, and is not longer overdue than its notice was: otherwise
                 // nobody may have seen it.
-                && announcement.said_utc_ns <= now_utc_ns
-                && announcement.delete_at_utc_ns >= announcement.said_utc_ns.saturating_add(notice_ns)
+                && announcement.made_utc_ns <= now_utc_ns
+                && announcement.delete_at_utc_ns >= announcement.made_utc_ns.saturating_add(notice_ns)
                 && now_utc_ns <= announcement.delete_at_utc_ns.saturating_add(notice_ns.max(LATE_NS))
         });
         let announcement = standing.unwrap_or(Announcement {
-            said_utc_ns: now_utc_ns,
+            made_utc_ns: now_utc_ns,
             delete_at_utc_ns: wanted_at.max(now_utc_ns.saturating_add(notice_ns)),
         });
         // None is deleted for its size while an older one still waits: that one may turn out to be enough.

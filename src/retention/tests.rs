@@ -53,8 +53,8 @@ fn size_takes_the_oldest_and_no_more_than_needed() {
 
 #[test]
 fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
-    let said = Announcement { said_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
-    let announced = [Candidate { announced: Some(said), ..capture(1, 31, 10) }];
+    let announcement = Announcement { made_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
+    let announced = [Candidate { announced: Some(announcement), ..capture(1, 31, 10) }];
     let at = |now, stepped| plan(&announced, now, stepped, &limits(Some(30), None))[0];
     assert!(at(NOW, false).is_due);
     for (now, stepped) in [(NOW, true), (NOW - 2 * DAY, false), (NOW + 2 * DAY, false)] {
@@ -70,8 +70,8 @@ fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
 
 #[test]
 fn a_notice_that_is_made_longer_holds_for_what_was_announced() {
-    let said = Announcement { said_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
-    let announced = [Candidate { announced: Some(said), ..capture(1, 31, 10) }];
+    let announcement = Announcement { made_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
+    let announced = [Candidate { announced: Some(announcement), ..capture(1, 31, 10) }];
     let longer = Limits { notice: 3 * NOTICE, ..limits(Some(30), None) };
     let planned = plan(&announced, NOW, false, &longer);
     assert!(planned[0].is_new && planned[0].announcement.delete_at_utc_ns == NOW + 3 * DAY);
@@ -83,11 +83,11 @@ prop_compose! {
         bytes in 0_u64..1000,
         open in prop::bool::weighted(0.1),
         pinned in prop::bool::weighted(0.2),
-        said in prop::option::of((-60_i64..60, 0_i64..60)),
+        announced_hours in prop::option::of((-60_i64..60, 0_i64..60)),
     ) -> Candidate {
         let hour = DAY / 24;
-        let announced = said.map(|(ago, ahead)| Announcement {
-            said_utc_ns: NOW - ago * hour,
+        let announced = announced_hours.map(|(ago, ahead)| Announcement {
+            made_utc_ns: NOW - ago * hour,
             delete_at_utc_ns: NOW - ago * hour + ahead * hour,
         });
         Candidate { id: 0, since_utc_ns: NOW - age_hours * hour, bytes, open, pinned, announced }
@@ -116,12 +116,12 @@ proptest! {
             prop_assert!(!capture.open && !capture.pinned, "never a running or pinned one");
             // A capture is due only if it was announced a whole notice ago and its own time has come.
             if one.is_due {
-                let said = capture.announced.unwrap();
-                prop_assert!(!stepped && !one.is_new && said == one.announcement);
-                prop_assert!(said.said_utc_ns + notice_ns <= NOW && said.delete_at_utc_ns <= NOW);
+                let announcement = capture.announced.unwrap();
+                prop_assert!(!stepped && !one.is_new && announcement == one.announcement);
+                prop_assert!(announcement.made_utc_ns + notice_ns <= NOW && announcement.delete_at_utc_ns <= NOW);
             }
             if one.is_new {
-                prop_assert!(one.announcement.delete_at_utc_ns >= NOW + notice_ns && one.announcement.said_utc_ns == NOW);
+                prop_assert!(one.announcement.delete_at_utc_ns >= NOW + notice_ns && one.announcement.made_utc_ns == NOW);
             }
         }
         // The oldest are deleted first: every capture that may be deleted and is older than a planned one is planned

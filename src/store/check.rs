@@ -63,7 +63,7 @@ pub fn check(path: &Path) -> Result<CheckReport, StoreError> {
     let mut report = CheckReport { database: path.to_owned(), captures: Vec::new(), findings: Vec::new() };
     let reader = match Reader::open(path) {
         Ok(reader) => reader,
-        Err(StoreError::Sqlite(error)) if schema::says_damaged(&error) => {
+        Err(StoreError::Sqlite(error)) if schema::reports_damage(&error) => {
             report.add("unreadable", None, format!("the database cannot be opened: {error}"));
             return Ok(report);
         }
@@ -140,7 +140,7 @@ impl CheckReport {
             Ok(Some(capture)) => {
                 self.captures.push(capture);
                 match reader.accounting_of_every_row(id) {
-                    Ok(report) => findings.extend(report.violations.into_iter().map(|said| ("accounting", said))),
+                    Ok(report) => findings.extend(report.violations.into_iter().map(|text| ("accounting", text))),
                     Err(StoreError::NoSuchCapture { .. }) => {}
                     Err(error) => findings.push(("unreadable", format!("the accounting cannot be made: {error}"))),
                 }
@@ -305,7 +305,7 @@ fn batches_of(
 pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>) -> Result<(), StoreError> {
     let refused = |report: String| StoreError::RefusedDamaged { path: path.to_owned(), report };
     let damaged = |error: StoreError| match error {
-        StoreError::Sqlite(error) if schema::says_damaged(&error) => refused(error.to_string()),
+        StoreError::Sqlite(error) if schema::reports_damage(&error) => refused(error.to_string()),
         StoreError::Damaged { report } => refused(report),
         other => other,
     };
@@ -354,7 +354,7 @@ pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> R
         }),
         Ok(_) => Ok(()),
         // An older schema has no identity. A database without the table is one whose beginning was still in the log.
-        Err(error) if !schema::says_damaged(&error) => {
+        Err(error) if !schema::reports_damage(&error) => {
             let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'writer')";
             let has_table: bool = connection.query_row(sql, [], |row| row.get(0))?;
             if has_table || mark.batch == 0 {

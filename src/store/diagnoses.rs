@@ -17,7 +17,7 @@ pub struct DiagnosisRow {
 
 impl DiagnosisRow {
     /// Returns one sentence: the summary, or the state of the job.
-    pub fn told(&self) -> String {
+    pub fn summary_or_state(&self) -> String {
         let state = || format!("diagnosis {}: {}", self.job.id, self.job.state.name());
         self.summary.clone().unwrap_or_else(state)
     }
@@ -78,8 +78,8 @@ mod tests {
         let reader = world.reader();
         assert_eq!(reader.latest_diagnosis().unwrap(), waits);
         let rows = reader.diagnoses(Some(id), &PageRequest::first()).unwrap().rows;
-        let told: Vec<_> = rows.iter().map(|row| (row.job.id, row.verdict.as_deref())).collect();
-        assert_eq!(told, [(waits, None), (done, Some("no_gap"))]);
+        let verdicts: Vec<_> = rows.iter().map(|row| (row.job.id, row.verdict.as_deref())).collect();
+        assert_eq!(verdicts, [(waits, None), (done, Some("no_gap"))]);
         assert_eq!(rows[1].summary.as_deref(), Some("no gap"));
         assert!(reader.diagnoses(Some(id + 1), &PageRequest::first()).unwrap().rows.is_empty());
     }

@@ -98,7 +98,7 @@ pub(super) const REFUSALS: u32 = 30;
 
 /// The content of a file, without its log.
 #[derive(Debug, PartialEq, Eq)]
-enum Says {
+enum Content {
     /// The database of this identity, with this many batches.
     Identity(String, i64),
     /// A database of this program; its identity is in its log.
@@ -109,21 +109,21 @@ enum Says {
     Foreign,
 }
 
-fn says(path: &Path) -> Says {
+fn content(path: &Path) -> Content {
     let uri = format!("file:{}?immutable=1", schema::uri_escaped(path));
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
-    let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Says::Nothing };
+    let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Content::Nothing };
     match schema::refuse_foreign(&connection, path) {
         Ok(()) => {}
         // A file that is no database at all may be a damaged one.
-        Err(StoreError::Foreign { found, .. }) if found != 0 => return Says::Foreign,
-        Err(_) => return Says::Nothing,
+        Err(StoreError::Foreign { found, .. }) if found != 0 => return Content::Foreign,
+        Err(_) => return Content::Nothing,
     }
-    let read = |row: &rusqlite::Row<'_>| Ok(Says::Identity(row.get(0)?, row.get(1)?));
+    let read = |row: &rusqlite::Row<'_>| Ok(Content::Identity(row.get(0)?, row.get(1)?));
     match connection.query_row("SELECT identity, batch FROM writer", [], read) {
         Ok(identity) => identity,
-        Err(error) if schema::says_damaged(&error) => Says::Nothing,
-        Err(_) => Says::Ours,
+        Err(error) if schema::reports_damage(&error) => Content::Nothing,
+        Err(_) => Content::Ours,
     }
 }
 
@@ -178,11 +178,11 @@ impl FileId {
         if file.len() == 0 || self.let_go && !same_number {
             return true;
         }
-        match says(path) {
-            Says::Identity(found, batch) => found != identity || batch < self.copied,
-            Says::Foreign => true,
+        match content(path) {
+            Content::Identity(found, batch) => found != identity || batch < self.copied,
+            Content::Foreign => true,
             // The inode number of a file that was closed may be given to the next one.
-            Says::Ours | Says::Nothing => self.let_go || !same_number,
+            Content::Ours | Content::Nothing => self.let_go || !same_number,
         }
     }
 
@@ -227,8 +227,8 @@ impl FileId {
     pub(super) fn close(&mut self, path: &Path, connection: Connection) {
         // Before the connection is closed: a copy of the log that fails midway may have reached no more than the
         // system's memory.
-        self.copied = match says(path) {
-            Says::Identity(_, batch) => batch,
+        self.copied = match content(path) {
+            Content::Identity(_, batch) => batch,
             _ => 0,
         };
         drop(connection);
@@ -261,7 +261,7 @@ impl FileId {
             && log_header(path) == Some(header)
         {
             // A file that cannot be read now may be the one that the log belongs to.
-            if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && says(path) == Says::Nothing {
+            if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && content(path) == Content::Nothing {
                 let report = "it cannot be read beside the log that was left".to_owned();
                 return Err(StoreError::RefusedDamaged { path: path.to_owned(), report });
             }

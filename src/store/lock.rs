@@ -80,8 +80,8 @@ impl Mark {
         let (identity, batch) = line.split_once(' ')?;
         let whole = identity.len() == 32 && batch.len() == 20;
         // A damage report on a database that another one has replaced does not concern the replacement.
-        let said = damage.and_then(|line| line.strip_prefix(identity)?.strip_prefix(" damaged: "));
-        let damage = said.map(str::to_owned);
+        let report = damage.and_then(|line| line.strip_prefix(identity)?.strip_prefix(" damaged: "));
+        let damage = report.map(str::to_owned);
         Some(Self { identity: identity.to_owned(), batch: batch.parse().ok()?, damage }).filter(|_| whole)
     }
 }

@@ -409,7 +409,7 @@ fn limit(bytes: Option<u64>) {
     setrlimit(Resource::Fsize, Rlimit { current: bytes, maximum }).unwrap();
 }
 
-fn told(name: &str, otherwise: u64) -> u64 {
+fn from_env(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(otherwise)
 }
 
@@ -473,13 +473,13 @@ fn the_store_is_at_any_crash_what_its_model_says() {
             .env(INSIDE, "1")
             .output()
             .unwrap();
-        let said = String::from_utf8_lossy(&inside.stdout);
-        println!("{said}");
+        let stdout = String::from_utf8_lossy(&inside.stdout);
+        println!("{stdout}");
         assert!(inside.status.success(), "{}", String::from_utf8_lossy(&inside.stderr));
-        assert!(said.contains("1 passed"));
+        assert!(stdout.contains("1 passed"));
         return;
     }
-    let (cases, seed) = (told("VN100D_MODEL_CASES", 5), told("VN100D_MODEL_SEED", 1));
+    let (cases, seed) = (from_env("VN100D_MODEL_CASES", 5), from_env("VN100D_MODEL_SEED", 1));
     let config = Config { cases: cases as u32, failure_persistence: None, max_shrink_iters: 100, ..Config::default() };
     let mut bytes = [0; 32];
     bytes[..8].copy_from_slice(&seed.to_le_bytes());

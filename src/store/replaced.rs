@@ -220,7 +220,7 @@ fn half_a_file_that_stays_as_it_is_is_refused_in_the_end_and_the_log_stays() {
     }
     assert_eq!(writer.attempt(), StorageState::StorageError);
     let seen = progress::locked(&progress).clone();
-    assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("damaged")), "{seen:?}");
+    assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("damaged")), "{seen:?}");
     assert!(std::fs::read(&path).unwrap() == garbage);
     assert!(std::fs::read(schema::wal_path(&path)).unwrap() == log, "it may be that file's own");
 }
@@ -239,7 +239,7 @@ fn a_log_that_is_taken_away_while_it_is_closed_ends_the_writing() {
     let before = std::fs::read(&path).unwrap();
     writer.write_now(samples(id, 150..160));
     let seen = progress::locked(&progress).clone();
-    assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("-wal")), "{seen:?}");
+    assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("-wal")), "{seen:?}");
     assert!(std::fs::read(&path).unwrap() == before);
 }
 

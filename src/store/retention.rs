@@ -46,7 +46,7 @@ impl Reader {
                    FROM capture WHERE lifecycle = 'live' ORDER BY id";
         let mut statement = self.connection.prepare_cached(sql)?;
         let rows = statement.query_map([], |row| {
-            let said: Option<i64> = row.get(6)?;
+            let announced_at: Option<i64> = row.get(6)?;
             let delete_at: Option<i64> = row.get(7)?;
             Ok(RetentionRow {
                 id: row.get(0)?,
@@ -56,7 +56,7 @@ impl Reader {
                     + row.get::<_, i64>(8)?.max(0) as u64,
                 open: row.get(4)?,
                 pinned: row.get(5)?,
-                announced: said.zip(delete_at),
+                announced: announced_at.zip(delete_at),
             })
         })?;
         Ok(rows.collect::<Result<_, _>>()?)
@@ -83,8 +83,8 @@ impl Store {
             let sql = "UPDATE capture SET deletion_said_utc_ns = ?2, delete_at_utc_ns = ?3 WHERE id = ?1";
             let mut statement = transaction.prepare_cached(sql)?;
             for (id, announcement) in &changes {
-                let (said, delete_at) = announcement.unzip();
-                statement.execute(params![id, said, delete_at])?;
+                let (announced_at, delete_at) = announcement.unzip();
+                statement.execute(params![id, announced_at, delete_at])?;
             }
             Ok(())
         })

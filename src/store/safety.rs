@@ -281,22 +281,22 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     let before = files();
     // The first caller receives SQLite's error; the next one receives an instruction.
     assert!(store.purge_step().unwrap_err().is_damage());
-    let told = store.purge_step().unwrap_err();
-    assert_eq!(told.kind(), StoreErrorKind::Io);
-    assert!(told.to_string().contains("vn100d check") && told.to_string().contains("vn100d recover"), "{told}");
+    let error = store.purge_step().unwrap_err();
+    assert_eq!(error.kind(), StoreErrorKind::Io);
+    assert!(error.to_string().contains("vn100d check") && error.to_string().contains("vn100d recover"), "{error}");
     let progress = store.progress();
     assert!(progress.gives_up() && progress.io_failures_mono_ns.is_empty(), "{progress:?}");
-    assert_eq!(store.status().error, Some(told.to_string()));
+    assert_eq!(store.status().error, Some(error.to_string()));
     for record in [segment(1, 0), sample(1, 0), sample(1, 1)] {
         store.records().blocking_send(new, record).unwrap();
     }
     std::thread::sleep(COMMIT_AFTER + Duration::from_millis(300));
-    assert_eq!(store.close().unwrap_err().to_string(), told.to_string());
+    assert_eq!(store.close().unwrap_err().to_string(), error.to_string());
     assert!(files() == before, "the damaged files were changed");
     // The next start knows of the damage, even if its own check finds nothing.
     std::fs::write(&path, whole).unwrap();
     let refused = Store::open(&path, StoreOptions::default()).map(drop).unwrap_err();
-    assert_eq!(refused.to_string(), told.to_string());
+    assert_eq!(refused.to_string(), error.to_string());
     // If the full check finds nothing, the user decides whether to continue, as the error states.
     assert_eq!(check(&path).unwrap().findings, []);
     std::fs::remove_file(lock::lock_path(&path)).unwrap();
@@ -436,7 +436,7 @@ fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
     assert!(!progress::locked(&progress).damaged);
     writer.take_report(Failure::of(&StoreError::Damaged { report: "a page".to_owned() }));
     let seen = progress::locked(&progress).clone();
-    assert!(seen.damaged && seen.error.as_ref().is_some_and(|said| said.contains("vn100d recover")), "{seen:?}");
+    assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("vn100d recover")), "{seen:?}");
     // The damage is reported once.
     writer.take_report(Failure::of(&StoreError::Damaged { report: "another".to_owned() }));
     assert_eq!(progress::locked(&progress).failures, seen.failures);

@@ -65,7 +65,7 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
         let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
         let ours = refuse_foreign(&connection, path).and_then(|()| refuse_newer(&connection, path));
         ours.map_err(|error| match error {
-            StoreError::Sqlite(error) if says_damaged(&error) => {
+            StoreError::Sqlite(error) if reports_damage(&error) => {
                 StoreError::RefusedDamaged { path: path.to_owned(), report: error.to_string() }
             }
             other => other,
@@ -110,7 +110,7 @@ pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error>
 }
 
 /// Returns whether the error reports that the file is damaged.
-pub(super) fn says_damaged(error: &rusqlite::Error) -> bool {
+pub(super) fn reports_damage(error: &rusqlite::Error) -> bool {
     use rusqlite::ErrorCode as Code;
     matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
         || matches!(error, rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::FromSqlConversionFailure(..))

@@ -584,11 +584,11 @@ fn a_name_that_was_only_liked_gives_way_and_one_that_was_told_does_not() {
     let called = |end: ImportEnd| world.reader().capture(end.id()).unwrap().name;
     // Both were begun together and find the name free.
     let (first, second) = (begin(None, Some("desk")).unwrap(), begin(None, Some("desk")).unwrap());
-    let (told, unnamed, other) =
+    let (named, unnamed, other) =
         (begin(Some("desk"), None).unwrap(), begin(None, None).unwrap(), begin(None, Some("a/b")).unwrap());
     assert_eq!(called(first.finish(None).unwrap()), "desk");
     let mut names = vec![called(second.finish(None).unwrap())];
-    assert!(matches!(told.finish(None), Err(StoreError::NameTaken { .. })));
+    assert!(matches!(named.finish(None), Err(StoreError::NameTaken { .. })));
     names.push(called(unnamed.finish(None).unwrap()));
     names.push(called(other.finish(None).unwrap()));
     names.push(called(begin(None, Some("desk")).unwrap().finish(None).unwrap()));

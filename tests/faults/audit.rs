@@ -374,9 +374,9 @@ fn check_against_log(rows: &[Row], gaps: &[Gap], rejected: &BTreeMap<String, u64
         let index = next
             + found.unwrap_or_else(|| {
                 let alike: Vec<&Made> = log.frames.iter().filter(|frame| frame.device_time_ns == device_ns).collect();
-                let heard = row.host_mono_ns;
+                let host_ns = row.host_mono_ns;
                 panic!(
-                    "sample {} at {device_ns} ns, heard at {heard}, was never sent; of that time are {alike:?}",
+                    "sample {} at {device_ns} ns, heard at {host_ns}, was never sent; of that time are {alike:?}",
                     row.seq
                 )
             });

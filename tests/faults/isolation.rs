@@ -187,9 +187,9 @@ struct Asked {
 
 #[test]
 fn nothing_that_is_asked_costs_the_recorder_a_sample() {
-    let told = std::env::var("VN100D_ISOLATION").ok();
-    let alone = told.is_some();
-    let time = told.map_or(Duration::from_secs(15), |text| {
+    let given = std::env::var("VN100D_ISOLATION").ok();
+    let alone = given.is_some();
+    let time = given.map_or(Duration::from_secs(15), |text| {
         imu_core::units::parse_duration(&text).expect("VN100D_ISOLATION is a duration, such as 30m")
     });
     let long = time > Duration::from_secs(300);

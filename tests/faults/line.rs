@@ -263,15 +263,15 @@ fn each_garbled_frame_is_one_missing_sample_and_its_neighbours_stand() {
 fn a_sensor_at_another_baud_rate_is_said_within_three_seconds_and_found() {
     let mut run = Streaming::begin("", &["--strict-baud"]);
     run.sensor.say("baud 230400");
-    let said = run.until_state("no_valid_frames", Duration::from_secs(6)).as_secs_f64();
+    let reported_s = run.until_state("no_valid_frames", Duration::from_secs(6)).as_secs_f64();
     let begun = Instant::now();
     run.world.until_more_samples(20, &run.daemon);
     let streams = begun.elapsed().as_secs_f64();
     let status = run.world.get("/v1/status");
     assert_eq!(status["sensor"]["baud"], 230_400);
     let found = run.audit();
-    println!("B13: said after {said:.2} s, streams {streams:.2} s later, {} missing", found.missing);
-    assert!(said <= 3.0, "{said} s");
+    println!("B13: said after {reported_s:.2} s, streams {streams:.2} s later, {} missing", found.missing);
+    assert!(reported_s <= 3.0, "{reported_s} s");
     assert_eq!(found.causes(), ["checksum"]);
 }
 
@@ -282,8 +282,8 @@ fn a_baud_rate_that_is_not_to_be_tried_gives_a_hint_and_no_load() {
     let _sensor = world.emulate(&["--strict-baud", "--baud", "460800"]);
     let mut daemon = world.daemon("[sensor]\nbaud = 115200\n", &[]);
     let begun = Instant::now();
-    let said = || Some(world.get("/v1/status")).filter(|status| status["sensor"]["state"] == "no_valid_frames");
-    let status = world.until("no valid frames", Duration::from_secs(6), said, &daemon);
+    let no_frames = || Some(world.get("/v1/status")).filter(|status| status["sensor"]["state"] == "no_valid_frames");
+    let status = world.until("no valid frames", Duration::from_secs(6), no_frames, &daemon);
     let after = begun.elapsed().as_secs_f64();
     assert!(status["sensor"]["hint"].as_str().unwrap().contains("baud rates 115200"), "{status}");
     let before = Held::of(daemon.id());

@@ -192,8 +192,8 @@ fn a_termination_while_the_disk_is_full_ends_in_time_and_says_what_is_lost() {
     let filler = world.path("data/filler");
     let full = std::fs::write(&filler, vec![1; 9 << 20]);
     assert!(full.is_err(), "the disk is full");
-    let said = || Some(world.get("/v1/status")).filter(|status| status["storage"]["state"] == "storage_full");
-    world.until("it is full", Duration::from_secs(20), said, &daemon);
+    let is_full = || Some(world.get("/v1/status")).filter(|status| status["storage"]["state"] == "storage_full");
+    world.until("it is full", Duration::from_secs(20), is_full, &daemon);
     let committed = world.committed();
     let begun = Instant::now();
     let code = daemon.terminate();
@@ -241,17 +241,17 @@ impl Manager {
     /// Reads the daemon's messages from now on, as systemd does: the socket holds ten, and a daemon that sends more
     /// waits.
     fn listens(&self) -> Arc<Mutex<String>> {
-        let told = Arc::new(Mutex::new(String::new()));
-        let (socket, heard) = (self.socket.try_clone().unwrap(), Arc::downgrade(&told));
+        let messages = Arc::new(Mutex::new(String::new()));
+        let (socket, weak) = (self.socket.try_clone().unwrap(), Arc::downgrade(&messages));
         std::thread::spawn(move || {
             let mut buffer = [0; 4096];
-            while let Some(heard) = heard.upgrade() {
+            while let Some(messages) = weak.upgrade() {
                 if let Ok(length) = socket.recv(&mut buffer) {
-                    heard.lock().unwrap().push_str(&String::from_utf8_lossy(&buffer[..length]));
+                    messages.lock().unwrap().push_str(&String::from_utf8_lossy(&buffer[..length]));
                 }
             }
         });
-        told
+        messages
     }
 
     /// Returns the daemon, started as by systemd, with a watchdog of 8 s.
@@ -447,7 +447,7 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     let begun = Instant::now();
     let ill = || Some(world.get("/v1/status")).filter(|status| status["storage"]["state"] == "degraded");
     let status = world.until("storage is degraded", Duration::from_secs(15), ill, &daemon);
-    let said = begun.elapsed().as_secs_f64();
+    let reported_s = begun.elapsed().as_secs_f64();
     assert!(status["storage"]["error"].as_str().unwrap().contains("commit has not ended"), "{}", status["storage"]);
     // The last turn may have earned one more feeding.
     manager.fed(Duration::from_secs(4));
@@ -455,12 +455,12 @@ fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
     let asked = Instant::now();
     world.get("/v1/status");
     println!(
-        "A7: `{}` after {said:.2} s, fed {fed} times in 6 s, status in {:?}",
+        "A7: `{}` after {reported_s:.2} s, fed {fed} times in 6 s, status in {:?}",
         status["storage"]["state"],
         asked.elapsed()
     );
     assert_eq!(fed, 0, "the watchdog is withheld");
-    assert!(said <= 5.0, "{said} s, of which up to a second until the next commit");
+    assert!(reported_s <= 5.0, "{reported_s} s, of which up to a second until the next commit");
     assert!(asked.elapsed() < Duration::from_millis(500));
     let acked = world.committed();
     // Ended as by systemd's watchdog; strace releases no process before its delay is over.
@@ -489,11 +489,14 @@ fn a_second_daemon_on_the_same_database_ends_at_once_and_names_the_first() {
         .output()
         .unwrap();
     let took = begun.elapsed().as_secs_f64();
-    let said = String::from_utf8_lossy(&second.stderr).into_owned();
-    println!("A8: ended within {took:.2} s: {}", said.trim());
-    assert_eq!(second.status.code(), Some(73), "{said}");
+    let stderr = String::from_utf8_lossy(&second.stderr).into_owned();
+    println!("A8: ended within {took:.2} s: {}", stderr.trim());
+    assert_eq!(second.status.code(), Some(73), "{stderr}");
     assert!(took <= 1.0, "{took} s");
-    assert!(said.contains(&daemon.id().to_string()) && said.contains(world.database().to_str().unwrap()), "{said}");
+    assert!(
+        stderr.contains(&daemon.id().to_string()) && stderr.contains(world.database().to_str().unwrap()),
+        "{stderr}"
+    );
     world.until_more_samples(100, &daemon);
     let found = world.settle_and_audit(&mut daemon, &log, None);
     assert_eq!(found.missing, 0, "the first is unaffected");
@@ -567,18 +570,19 @@ fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
 fn a_capture_that_nobody_named_has_one_name_everywhere() {
     let world = World::new();
     let _sensor = world.emulate(&[]);
-    let told = world.path("told");
+    let notice_file = world.path("told");
     let notify = format!(
         "[notify]\ncommand = [\"/bin/sh\", \"-c\", \"cat >> {}\"]\nevents = [\"capture_completed\"]\n",
-        told.display()
+        notice_file.display()
     );
     let daemon = world.daemon(&notify, &["--capture", "2s"]);
     let name = world.get("/v1/captures/latest")["name"].as_str().unwrap().to_owned();
     let running = || world.try_get("/v1/status").filter(|status| !status["capture"].is_null());
     let status = world.until("it runs", START, running, &daemon);
     assert_eq!(status["capture"]["name"], name.as_str());
-    let heard = || std::fs::read_to_string(&told).ok().filter(|told| told.ends_with('}') || told.ends_with('\n'));
-    let notice = world.until("its end is told", START, heard, &daemon);
+    let written =
+        || std::fs::read_to_string(&notice_file).ok().filter(|text| text.ends_with('}') || text.ends_with('\n'));
+    let notice = world.until("its end is told", START, written, &daemon);
     assert_eq!(serde_json::from_str::<serde_json::Value>(&notice).unwrap()["capture"]["name"], name.as_str());
     let events = world.get("/v1/captures/latest/events").to_string();
     assert!(events.contains(&format!("capture `{name}` has its first sample")), "{events}");

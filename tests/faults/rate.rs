@@ -67,8 +67,8 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
     };
     assert_eq!(timebase, expected, "{}", mode.name);
     let before = |kind: &str| format!("SELECT count(*) FROM event WHERE kind = '{kind}'");
-    let told = ["reconfigured", "sensor_reset", "warning"];
-    let count = || told.iter().map(|kind| integer(&world, &before(kind))).sum::<i64>();
+    let kinds = ["reconfigured", "sensor_reset", "warning"];
+    let count = || kinds.iter().map(|kind| integer(&world, &before(kind))).sum::<i64>();
     let events = count();
     sensor.say(fault);
     let begun = Instant::now();
@@ -105,7 +105,7 @@ fn in_all_modes(fault: &str, end_hz: impl Fn(&Mode) -> f64, cause: &str, at_leas
             off_s * 1e3
         );
         assert!(took <= 5.0, "{}: {took} s", mode.name);
-        assert!(causes.iter().all(|told| told.starts_with(cause)), "{}: {causes:?}", mode.name);
+        assert!(causes.iter().all(|actual| actual.starts_with(cause)), "{}: {causes:?}", mode.name);
         let most = if mode.insists { at_least + 1 } else { at_least };
         assert!((at_least..=most).contains(&causes.len()), "{}: {causes:?}", mode.name);
         assert!(off_s.abs() < 0.1, "{}: {off_s} s", mode.name);
@@ -169,9 +169,9 @@ fn a_clock_that_jumps_ahead_is_told_and_nothing_is_missing() {
     samples(&world, &daemon, 120);
     // The clock's present time is known within the duration of a request.
     let seen = world.query("SELECT max(device_time_ns), max(host_mono_ns) FROM sample");
-    let (Value::Integer(device_ns), Value::Integer(heard_ns)) = (&seen[0][0], &seen[0][1]) else { panic!() };
+    let (Value::Integer(device_ns), Value::Integer(host_ns)) = (&seen[0][0], &seen[0][1]) else { panic!() };
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
-    let passed_ns = now.tv_sec * 1_000_000_000 + now.tv_nsec - heard_ns;
+    let passed_ns = now.tv_sec * 1_000_000_000 + now.tv_nsec - host_ns;
     sensor.say(&format!("clock {}", (device_ns + passed_ns) / 1000 + 500_000));
     samples(&world, &daemon, 120);
     let (status, body) = world.request("POST", "/v1/captures/latest/stop", "").unwrap();

@@ -273,9 +273,9 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     samples(&world, &daemon, 60);
     let capture = settle(&world);
     let gaps = gaps(&world);
-    let told: Vec<_> =
+    let actual: Vec<_> =
         gaps.iter().map(|gap| (gap["cause"].as_str().unwrap(), gap["missing_exact"].as_bool().unwrap())).collect();
-    assert_eq!(told, [("silent", true), ("daemon_stopped", true)], "{gaps:?}");
+    assert_eq!(actual, [("silent", true), ("daemon_stopped", true)], "{gaps:?}");
     assert_eq!(gaps[0]["missing"], 7);
     let stretch = &capture["accounting"]["stretches"][0];
     let had = capture["samples"].as_u64().unwrap() + capture["missing"].as_u64().unwrap();
@@ -315,8 +315,8 @@ fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switch
     let noticed_s = (noticed_ns - count(&world, "SELECT from_utc_ns FROM gap")) as f64 / 1e9;
     assert!(noticed_s <= 1.25 + 2.0, "noticed {noticed_s} s after the last sample");
     let segments = segments(&world);
-    let told: Vec<_> = segments.iter().map(|segment| (&segment["timebase"], &segment["epoch"])).collect();
-    assert_eq!(told, [(&"sync_counter".into(), &1.into()), (&"sync_counter".into(), &2.into())]);
+    let actual: Vec<_> = segments.iter().map(|segment| (&segment["timebase"], &segment["epoch"])).collect();
+    assert_eq!(actual, [(&"sync_counter".into(), &1.into()), (&"sync_counter".into(), &2.into())]);
     assert_eq!(count(&world, "SELECT count(*) FROM sample WHERE sync_count IS NULL"), 0);
     assert!(capture["rejected"]["unexpected_format"].as_u64().unwrap() > 5, "{capture:#}");
 }

@@ -219,9 +219,9 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
     faked.world.until("the gap", START, || (faked.count("SELECT count(*) FROM gap") == 3).then_some(()), &faked.daemon);
     let missing = faked.count("SELECT missing FROM gap ORDER BY before_seq DESC LIMIT 1");
     assert!((600 * 40..620 * 40).contains(&missing), "{missing}");
-    let told: Vec<f64> = faked.steps_seen().iter().map(|event| event["detail"]["by_s"].as_f64().unwrap()).collect();
-    assert_eq!(told.len(), 2, "{told:?}");
-    assert!((told[0] - 10_800.0).abs() < 0.1 && (told[1] + 18_000.0).abs() < 0.1, "{told:?}");
+    let steps_s: Vec<f64> = faked.steps_seen().iter().map(|event| event["detail"]["by_s"].as_f64().unwrap()).collect();
+    assert_eq!(steps_s.len(), 2, "{steps_s:?}");
+    assert!((steps_s[0] - 10_800.0).abs() < 0.1 && (steps_s[1] + 18_000.0).abs() < 0.1, "{steps_s:?}");
     faked.world.request("POST", "/v1/captures/latest/stop", "").unwrap();
     let capture = faked.world.get("/v1/captures/latest");
     assert_eq!(capture["accounting"]["holds"], true, "{capture:#}");

@@ -68,10 +68,10 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn check(name: &str, target: targets::Target, input: &[u8], told: &str) {
+fn check(name: &str, target: targets::Target, input: &[u8], context: &str) {
     let Some(why) = failure(target, input) else { return };
     let small = minimised(target, input.to_vec());
-    panic!("{name}, {told}: {why}\nminimised, {} bytes: {}", small.len(), hex(&small));
+    panic!("{name}, {context}: {why}\nminimised, {} bytes: {}", small.len(), hex(&small));
 }
 
 /// Runs a target on its regressions, its corpus, and mutations of the corpus.

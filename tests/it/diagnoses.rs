@@ -93,8 +93,8 @@ fn a_diagnosis_is_asked_for_followed_fetched_and_seen() {
         ("/v1/captures/desk/diagnoses", json!({"sim": wobble}), 400, "channels.accel_z.effects[0].effect"),
         ("/v1/captures/desk/diagnoses", json!({"sim": plain, "reference": "m.csv"}), 400, "expected a motion's CSV"),
     ] {
-        let (found, said) = world.request("POST", route, &body.to_string()).unwrap();
-        assert!(found == status && said.contains(part), "{route}: {found} {said}");
+        let (found, text) = world.request("POST", route, &body.to_string()).unwrap();
+        assert!(found == status && text.contains(part), "{route}: {found} {text}");
     }
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
 }

@@ -75,14 +75,14 @@ fn a_cause_that_is_added_closes_the_gap_and_taken_out_opens_it_again() {
     assert_eq!(effects(&open), ["resonance"], "{open:#}");
     // The user gets one sentence first, also on the page.
     let page = path("page.html");
-    let said = done(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
-    let sentence = said.lines().next().unwrap();
-    assert!(sentence.contains("that the model lacks"), "{said}");
+    let printed = done(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
+    let sentence = printed.lines().next().unwrap();
+    assert!(sentence.contains("that the model lacks"), "{printed}");
     let html = std::fs::read_to_string(&page).unwrap();
     assert!(html.contains(&format!("<h1>{sentence}</h1>")) && html.contains("<path class=\"line after\""), "{html}");
     let again = vn100d(&["diagnose", "--real", &real, "--sim", &plain, "--html", &page]);
-    let said = String::from_utf8(again.stderr).unwrap();
-    assert!(again.status.code() == Some(73) && said.contains("--force"), "{said}");
+    let stderr = String::from_utf8(again.stderr).unwrap();
+    assert!(again.status.code() == Some(73) && stderr.contains("--force"), "{stderr}");
     let both = vn100d(&["diagnose", "--real", &real, "--sim", &plain, "--html", "x", "--augmented-model", "./x"]);
     assert_eq!(both.status.code(), Some(2), "{}", String::from_utf8_lossy(&both.stderr));
 }
@@ -92,12 +92,12 @@ fn what_is_merely_off_is_no_cause_and_another_simulators_recording_is_as_good_as
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let channel = |n: f64| json!({"gyro_y": {"N": n, "B": 2e-5, "K": 1e-6}});
-    let told = model(folder.path(), "told", &channel(1e-4));
+    let declared = model(folder.path(), "told", &channel(1e-4));
     let true_one = model(folder.path(), "true", &channel(1.2e-4));
     let (real, other) = (path("real.csv"), path("other.csv"));
     done(&["simulate", "--model", &true_one, "--duration", "20min", "--seed", "8", "--out", &real]);
     done(&["simulate", "--model", &true_one, "--duration", "20min", "--seed", "9", "--out", &other]);
-    let off = diagnosed(&real, &told, &[]);
+    let off = diagnosed(&real, &declared, &[]);
     assert_eq!((off["verdict"].as_str(), effects(&off)), (Some("parameters"), vec![]), "{off:#}");
     let n = off["parameters"].as_array().unwrap().iter().find(|one| one["parameter"] == "N").unwrap();
     assert!((n["ratio"].as_f64().unwrap() / 1.2 - 1.0).abs() < 0.02, "{n}");
@@ -170,8 +170,11 @@ fn what_cannot_be_compared_is_refused_in_one_sentence() {
         ),
     ] {
         let ended = vn100d(&["diagnose", "--real", &file, "--sim", &simulator]);
-        let said = String::from_utf8(ended.stderr).unwrap();
-        assert!(!ended.status.success() && said.contains(part) && said.trim().lines().count() == 1, "{file}: {said}");
+        let stderr = String::from_utf8(ended.stderr).unwrap();
+        assert!(
+            !ended.status.success() && stderr.contains(part) && stderr.trim().lines().count() == 1,
+            "{file}: {stderr}"
+        );
         assert!(ended.stdout.is_empty());
     }
 }
@@ -180,9 +183,9 @@ fn what_cannot_be_compared_is_refused_in_one_sentence() {
 fn a_calibration_is_kept_and_found_again_the_same() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let told = json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6,
+    let channels = json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6,
         "effects": [{"effect": "tone", "frequency_hz": 7.3, "amplitude": 3e-4}]}});
-    let rich = model(folder.path(), "rich", &told);
+    let rich = model(folder.path(), "rich", &channels);
     let plain = model(folder.path(), "plain", &json!({"gyro_x": {"N": 1e-4, "B": 2e-5, "K": 1e-6}}));
     let real = path("real.csv");
     done(&["simulate", "--model", &rich, "--duration", "40s", "--seed", "5", "--out", &real]);

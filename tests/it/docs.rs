@@ -88,8 +88,8 @@ fn every_shell_block_runs_or_says_why_not() {
             .env_remove("VN100D_CONFIG")
             .output()
             .unwrap();
-        let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        assert!(output.status.success(), "{place} fails:\n{said}");
+        let printed = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert!(output.status.success(), "{place} fails:\n{printed}");
         run += 1;
     }
     assert!(run > 0, "no block was run");

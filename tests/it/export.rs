@@ -34,14 +34,14 @@ impl Place {
 
     pub fn done(&self, arguments: &[&str]) -> String {
         let output = self.run(arguments);
-        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", said(&output));
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
         String::from_utf8(output.stdout).unwrap()
     }
 
     fn refused(&self, code: i32, arguments: &[&str], why: &str) {
         let output = self.run(arguments);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", said(&output));
-        assert!(said(&output).contains(why), "{arguments:?}: {}", said(&output));
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+        assert!(stderr(&output).contains(why), "{arguments:?}: {}", stderr(&output));
     }
 
     /// Returns rows of the database.
@@ -72,7 +72,7 @@ impl Place {
     }
 }
 
-fn said(output: &Output) -> String {
+fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -119,8 +119,8 @@ fn of(sql: &str, id: i64, order: &str) -> String {
 #[test]
 fn csv_goes_out_and_in_again_with_every_bit_and_every_gap() {
     let place = with_capture(20_000);
-    let told = place.done(&["export", "night", "--out", "out.csv", "--time", "utc"]);
-    assert!(told.contains("out.csv: 20000 samples of 4 channels as csv, 43 missing in 2 gaps"), "{told}");
+    let printed = place.done(&["export", "night", "--out", "out.csv", "--time", "utc"]);
+    assert!(printed.contains("out.csv: 20000 samples of 4 channels as csv, 43 missing in 2 gaps"), "{printed}");
     place.done(&["import", "out.csv", "--name", "again"]);
     let (one, two) = (place.query(&of(SAMPLES, 1, "seq")), place.query(&of(SAMPLES, 2, "seq")));
     assert_eq!(one.len(), 20_000);
@@ -273,8 +273,8 @@ fn what_cannot_be_is_refused_and_leaves_nothing() {
             .current_dir(place.path(""))
             .output()
             .unwrap();
-        assert_eq!(limited.status.code(), Some(74), "{format}: {}", said(&limited));
-        assert!(said(&limited).contains(&format!("{out} cannot be written")), "{}", said(&limited));
+        assert_eq!(limited.status.code(), Some(74), "{format}: {}", stderr(&limited));
+        assert!(stderr(&limited).contains(&format!("{out} cannot be written")), "{}", stderr(&limited));
         assert_eq!(place.files(), before, "{format}");
     }
     std::fs::write(place.path("mine.csv"), "mine").unwrap();

@@ -125,8 +125,8 @@ fn a_capture_with_epochs_and_gaps_leaves_by_the_sensor_s_clock_and_comes_back_th
     let place = with_line();
     let since_first = place.done(&["export", "line"]);
     assert!(since_first.lines().skip(1).eq(rows(1000, START_NS)), "{}", &since_first[..400]);
-    let told = place.done(&["export", "line", "--out", "line.csv", "--time", "utc"]);
-    assert!(told.contains("1000 samples of 7 channels as csv, 107 missing in 2 gaps"), "{told}");
+    let printed = place.done(&["export", "line", "--out", "line.csv", "--time", "utc"]);
+    assert!(printed.contains("1000 samples of 7 channels as csv, 107 missing in 2 gaps"), "{printed}");
     assert!(place.text("line.csv").lines().skip(1).eq(rows(1000, 0)));
     place.done(&["export", "line", "--out", "line.mcap"]);
     let accounts = |id: i64| {
@@ -156,11 +156,11 @@ fn parquet_tells_segments_clocks_and_the_causes_of_gaps() {
     place.done(&["export", "line", "--out", "line.parquet"]);
     let builder =
         ParquetRecordBatchReaderBuilder::try_new(std::fs::File::open(place.path("line.parquet")).unwrap()).unwrap();
-    let said = &builder.schema().metadata;
-    let gaps: serde_json::Value = serde_json::from_str(&said["gaps"]).unwrap();
+    let metadata = &builder.schema().metadata;
+    let gaps: serde_json::Value = serde_json::from_str(&metadata["gaps"]).unwrap();
     assert_eq!((&gaps[0]["cause"], &gaps[0]["missing_exact"]), (&"checksum".into(), &true.into()));
     assert_eq!((&gaps[1]["cause"], &gaps[1]["missing"]), (&"sensor_reset".into(), &100.into()));
-    assert_eq!((said["samples"].as_str(), said["missing"].as_str()), ("1000", "107"));
+    assert_eq!((metadata["samples"].as_str(), metadata["missing"].as_str()), ("1000", "107"));
     let mut seq = 0;
     for batch in builder.build().unwrap().map(Result::unwrap) {
         let column = |name: &str| batch.column_by_name(name).unwrap();

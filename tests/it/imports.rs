@@ -55,7 +55,7 @@ fn priority(daemon: &Process, name: &str) -> Option<i64> {
     })
 }
 
-fn said(output: &Output) -> String {
+fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
@@ -80,10 +80,10 @@ fn a_configured_token_is_needed_on_loopback_too_and_import_brings_it() {
     let without = world.path("without.toml");
     std::fs::write(&without, listening(&world)).unwrap();
     let refused = import(&world, &without, &[file.to_str().unwrap()]);
-    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
-    assert!(said(&refused).contains("token"), "{}", said(&refused));
+    assert_eq!(refused.status.code(), Some(1), "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("token"), "{}", stderr(&refused));
     let taken = import(&world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]);
-    assert_eq!(taken.status.code(), Some(0), "{}", said(&taken));
+    assert_eq!(taken.status.code(), Some(0), "{}", stderr(&taken));
     assert_eq!(world.get("/v1/captures/desk")["samples"], 400);
     assert_eq!(daemon.terminate(), Some(0));
 }
@@ -152,12 +152,12 @@ fn whoever_goes_away_calls_the_import_off_and_a_second_one_is_told_to_wait() {
     let configuration = world.path("vn100d.toml");
     let small = recording(&world, "small.csv", 400);
     let busy = import(&world, &configuration, &[small.to_str().unwrap()]);
-    assert_eq!(busy.status.code(), Some(1), "{}", said(&busy));
-    assert!(said(&busy).contains("another recording is being imported"), "{}", said(&busy));
+    assert_eq!(busy.status.code(), Some(1), "{}", stderr(&busy));
+    assert!(stderr(&busy).contains("another recording is being imported"), "{}", stderr(&busy));
     client.kill();
     nothing_of_it(&world, &daemon);
     let taken = import(&world, &configuration, &[small.to_str().unwrap()]);
-    assert_eq!(taken.status.code(), Some(0), "{}", said(&taken));
+    assert_eq!(taken.status.code(), Some(0), "{}", stderr(&taken));
     assert_eq!(world.get("/v1/captures/small")["samples"], 400);
     assert_eq!(daemon.terminate(), Some(0));
 }
@@ -186,20 +186,20 @@ fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() 
             let begun = Instant::now();
             let output = import(&world, &configuration, arguments);
             assert!(begun.elapsed() < Duration::from_secs(240), "{arguments:?}: {:?}", begun.elapsed());
-            (output.status.code(), said(&output), String::from_utf8_lossy(&output.stdout).into_owned())
+            (output.status.code(), stderr(&output), String::from_utf8_lossy(&output.stdout).into_owned())
         };
         let refused = |arguments: &[&str], code: i32, sentence: &str| {
-            let (found, said, _) = run(arguments);
-            assert_eq!(found, Some(code), "{with_daemon} {arguments:?}: {said}");
-            assert!(said.contains(sentence), "{with_daemon} {arguments:?}: {said}");
+            let (found, message, _) = run(arguments);
+            assert_eq!(found, Some(code), "{with_daemon} {arguments:?}: {message}");
+            assert!(message.contains(sentence), "{with_daemon} {arguments:?}: {message}");
         };
         refused(&[pipe.to_str().unwrap()], 74, "is a pipe, but a recording is read several times");
         refused(&["/dev/zero"], 74, "is a device");
         refused(&[bomb.to_str().unwrap()], 1, "which no sensor's recording does");
         refused(&[number.to_str().unwrap(), "--name", "2024"], 1, "a number means the capture with that id");
         for file in [&long, &number] {
-            let (code, said, _) = run(&[file.to_str().unwrap()]);
-            assert_eq!(code, Some(0), "{with_daemon}: {said}");
+            let (code, message, _) = run(&[file.to_str().unwrap()]);
+            assert_eq!(code, Some(0), "{with_daemon}: {message}");
         }
     };
     check(false);
@@ -238,7 +238,7 @@ fn foreign_columns_and_messages_are_told_to_the_daemon() {
     let of = |arguments: &[&str]| -> (serde_json::Value, String) {
         let output = import(&world, &configuration, arguments);
         let report = serde_json::from_slice(&output.stdout).unwrap_or_default();
-        (report, format!("{:?} {}", output.status.code(), said(&output)))
+        (report, format!("{:?} {}", output.status.code(), stderr(&output)))
     };
     let (table, bag, definition) = (table.to_str().unwrap(), bag.to_str().unwrap(), definition.to_str().unwrap());
     for (refused, words) in [
@@ -248,8 +248,8 @@ fn foreign_columns_and_messages_are_told_to_the_daemon() {
         (&[bag], ["Some(1)", "--message-definition"]),
         (&[bag, "--message-definition", table], ["Some(2)", "line 2 is no field"]),
     ] {
-        let (_, said) = of(refused);
-        assert!(words.iter().all(|word| said.contains(word)), "{refused:?}: {said}");
+        let (_, outcome) = of(refused);
+        assert!(words.iter().all(|word| outcome.contains(word)), "{refused:?}: {outcome}");
     }
     for (first, again, samples) in [
         (
@@ -259,15 +259,15 @@ fn foreign_columns_and_messages_are_told_to_the_daemon() {
         ),
         (&[bag, "--message-definition", &named], &[bag, "--message-definition", &named], 40),
     ] {
-        let (report, said) = of(first);
-        assert_eq!((&report[0]["samples"], &report[0]["new"]), (&samples.into(), &true.into()), "{said}");
+        let (report, outcome) = of(first);
+        assert_eq!((&report[0]["samples"], &report[0]["new"]), (&samples.into(), &true.into()), "{outcome}");
         assert_eq!(report[0]["rate_hz"], 40.0);
-        let (second, said) = of(again);
-        assert_eq!((&second[0]["capture"], &second[0]["new"]), (&report[0]["capture"], &false.into()), "{said}");
+        let (second, outcome) = of(again);
+        assert_eq!((&second[0]["capture"], &second[0]["new"]), (&report[0]["capture"], &false.into()), "{outcome}");
     }
     // Without its package the type is another reading of the file.
-    let (other, said) = of(&[bag, "--message-definition", definition]);
-    assert_eq!(other[0]["new"], true, "{said}");
+    let (other, outcome) = of(&[bag, "--message-definition", definition]);
+    assert_eq!(other[0]["new"], true, "{outcome}");
     assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "GyroX(dps)=gyro_x_dps");
     assert_eq!(daemon.terminate(), Some(0));
 }

@@ -200,7 +200,7 @@ struct Plans {
 }
 
 /// Returns the outcome of an odd case: the changes, and whether the diagnosis accepted it. A panic is passed on.
-fn odd(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
+fn diagnose_case(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     let mut random = ChaCha8Rng::seed_from_u64(seed ^ (number as u64) << 20);
     let (mut recording, mut model, rows) = make(seed, number, plans, &mut random);
     let mut done = Vec::new();
@@ -222,21 +222,21 @@ fn odd(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
         bend(&mut model, &mut random);
         done.push("bent model");
     }
-    let told = done.join(", ");
+    let changes = done.join(", ");
     let reference = match rows.map(Reference::new) {
-        Some(Err(error)) => return (format!("{told}: {error}"), false),
+        Some(Err(error)) => return (format!("{changes}: {error}"), false),
         reference => reference.and_then(Result::ok),
     };
     let options = Options { real: "odd", sim: "model", ..Options::default() };
     if std::env::var("VN100D_ODD_TOLD").is_ok() {
-        eprintln!("case {number}: {} samples, {told}", recording.len());
+        eprintln!("case {number}: {} samples, {changes}", recording.len());
     }
     match imu_diagnosis::diagnose_any(&recording, reference.as_ref(), &model, &options) {
-        Err(error) => (format!("{told}: {error}"), false),
+        Err(error) => (format!("{changes}: {error}"), false),
         Ok(outcome) => {
             serde_json::to_string(&outcome.diagnosis).unwrap();
             serde_json::to_string(&outcome.augmented).unwrap();
-            (told, true)
+            (changes, true)
         }
     }
 }
@@ -261,9 +261,9 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
                         return;
                     }
                     let begun = std::time::Instant::now();
-                    match std::panic::catch_unwind(AssertUnwindSafe(|| odd(seed, number, &plans))) {
+                    match std::panic::catch_unwind(AssertUnwindSafe(|| diagnose_case(seed, number, &plans))) {
                         Ok((_, true)) => drop(past.fetch_add(1, Ordering::Relaxed)),
-                        Ok((told, false)) => eprintln!("case {number} was refused: {told}"),
+                        Ok((outcome, false)) => eprintln!("case {number} was refused: {outcome}"),
                         Err(_) => failed.lock().unwrap().push(number),
                     }
                     let took = begun.elapsed();

@@ -72,10 +72,10 @@ fn people_go_from_the_first_page_to_the_diagnosis_and_every_page_is_sound() {
         .output()
         .unwrap();
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-    let logs = || format!("{said}\nthe demonstration:\n{}\nthe daemon:\n{}", demo.log(), guarded.log());
+    let printed = format!("{}{}", text(&output.stdout), text(&output.stderr));
+    let logs = || format!("{printed}\nthe demonstration:\n{}\nthe daemon:\n{}", demo.log(), guarded.log());
     assert!(output.status.success(), "{}", logs());
-    let last = said.lines().find(|line| line.starts_with("{\"held\"")).unwrap_or_else(|| panic!("{said}"));
+    let last = printed.lines().find(|line| line.starts_with("{\"held\"")).unwrap_or_else(|| panic!("{printed}"));
     let report: Value = serde_json::from_str(last).unwrap();
     for (kind, least) in HELD {
         let held = report["held"][kind].as_u64().unwrap_or(0);

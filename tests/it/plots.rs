@@ -52,11 +52,11 @@ fn every_plot_of_a_capture_is_drawn_and_what_is_not_there_is_said() {
     // Time counts from the first sample.
     assert!(series.contains(">2</text>") && series.contains(">8</text>"), "{series}");
     assert!(drawn("gaps").contains("24000 samples, none missing"));
-    for (name, said) in
+    for (name, detail) in
         [("gap", "allan-&lt;"), ("timeseries-mag_x", "no channel mag_x"), ("psd-accel", "no channel accel_x")]
     {
         let (status, body) = plot(name);
         assert_eq!(status, 404, "{name}: {body}");
-        assert!(body.contains(&said.replace("&lt;", "<")), "{name}: {body}");
+        assert!(body.contains(&detail.replace("&lt;", "<")), "{name}: {body}");
     }
 }

@@ -67,14 +67,14 @@ const RECORDINGS: [(&str, Option<f64>); 48] = [
 #[test]
 fn the_page_says_what_is_found_in_every_real_recording() {
     let Some(folder) = real_data("") else { return };
-    let (mut rows, mut said) = (String::new(), String::new());
+    let (mut rows, mut remarks) = (String::new(), String::new());
     for (name, rate_hz) in RECORDINGS {
         let options = Options { rate_hz, started_utc_ns: 0, ..Options::default() };
         let row = match load_columns(&folder.join(name), options) {
             Ok(found) => {
-                writeln!(said, "{name}").unwrap();
+                writeln!(remarks, "{name}").unwrap();
                 for remark in found.info.remarks() {
-                    writeln!(said, "  {remark}").unwrap();
+                    writeln!(remarks, "  {remark}").unwrap();
                 }
                 row(&found, rate_hz)
             }
@@ -87,7 +87,7 @@ fn the_page_says_what_is_found_in_every_real_recording() {
     }
     let found = format!(
         "\n| recording | samples | rate | rejected | missing |\n|---|---|---|---|---|\n{rows}\nAnd said of each, word for word:\n\n\
-         ```text\n{said}```\n\n"
+         ```text\n{remarks}```\n\n"
     );
     let page = std::fs::read_to_string(PAGE).unwrap();
     let (before, rest) = page.split_once(BEGIN).expect("the page marks where the table begins");
@@ -99,9 +99,9 @@ fn the_page_says_what_is_found_in_every_real_recording() {
     }
 }
 
-fn row(found: &LoadedRecording, told_hz: Option<f64>) -> String {
+fn row(found: &LoadedRecording, given_hz: Option<f64>) -> String {
     let info = &found.info;
-    let told = if told_hz.is_some() {
+    let origin = if given_hz.is_some() {
         " (told)"
     } else if info.rate_assumed {
         " (assumed)"
@@ -117,7 +117,7 @@ fn row(found: &LoadedRecording, told_hz: Option<f64>) -> String {
         (missing, gaps, Some(longest_s)) => format!("{missing} in {gaps} gaps, the longest of {longest_s:.3} s"),
         (missing, gaps, None) => format!("{missing} in {gaps} gaps"),
     };
-    format!("{} | {} Hz{told} | {rejected} | {missing}", found.samples, shown_rate(info.rate_hz))
+    format!("{} | {} Hz{origin} | {rejected} | {missing}", found.samples, shown_rate(info.rate_hz))
 }
 
 /// Returns the rate as `import` prints it, without the last digits, which are jitter.

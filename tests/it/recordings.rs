@@ -305,10 +305,10 @@ fn the_real_cart_is_imported_with_every_irregular_step_accounted_for() {
         let output = vn100d(&[&["--data-dir", data.to_str().unwrap()], arguments].concat());
         (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
     };
-    let (code, said) = run(&["import", file.to_str().unwrap()]);
-    assert_eq!(code, Some(3), "data were rejected: {said}");
+    let (code, printed) = run(&["import", file.to_str().unwrap()]);
+    assert_eq!(code, Some(3), "data were rejected: {printed}");
     for words in ["rejected: 5 (checksum)", "number 2 of 2 before $VN", "line 3015"] {
-        assert!(said.contains(words), "{words} is not in: {said}");
+        assert!(printed.contains(words), "{words} is not in: {printed}");
     }
     let one = |sql: &str| match world.query(sql)[0][0] {
         rusqlite::types::Value::Integer(value) => value,
@@ -441,9 +441,9 @@ fn recordings_of_one_sensor_are_analysed_together_and_others_are_refused() {
     for (other, words) in [(fast.as_str(), "rate in Hz 40 and 100"), (&degrees, "unit of gyro_x"), (a, "given twice")] {
         for command in ["allan", "noise"] {
             let refused = vn100d(&[command, a, other]);
-            let said = String::from_utf8_lossy(&refused.stderr).into_owned();
-            assert!(!refused.status.success() && refused.stdout.is_empty() && said.contains(words), "{said}");
-            assert_eq!(said.trim().lines().count(), 1, "{said}");
+            let stderr = String::from_utf8_lossy(&refused.stderr).into_owned();
+            assert!(!refused.status.success() && refused.stdout.is_empty() && stderr.contains(words), "{stderr}");
+            assert_eq!(stderr.trim().lines().count(), 1, "{stderr}");
         }
     }
 }

@@ -29,15 +29,15 @@ fn place() -> Place {
     place
 }
 
-fn said(output: &Output) -> String {
+fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 fn refused(place: &Place, code: i32, arguments: &[&str], why: &str) {
     let output = place.run(arguments);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", said(&output));
-    assert!(said(&output).contains(why), "{arguments:?}: {}", said(&output));
-    assert!(!said(&output).contains("panicked"), "{}", said(&output));
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", stderr(&output));
+    assert!(stderr(&output).contains(why), "{arguments:?}: {}", stderr(&output));
+    assert!(!stderr(&output).contains("panicked"), "{}", stderr(&output));
 }
 
 /// Returns width and height from a PNG's header.
@@ -69,11 +69,11 @@ fn every_plot_of_a_capture_is_a_file_as_svg_and_as_png() {
     has("allan-gyro_x.svg", &["Allan deviation, gyro_x", "averaging time τ in s", "in rad/s"]);
     has("psd-gyro.svg", &["Power spectrum, gyro", "rad/s/√Hz", "Hz</text>"]);
     has("gaps.svg", &["24000 samples, none missing"]);
-    let told: Value =
+    let actual: Value =
         serde_json::from_str(&place.done(&["plot", "latest", "allan-gyro", "--out", "a.png", "--json"])).unwrap();
     let png = std::fs::read(place.path("a.png")).unwrap();
     assert_eq!(pixels(&png), [1680, 1080]);
-    assert_eq!(told, serde_json::json!({"plot": "allan-gyro", "capture": 1, "out": "a.png", "bytes": png.len()}));
+    assert_eq!(actual, serde_json::json!({"plot": "allan-gyro", "capture": 1, "out": "a.png", "bytes": png.len()}));
     // A part of the time, on standard output.
     let part = place.done(&["plot", "latest", "timeseries-gyro_x", "--from", "60", "--to", "62.5", "--out", "-"]);
     assert!(part.contains(">61</text>") && part.contains("time in s") && !part.contains(">100</text>"), "{part}");
@@ -82,10 +82,10 @@ fn every_plot_of_a_capture_is_a_file_as_svg_and_as_png() {
 #[test]
 fn a_report_has_everything_in_it_and_nothing_from_elsewhere() {
     let place = place();
-    let told = place.done(&["report", "latest", "--out", "page.html"]);
+    let printed = place.done(&["report", "latest", "--out", "page.html"]);
     let page = place.text("page.html");
-    assert!(told.starts_with("page.html: report of <script>"), "{told}");
-    assert!(told.contains(&format!("{} bytes", page.len())), "{told}");
+    assert!(printed.starts_with("page.html: report of <script>"), "{printed}");
+    assert!(printed.contains(&format!("{} bytes", page.len())), "{printed}");
     assert!(page.starts_with("<!doctype html>") && page.trim_end().ends_with("</html>"));
     assert!(page.contains("<h1>&lt;script&gt;alert(1)</h1>"), "{page}");
     for absent in
@@ -119,8 +119,8 @@ fn a_report_has_everything_in_it_and_nothing_from_elsewhere() {
         for parameter in ["N", "B", "K"] {
             let (value, limit) = (of[parameter]["value"].as_f64(), of[parameter]["upper_limit95"].as_f64());
             if let Some(value) = value.or(limit) {
-                let told = numbers(row).into_iter().any(|told| (told / value - 1.0).abs() < 0.01);
-                assert!(told, "{channel} {parameter}: {value} is not in {row}");
+                let is_listed = numbers(row).into_iter().any(|number| (number / value - 1.0).abs() < 0.01);
+                assert!(is_listed, "{channel} {parameter}: {value} is not in {row}");
                 found += 1;
             }
         }
@@ -165,17 +165,17 @@ fn a_recordings_path_takes_the_place_of_a_capture_and_leaves_no_database() {
         command.args(arguments).output().unwrap()
     };
     let output = run(&["report", "desk night.csv", "--out", "page.html", "--json"]);
-    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
-    assert!(said(&output).contains("tells no time of day"), "{}", said(&output));
-    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert!(told["capture"].is_null() && told["name"] == "desk night", "{told}");
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(stderr(&output).contains("tells no time of day"), "{}", stderr(&output));
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(document["capture"].is_null() && document["name"] == "desk night", "{document}");
     let page = place.text("page.html");
     for part in ["<h1>desk night</h1>", "imported, from desk night.csv", "24000 samples", "tells no time of day"] {
         assert!(page.contains(part), "{part}");
     }
     assert!(!page.contains("capture 1") && !page.contains("temporary") && !page.contains("vn100d.db"), "{page}");
     let output = run(&["plot", "desk night.csv", "allan-accel_z", "--out", "a.svg"]);
-    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(place.text("a.svg").starts_with("<svg"));
     assert_eq!(std::fs::read_dir(&temporary).unwrap().count(), 0, "something stayed behind");
     assert!(!elsewhere.exists());
@@ -189,12 +189,12 @@ fn a_recordings_path_takes_the_place_of_a_capture_and_leaves_no_database() {
             arguments.push("odd.svg");
         }
         let output = run(&arguments);
-        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {}", said(&output));
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {}", stderr(&output));
     }
     // Rows without stamps have the stated rate.
     std::fs::write(place.path("bare.csv"), "gyro_x_rad_s\n".to_owned() + &"0.001\n0.002\n".repeat(200)).unwrap();
     let output = run(&["plot", "bare.csv", "timeseries-gyro_x", "--rate", "100", "--out", "bare.svg"]);
-    assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(place.text("bare.svg").contains(">3</text>"), "{}", place.text("bare.svg"));
 }
 
@@ -254,7 +254,7 @@ fn a_capture_that_runs_is_drawn_beside_the_daemon_that_writes_it() {
     let run = |arguments: &[&str]| {
         let output = vn100d(&[&["--data-dir", data], arguments].concat());
         // Bytes before the first frame may have been rejected.
-        assert!(matches!(output.status.code(), Some(0 | 3)), "{arguments:?}: {}", said(&output));
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{arguments:?}: {}", stderr(&output));
     };
     run(&["report", "latest", "--out", page.to_str().unwrap()]);
     let page = std::fs::read_to_string(page).unwrap();

@@ -102,12 +102,12 @@ fn a_night_waits_for_another_capture_and_begins_when_that_has_ended() {
 fn a_night_that_another_capture_takes_is_told_of() {
     let world = World::new();
     let (configuration, evening) = begun("6h");
-    let told = world.path("told");
-    let script = format!("echo \\\"$VN100D_EVENT: $VN100D_EVENT_MESSAGE\\\" >> {}", told.display());
+    let notice_file = world.path("told");
+    let script = format!("echo \\\"$VN100D_EVENT: $VN100D_EVENT_MESSAGE\\\" >> {}", notice_file.display());
     let configuration =
         format!("{configuration}[notify]\ncommand = [\"sh\", \"-c\", \"{script}\"]\nevents = [\"night_skipped\"]\n");
     let mut running = daemon(&world, &configuration, &["--capture", "100h", "--speed", "1000"]);
-    let skipped = || std::fs::read_to_string(&told).ok().filter(|text| text.ends_with('\n'));
+    let skipped = || std::fs::read_to_string(&notice_file).ok().filter(|text| text.ends_with('\n'));
     let text = world.until("the night was skipped", Duration::from_secs(60), skipped, &running);
     let name = name(evening);
     assert_eq!(

@@ -30,9 +30,9 @@ fn json_of(arguments: &[&str]) -> Value {
 fn refused(arguments: &[&str]) -> (Option<i32>, String) {
     let ended = vn100d(arguments);
     assert!(ended.stdout.is_empty(), "{arguments:?}");
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert_eq!(said.trim().lines().count(), 1, "{said}");
-    (ended.status.code(), said)
+    let stderr = String::from_utf8(ended.stderr).unwrap();
+    assert_eq!(stderr.trim().lines().count(), 1, "{stderr}");
+    (ended.status.code(), stderr)
 }
 
 /// Returns the number of an effect's parameter in a fitted model.
@@ -129,11 +129,11 @@ fn what_is_simulated_is_what_a_fit_finds() {
     assert_eq!(plain["provenance"]["capture"], csv.as_str());
     done(&["simulate", "--model", &fitted, "--duration", "1min", "--out", &path("again.csv")]);
     let shown = done(&["model", "show", &fitted]);
-    let told = |parameter: &str, value: &str| {
+    let has_row = |parameter: &str, value: &str| {
         let mut lines = shown.lines().map(|line| line.split('┆').map(str::trim).collect::<Vec<_>>());
         lines.any(|cells| matches!(cells.as_slice(), [_, name, of, ..] if *name == parameter && of.starts_with(value)))
     };
-    assert!(told("tone.frequency_hz", "7.3") && told("resolution.step", "0.001"), "{shown}");
+    assert!(has_row("tone.frequency_hz", "7.3") && has_row("resolution.step", "0.001"), "{shown}");
     assert!(shown.lines().all(|line| line.chars().count() <= 80), "{shown}");
     let differ = json_of(&["--json", "model", "diff", &file, &fitted]);
     let paths: Vec<&str> = differ.as_array().unwrap().iter().map(|of| of["path"].as_str().unwrap()).collect();
@@ -174,8 +174,8 @@ fn a_capture_is_made_marked_as_simulated_with_every_lost_sample_accounted_for() 
         (parameters(&["--json", "noise", &csv]), parameters(&["--json", "--data-dir", &data, "noise", "sim"]));
     // The rate of a file is that of its median step, which jitters too.
     assert!((one / other - 1.0).abs() < 1e-3, "{one} {other}");
-    let (_, said) = refused(&[&["--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
-    assert!(said.contains("sim"), "{said}");
+    let (_, stderr) = refused(&[&["--data-dir", &data], &simulate[..], &["--into-db", "sim"]].concat());
+    assert!(stderr.contains("sim"), "{stderr}");
     let once = std::fs::read(&csv).unwrap();
     done(&[&simulate[..], &["--out", &csv, "--force"]].concat());
     assert_eq!(std::fs::read(&csv).unwrap(), once, "the same seed, the same samples");
@@ -245,10 +245,10 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         (json!({"N": 1, "uncertainty": {"N": 3}}), ["channels.gyro_x.uncertainty.N", "an object"]),
     ] {
         let file = model(folder.path(), json!({ "gyro_x": gyro_x }), json!({}));
-        let (code, said) = refused(&["simulate", "--model", &file, "--duration", "1min", "--out", &out]);
-        assert_eq!(code, Some(1), "{said}");
+        let (code, stderr) = refused(&["simulate", "--model", &file, "--duration", "1min", "--out", &out]);
+        assert_eq!(code, Some(1), "{stderr}");
         for words in words.iter().chain(&["model.json"]) {
-            assert!(said.contains(words), "{words:?} is not in {said}");
+            assert!(stderr.contains(words), "{words:?} is not in {stderr}");
         }
         assert!(!Path::new(&out).exists());
     }
@@ -264,9 +264,9 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         (row(0.0), ["single row", "a period apart"]),
     ] {
         std::fs::write(&motion, format!("{header}{rows}")).unwrap();
-        let (_, said) = refused(&["simulate", "--model", &file, "--motion", &motion, "--out", &out]);
+        let (_, stderr) = refused(&["simulate", "--model", &file, "--motion", &motion, "--out", &out]);
         for words in words.iter().chain(&["motion.csv"]) {
-            assert!(said.contains(words), "{words:?} is not in {said}");
+            assert!(stderr.contains(words), "{words:?} is not in {stderr}");
         }
     }
     let twice = path("twice.json");
@@ -277,8 +277,8 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         (&file, "tumbl", "still, tumble, rate-table"),
     ] {
         let simulate = ["simulate", "--model", model, "--duration", "1min", "--motion", motion, "--out", &out];
-        let (_, said) = refused(&simulate);
-        assert!(said.contains(words) && !Path::new(&out).exists(), "{words:?} is not in {said}");
+        let (_, stderr) = refused(&simulate);
+        assert!(stderr.contains(words) && !Path::new(&out).exists(), "{words:?} is not in {stderr}");
     }
     for (arguments, words) in [
         (vec!["--duration", "20s", "--motion", "tumble", "--out", &out], "tumble"),
@@ -292,8 +292,8 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
         (vec!["--duration", "1000000h", "--out", &out], "a hundred years"),
         (vec!["--duration", "1min", "--motion", "still", "--motion-out", "-", "--out", &out], "--motion-out -"),
     ] {
-        let (_, said) = refused(&[&["simulate", "--model", &file], &arguments[..]].concat());
-        assert!(said.contains(words), "{words:?} is not in {said}");
+        let (_, stderr) = refused(&[&["simulate", "--model", &file], &arguments[..]].concat());
+        assert!(stderr.contains(words), "{words:?} is not in {stderr}");
     }
 }
 
@@ -314,8 +314,8 @@ fn nothing_is_written_over_or_left_behind() {
         (vec!["--force", "--out", &file], "is read"),
         (vec!["--force", "--temperature", "30", "--out", &kept], "channel gyro_x is no finite number at 0 s"),
     ] {
-        let (_, said) = refused(&[&simulate[..], &arguments[..]].concat());
-        assert!(said.contains(words) && !said.contains(".vn100d-"), "{words:?} is not in {said}");
+        let (_, stderr) = refused(&[&simulate[..], &arguments[..]].concat());
+        assert!(stderr.contains(words) && !stderr.contains(".vn100d-"), "{words:?} is not in {stderr}");
     }
     done(&["simulate", "--model", &file, "--duration", "1min", "--out", &motion]);
     // A fit must not overwrite its own record.
@@ -324,8 +324,8 @@ fn nothing_is_written_over_or_left_behind() {
         (vec!["--force", "--out", &motion], "is read"),
         (vec!["--out", &none], "none/out.csv cannot be written: No such file or directory (os error 2)"),
     ] {
-        let (_, said) = refused(&[&["model", "fit", &motion], &arguments[..]].concat());
-        assert!(said.contains(words), "{words:?} is not in {said}");
+        let (_, stderr) = refused(&[&["model", "fit", &motion], &arguments[..]].concat());
+        assert!(stderr.contains(words), "{words:?} is not in {stderr}");
     }
     assert_eq!(std::fs::read_to_string(&kept).unwrap(), "a night's work");
     let mut names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
@@ -420,8 +420,8 @@ fn a_filter_of_a_record_is_in_its_model() {
         "{found}"
     );
     // --force does not replace a file.
-    let (code, said) = refused(&["model", "fit", &first, "--out", &fitted, "--force"]);
-    assert!(code == Some(73) && said.contains("say --overwrite to replace it"), "{said}");
+    let (code, stderr) = refused(&["model", "fit", &first, "--out", &fitted, "--force"]);
+    assert!(code == Some(73) && stderr.contains("say --overwrite to replace it"), "{stderr}");
     done(&["model", "fit", &first, "--out", &fitted, "--overwrite"]);
 }
 
@@ -463,8 +463,8 @@ fn raw_counts_are_no_noise_of_a_sensor() {
     let rows = (0..4000).map(|i| format!("{},{}\n", f64::from(i) / 100.0, 32_771 + i * i % 17));
     std::fs::write(&path, format!("time_s,gyro_x_rad_s\n{}", rows.collect::<String>())).unwrap();
     let path = path.to_str().unwrap();
-    let (code, said) = refused(&["model", "fit", path]);
-    assert!(code == Some(1) && said.contains("raw counts? give the scale"), "{said}");
+    let (code, stderr) = refused(&["model", "fit", path]);
+    assert!(code == Some(1) && stderr.contains("raw counts? give the scale"), "{stderr}");
     let noise = json_of(&["--json", "noise", path]);
     assert_eq!(noise["channels"]["gyro_x"]["usable"], false, "{noise}");
     // Counts as in a register at rest: the gyroscope's counts could be rad/s, the upright axis could be no
@@ -478,14 +478,18 @@ fn raw_counts_are_no_noise_of_a_sensor() {
     let noise = json_of(&["--json", "noise", path]);
     for channel in ["gyro_x", "accel_x", "accel_z"] {
         let reason = noise["channels"][channel]["reason"].as_str().unwrap_or_default();
-        let told = "4000 of 4000 values of accel_z are beyond what it can measure in m/s²: raw counts? give the scale";
-        assert!(reason.starts_with(told), "{channel}: {noise}");
+        let expected =
+            "4000 of 4000 values of accel_z are beyond what it can measure in m/s²: raw counts? give the scale";
+        assert!(reason.starts_with(expected), "{channel}: {noise}");
     }
     assert_eq!(noise["at_rest_s"], serde_json::Value::Null);
-    let (code, said) = refused(&["noise", path, "--format", "kalibr"]);
-    assert!(code == Some(1) && said.contains("raw counts? give the scale") && !said.contains("at rest"), "{said}");
+    let (code, stderr) = refused(&["noise", path, "--format", "kalibr"]);
+    assert!(
+        code == Some(1) && stderr.contains("raw counts? give the scale") && !stderr.contains("at rest"),
+        "{stderr}"
+    );
     // JSON has the reason in it, whatever format is requested.
     assert_eq!(json_of(&["--json", "noise", path, "--format", "kalibr"])["channels"]["accel_z"]["usable"], false);
-    let said = String::from_utf8(vn100d(&["noise", path, "--format", "kalibr", "--rate", "400"]).stderr).unwrap();
-    assert!(said.contains("--rate 400 overrides the stamps, which lie on a grid of 100.0 Hz"), "{said}");
+    let stderr = String::from_utf8(vn100d(&["noise", path, "--format", "kalibr", "--rate", "400"]).stderr).unwrap();
+    assert!(stderr.contains("--rate 400 overrides the stamps, which lie on a grid of 100.0 Hz"), "{stderr}");
 }

@@ -18,8 +18,8 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     let (out, page) = (path("trial"), path("page.html"));
     let kinds = ["--cases", "4", "--seed", "31", "--kinds", "none,tone,chirp"];
     let ended = vn100d(&[&["trial", "--json", "--out", &out, "--html", &page], &kinds[..]].concat());
-    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-    assert_eq!(ended.status.code(), Some(0), "{said}");
+    let stderr = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(0), "{stderr}");
     let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
     assert_eq!((&score["format"], &score["cases"]), (&"vn100d-trial-1".into(), &4.into()));
     assert_eq!(score["rates"]["refused"]["count"], 0, "{score}");
@@ -27,7 +27,7 @@ fn a_trial_seals_its_keys_before_it_diagnoses_and_counts_afterwards() {
     let read = |name: &str| std::fs::read(folder.path().join("trial").join(name)).unwrap();
     let manifest = read("manifest.json");
     assert_eq!(score["manifest_sha256"], hex(&manifest));
-    assert!(said.contains(&hex(&manifest)), "{said}");
+    assert!(stderr.contains(&hex(&manifest)), "{stderr}");
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
     let keys: Vec<imu_trial::Key> = serde_json::from_slice(&read("key.json")).unwrap();
     for (key, digest) in keys.iter().zip(manifest["digests"].as_array().unwrap()) {
@@ -89,8 +89,8 @@ fn effects_on_a_recording_are_found_and_its_own_are_no_false_alarms() {
     let kinds = ["--cases", "8", "--seed", "5", "--samples", "16000", "--kinds", "none,bursts,tone,low_pass,timing"];
     let on = ["trial", "--json", "--on", &desk, "--out", out.to_str().unwrap()];
     let ended = vn100d(&[&on[..], &kinds[..]].concat());
-    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-    assert_eq!(ended.status.code(), Some(0), "{said}");
+    let stderr = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(0), "{stderr}");
     let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
     // 48,000 samples make three stretches.
     assert_eq!((&score["on"]["stretches"], &score["on"]["recording"]), (&3.into(), &desk.into()));
@@ -131,9 +131,9 @@ fn a_recording_that_is_too_short_is_refused() {
         (0..500).map(|i| format!("{:.3},{:.6}\n", f64::from(i) * 0.025, f64::from(i * 7919 % 1000) * 1e-6)).collect();
     std::fs::write(&file, format!("time_s,gyro_x_rad_s\n{rows}")).unwrap();
     let ended = vn100d(&["trial", "--on", file.to_str().unwrap(), "--cases", "2"]);
-    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-    assert_eq!(ended.status.code(), Some(2), "{said}");
-    assert!(said.contains("500 samples") && said.contains("10000"), "{said}");
+    let stderr = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("500 samples") && stderr.contains("10000"), "{stderr}");
 }
 
 /// The findings are tested on a second record and on the output of the corrected model.
@@ -163,8 +163,8 @@ fn what_is_asked_for_is_checked_first() {
         (["--suite", "1999"], "2026"),
     ] {
         let ended = vn100d(&[&["trial"], &arguments[..]].concat());
-        let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-        assert_eq!(ended.status.code(), Some(2), "{said}");
-        assert!(said.contains(part), "{said}");
+        let stderr = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert_eq!(ended.status.code(), Some(2), "{stderr}");
+        assert!(stderr.contains(part), "{stderr}");
     }
 }

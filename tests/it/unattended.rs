@@ -13,8 +13,8 @@ const START: Duration = Duration::from_secs(20);
 fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/topic", listener.local_addr().unwrap());
-    let heard = Arc::new(Mutex::new(Vec::new()));
-    let theirs = Arc::clone(&heard);
+    let received = Arc::new(Mutex::new(Vec::new()));
+    let theirs = Arc::clone(&received);
     std::thread::spawn(move || {
         for number in 0.. {
             let Ok((mut stream, _)) = listener.accept() else { return };
@@ -35,7 +35,7 @@ fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
             }
         }
     });
-    (url, heard)
+    (url, received)
 }
 
 /// A sensor unplugged and back: the gap's end, the loss and the capture's completion arrive at a URL that failed at
@@ -43,7 +43,7 @@ fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
 #[test]
 fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
     let world = World::new();
-    let (url, heard) = receiver(1);
+    let (url, received) = receiver(1);
     let configuration = format!(
         "[notify]\ncommand = [\"sleep\", \"600\"]\nurl = \"{url}\"\nsensor-lost-after = \"1s\"\ncoalesce = \"1s\"\n\
          timeout = \"700ms\"\nattempts = 3\nretry-after = \"200ms\"\n"
@@ -54,7 +54,7 @@ fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
     world.until("samples", START, some, &daemon);
     drop(sensor);
     let events = || -> Vec<String> {
-        heard.lock().unwrap().iter().map(|notice| notice["event"].as_str().unwrap().to_owned()).collect()
+        received.lock().unwrap().iter().map(|notice| notice["event"].as_str().unwrap().to_owned()).collect()
     };
     let lost = || events().contains(&"sensor_lost".to_owned()).then_some(());
     world.until("the loss is told", START, lost, &daemon);
@@ -64,11 +64,11 @@ fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
     let _sensor = world.emulate(&[]);
     let complete = || events().contains(&"capture_completed".to_owned()).then_some(());
     world.until("the end is told", Duration::from_secs(40), complete, &daemon);
-    let heard = heard.lock().unwrap().clone();
+    let received = received.lock().unwrap().clone();
     for event in ["gap_opened", "sensor_lost", "sensor_back", "gap_closed"] {
-        assert_eq!(heard.iter().filter(|notice| notice["event"] == event).count(), 1, "{event}: {heard:?}");
+        assert_eq!(received.iter().filter(|notice| notice["event"] == event).count(), 1, "{event}: {received:?}");
     }
-    let find = |event: &str| heard.iter().find(|notice| notice["event"] == event).unwrap();
+    let find = |event: &str| received.iter().find(|notice| notice["event"] == event).unwrap();
     assert_eq!(find("gap_closed")["gap"]["cause"], "unplugged");
     let end = &find("capture_completed")["capture"];
     assert_eq!(end["samples"].as_u64().unwrap() + end["missing"].as_u64().unwrap(), 360, "9 s at 40 Hz");

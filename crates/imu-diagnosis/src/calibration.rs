@@ -78,9 +78,9 @@ impl Nulls {
             }
             let mut off = stream(9);
             let mut wrong = |value: f64, share: f64| value * (1.0 + share * (2.0 * off.uniform() - 1.0));
-            let told =
+            let declared =
                 ChannelModel { n: wrong(n, 0.05), b: wrong(b, 0.25), k: wrong(k, 0.4), ..ChannelModel::default() };
-            model.channels.insert(channel, told);
+            model.channels.insert(channel, declared);
             real.channels.push((channel, values));
         }
         (real, model)

@@ -31,9 +31,9 @@ pub(super) fn list(cause: &Cause, channel: &str) -> Vec<Value> {
 pub(super) struct Wrong(Vec<String>);
 
 impl Wrong {
-    pub(super) fn expect(&mut self, right: bool, said: impl FnOnce() -> String) {
+    pub(super) fn expect(&mut self, right: bool, message: impl FnOnce() -> String) {
         if !right {
-            self.0.push(said());
+            self.0.push(message());
         }
     }
     pub(super) fn none(self) {
@@ -377,8 +377,8 @@ fn steps_wider_than_the_noise_are_a_resolution_alone() {
             wrong.expect(right, || {
                 let of = &found.diagnosis;
                 {
-                    let said: Vec<&String> = of.causes.iter().flat_map(|cause| &cause.evidence).collect();
-                    format!("{wide} {stated}, seed {seed}: {:?} {:?} {said:#?}", of.verdict, of.parameters)
+                    let evidence: Vec<&String> = of.causes.iter().flat_map(|cause| &cause.evidence).collect();
+                    format!("{wide} {stated}, seed {seed}: {:?} {:?} {evidence:#?}", of.verdict, of.parameters)
                 }
             });
         }

@@ -47,12 +47,12 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     }
     let mut remains = remains(found, &named);
     let parameters = parameters(found, &named, real, sim);
-    let odd = odd(found, &named, real);
-    remains.channels.extend(odd.iter().map(|(channel, _)| *channel));
+    let unexplained = unexplained(found, &named, real);
+    remains.channels.extend(unexplained.iter().map(|(channel, _)| *channel));
     let outside = |(channel, of): &(Channel, Oddity)| {
         format!("outside the library, on {channel}: {} ({:.0} nats)", of.what, of.nats)
     };
-    let foreign: Vec<String> = odd.iter().map(outside).collect();
+    let foreign: Vec<String> = unexplained.iter().map(outside).collect();
     let discrepancy = discrepancy(found, &named, remains.p_value);
     let open = open(found, &named, &discrepancy);
     remains.channels.extend(open.iter().map(|of| of.channel));
@@ -61,7 +61,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
     let alternatives = alternatives(found, &named);
     let is_open = (!open.is_empty()).then(|| NOT_OF_BOTH.to_owned());
     let has_remnants = remains.worst.is_some() || !foreign.is_empty();
-    let mut remnants = if has_remnants { remnants(found, &remains, &odd) } else { Vec::new() };
+    let mut remnants = if has_remnants { remnants(found, &remains, &unexplained) } else { Vec::new() };
     remnants.retain(|of| open.iter().all(|other| other.channel != of.channel));
     remnants.extend(open);
     let places = places(found, &named, &causes, &parameters, &remnants, real);
@@ -146,8 +146,8 @@ struct Remains {
 }
 
 /// Returns the places where something remains, and how much of it.
-fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<Remnant> {
-    let of_odd = odd.iter().map(|(channel, of)| Remnant {
+fn remnants(found: &Found, remains: &Remains, unexplained: &[(Channel, Oddity)]) -> Vec<Remnant> {
+    let of_unexplained = unexplained.iter().map(|(channel, of)| Remnant {
         channel: *channel,
         nats: of.nats,
         p_value: (-of.nats).exp(),
@@ -159,7 +159,7 @@ fn remnants(found: &Found, remains: &Remains, odd: &[(Channel, Oddity)]) -> Vec<
         p_value: *p_value,
         is_gap: false,
     });
-    let mut remnants: Vec<Remnant> = of_odd.collect();
+    let mut remnants: Vec<Remnant> = of_unexplained.collect();
     for of in of_statistics {
         if remnants.iter().all(|other| other.channel != of.channel) {
             remnants.push(of);
@@ -219,24 +219,24 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
 
 /// Returns the oddities that the values and stamps show and that no effect explains, each with the channel on which it
 /// occurs.
-fn odd(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
+fn unexplained(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
     let mut all = Vec::new();
     for of in &found.channels {
-        let odd = [odd_codes(of, named, real), odd_slope(of)];
-        all.extend(odd.into_iter().flatten().map(|odd| (of.prepared.channel, odd)));
+        let both = [unexplained_codes(of, named, real), unexplained_slope(of)];
+        all.extend(both.into_iter().flatten().map(|oddity| (of.prepared.channel, oddity)));
     }
     for (channels, repeats) in &found.repeats {
-        let odd = oddities::of_repeats(&repeats.places);
-        all.extend(channels.first().zip(odd).map(|(channel, odd)| (*channel, odd)));
+        let oddity = oddities::of_repeats(&repeats.places);
+        all.extend(channels.first().zip(oddity).map(|(channel, oddity)| (*channel, oddity)));
     }
     let clock = stamps(real).and_then(|stamps| stamps.wanders);
-    all.extend(found.channels.first().zip(clock).map(|(of, odd)| (of.prepared.channel, odd)));
+    all.extend(found.channels.first().zip(clock).map(|(of, oddity)| (of.prepared.channel, oddity)));
     all
 }
 
 /// Codes that are left out. If something moves a channel by steps or otherwise, its distribution of codes differs from that of
 /// noise.
-fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
+fn unexplained_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
     use EffectKind::{Comb, CommonMode, HeldSamples, Resolution, Saturation, Timing, Tone};
     const STILL: [EffectKind; 3] = [Resolution, Timing, CommonMode];
     const MOVING: [EffectKind; 4] = [Saturation, Tone, Comb, HeldSamples];
@@ -252,11 +252,11 @@ fn odd_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity>
 }
 
 /// Returns a slope that differs from those of the power laws.
-fn odd_slope(of: &Findings) -> Option<Oddity> {
+fn unexplained_slope(of: &Findings) -> Option<Oddity> {
     let exponent = |term: &Term| matches!(term.shape, Shape::Slope(_)).then(|| term.numbers.get(1).copied()).flatten();
     let exponents = of.explanation.law.terms.iter().filter_map(exponent);
-    let odd = exponents.into_iter().find(|exponent| !Shape::POWER_LAW.contains(exponent))?;
-    let what = match odd > 1.0 {
+    let slope = exponents.into_iter().find(|exponent| !Shape::POWER_LAW.contains(exponent))?;
+    let what = match slope > 1.0 {
         true => "a density that falls steeper than any effect's",
         false => "a density that falls less than any effect's",
     };
@@ -313,7 +313,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
         let is_shared = named.iter().any(|one| {
             one.channel == of.prepared.channel && one.declared.is_some() && one.effect.kind() == EffectKind::CommonMode
         });
-        for (level, parameter, told) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
+        for (level, parameter, declared) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
             // The model's own value is as likely.
             let share = if level == 0 { of.prepared.share } else { 1.0 };
             let does_as_well = share * of.held[level] <= 0.5 * OFF * OFF;
@@ -326,7 +326,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
                 _ => law.levels[level] + 2.0 * of.prepared.scale.ln(),
             };
             let samples = of.prepared.samples.len() as u64;
-            let told = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { told };
+            let declared = if level == 0 { plateau(sim, of.prepared.channel, samples) / folded } else { declared };
             let by_law = fitted.spread(of_law).map(|spread| spread / share.sqrt());
             let by_law = by_law.filter(|spread| *spread < 1.0).map(|spread| {
                 let end = |sign: f64| (0.5 * of_law(&fitted.law) + 0.5 * sign * 1.96 * spread).exp();
@@ -352,18 +352,26 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
             };
             let Some((capture, [low, high])) = found else { continue };
             let spread = (high / low.max(f64::MIN_POSITIVE)).ln() / 1.96;
-            let apart = 2.0 * (capture / told.max(f64::MIN_POSITIVE)).ln().abs();
+            let apart = 2.0 * (capture / declared.max(f64::MIN_POSITIVE)).ln().abs();
             // A parameter that is stated with an interval or a limit is not off if the interval or limit reaches the
             // capture's value.
             let known = model.interval(parameter).or(model.upper_limit(parameter).map(|limit| [0.0, limit]));
             let within = known.is_some_and(|[least, most]| low <= most && high >= least);
-            let is_off = if capture > 0.0 { apart > OFF * spread } else { told > high };
+            let is_off = if capture > 0.0 { apart > OFF * spread } else { declared > high };
             if !within && is_off {
-                let ratio = (told > 0.0 && capture > 0.0).then(|| capture / told);
+                let ratio = (declared > 0.0 && capture > 0.0).then(|| capture / declared);
                 let channel = of.prepared.channel.name().to_owned();
                 let nats = of.held[level];
                 let parameter = parameter.into();
-                off.push(Parameter { channel, parameter, model: told, capture, ratio, nats, ci95: Some([low, high]) });
+                off.push(Parameter {
+                    channel,
+                    parameter,
+                    model: declared,
+                    capture,
+                    ratio,
+                    nats,
+                    ci95: Some([low, high]),
+                });
             }
         }
     }
@@ -421,8 +429,8 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
             }
             let confidence = group.iter().map(|of| of.confidence).fold(0.0, f64::max);
             let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
-            let mut said = BTreeSet::new();
-            evidence.retain(|sentence| said.insert(sentence.clone()));
+            let mut seen = BTreeSet::new();
+            evidence.retain(|sentence| seen.insert(sentence.clone()));
             let cause = Cause {
                 effect: group[0].effect.kind(),
                 sense,

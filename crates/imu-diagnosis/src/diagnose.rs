@@ -230,7 +230,7 @@ fn explain(
 ) -> (Findings, Whitened) {
     let mut prepared = ready.channels[index].clone();
     if !believed {
-        prepared.beliefs = FREE;
+        prepared.priors = FREE;
     }
     let as_declared = courses::as_declared(&prepared);
     let off = {
@@ -257,7 +257,7 @@ fn explain(
     let known = Explanation { law, courses, loud, scedasticity, ..series.explanation.clone() };
     let free = |series: &Series<'_>| {
         let mut data = series.data();
-        data.beliefs = &FREE;
+        data.priors = &FREE;
         series.explanation.law.fit(data)
     };
     let declared_variance = series.average_variance();
@@ -266,14 +266,14 @@ fn explain(
     let changed = series.average_variance().ln();
     let held = [0, 1, 2].map(|level| {
         // A prior that is a thousandth wide is as good as a fixed value.
-        let told = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
-        let told = told.max(super::law::LEVELS[level].0);
-        let mut beliefs = FREE;
-        beliefs[level] = Some((told, 1e-3));
+        let fixed = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
+        let fixed = fixed.max(super::law::LEVELS[level].0);
+        let mut priors = FREE;
+        priors[level] = Some((fixed, 1e-3));
         let mut law = fitted.law.clone();
-        law.levels[level] = told;
+        law.levels[level] = fixed;
         let mut data = series.data();
-        data.beliefs = &beliefs;
+        data.priors = &priors;
         law.fit(data)
     });
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
@@ -308,7 +308,7 @@ fn explain(
         base: &base,
         declared: &prepared.spectral,
         wandering: &prepared.wandering,
-        beliefs: series.beliefs,
+        priors: series.priors,
         rate_hz: ready.rate_hz,
         reach: prepared.reach,
         owner: prepared.channel as u32,

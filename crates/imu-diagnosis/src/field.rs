@@ -36,7 +36,7 @@ pub struct Disturbed {
 
 impl Disturbed {
     /// Returns the sentence for a report.
-    pub fn told(&self) -> String {
+    pub fn sentence(&self) -> String {
         format!(
             "the magnetic field is disturbed from {:.1} s to {:.1} s (a magnet or iron nearby): its magnitude reaches {:.3} \
              gauss, {:.3} ± {:.3} elsewhere; no effect of a sensor makes that",
@@ -88,14 +88,14 @@ pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
         }
     }
     let at_s = |part: usize| (part * size) as f64 / real.rate_hz;
-    let tell = |(from, last, farthest): (usize, usize, f64)| Disturbed {
+    let stretch = |(from, last, farthest): (usize, usize, f64)| Disturbed {
         from_s: at_s(from),
         to_s: at_s(last + 1),
         farthest_gauss: farthest,
         middle_gauss: middle,
         scatter_gauss: scatter,
     };
-    found.into_iter().map(tell).collect()
+    found.into_iter().map(stretch).collect()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(found.len(), 1, "{found:?}");
         assert!((47.0..50.0).contains(&found[0].from_s) && (50.0..53.0).contains(&found[0].to_s), "{found:?}");
         assert!(found[0].farthest_gauss > 0.9 && (0.4..0.5).contains(&found[0].middle_gauss), "{found:?}");
-        assert!(found[0].told().contains("magnet or iron nearby"));
+        assert!(found[0].sentence().contains("magnet or iron nearby"));
         assert_eq!(disturbed(&Recording { rate_hz: 40.0, ..Recording::default() }), []);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud};
-use super::law::{Beliefs, Law, Term};
+use super::law::{Law, Priors, Term};
 use super::series::{BaseOf, Series, Setting};
 use super::transform::Cosines;
 use statrs::function::gamma::ln_gamma;
@@ -69,7 +69,7 @@ pub struct Whole<'a> {
     /// Bands with the spectra of its wandering lines.
     pub wandering: &'a [Term],
     /// The priors of the levels.
-    pub beliefs: Beliefs,
+    pub priors: Priors,
     /// Samples per second.
     pub rate_hz: f64,
     /// Samples that the model's filters reach.
@@ -170,7 +170,7 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         declared: whole.declared,
         wandering: whole.wandering,
         white: whole.known.law.levels[0],
-        beliefs: whole.beliefs,
+        priors: whole.priors,
         rate_hz: whole.rate_hz,
         // A half names no effects.
         bursts: &[],

@@ -215,7 +215,7 @@ pub struct Base {
 }
 
 /// The prior belief about ln N², ln B² and ln K²: centre and standard deviation; `None` allows any value.
-pub type Beliefs = [Option<(f64, f64)>; 3];
+pub type Priors = [Option<(f64, f64)>; 3];
 
 /// A channel's spectrum as numbers.
 #[derive(Debug, Clone, PartialEq)]
@@ -277,7 +277,7 @@ pub struct Data<'a> {
     /// The shapes.
     pub base: &'a Base,
     /// Priors of the levels.
-    pub beliefs: &'a Beliefs,
+    pub priors: &'a Priors,
 }
 
 /// Bounds of ln of the white noise's power behind a filter over its power before it. A filter made by the bilinear transform
@@ -457,8 +457,8 @@ impl Law {
     fn judged(&self, spectrum: &[f64], data: Data<'_>) -> (f64, f64) {
         let bins = spectrum.iter().zip(data.power).zip(data.worth);
         let likelihood = -0.5 * bins.map(|((s, power), count)| count * (s.ln() + power / s)).sum::<f64>();
-        let beliefs = self.levels.iter().zip(data.beliefs);
-        let misses = beliefs.filter_map(|(level, belief)| belief.map(|(centre, sd)| ((level - centre) / sd).powi(2)));
+        let priors = self.levels.iter().zip(data.priors);
+        let misses = priors.filter_map(|(level, prior)| prior.map(|(centre, sd)| ((level - centre) / sd).powi(2)));
         (likelihood, likelihood - 0.5 * misses.sum::<f64>())
     }
 
@@ -517,8 +517,8 @@ impl Law {
                     fisher[(j, i)] = sum;
                 }
             }
-            for (i, belief) in data.beliefs.iter().enumerate() {
-                if let Some((centre, sd)) = belief {
+            for (i, prior) in data.priors.iter().enumerate() {
+                if let Some((centre, sd)) = prior {
                     gradient[i] -= (law.levels[i] - centre) / (sd * sd);
                     fisher[(i, i)] += 1.0 / (sd * sd);
                 }
@@ -652,7 +652,7 @@ mod tests {
             transform.forward(&mut values);
             let power = grid.power(&values);
             let data =
-                Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &[None, None, None] };
+                Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, priors: &[None, None, None] };
             let start = Law {
                 levels: [-3.0, -6.0, -12.0],
                 terms: vec![Term { shape: Shape::GaussMarkov, numbers: vec![-1.0, 0.5] }],
@@ -684,7 +684,7 @@ mod tests {
         Cosines::new(n).forward(&mut values);
         let grid = Grid::new(n, RATE_HZ, &[]);
         let (power, base) = (grid.power(&values), base(&grid));
-        let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, beliefs: &[None, None, None] };
+        let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, priors: &[None, None, None] };
         let start = Law {
             levels: [-3.0, -12.0, -20.0],
             terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -7.0] }],

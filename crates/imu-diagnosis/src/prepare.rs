@@ -7,7 +7,7 @@ use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
 use super::grid::Grid;
-use super::law::{Base, Beliefs, Law, Term, reach};
+use super::law::{Base, Law, Priors, Term, reach};
 use super::recording::Recording;
 use super::rounded;
 use super::series::{BaseOf, Setting};
@@ -58,7 +58,7 @@ pub struct Prepared {
     /// The declared levels of N, B and K.
     pub declared: Law,
     /// Priors of the levels.
-    pub beliefs: Beliefs,
+    pub priors: Priors,
     /// The step that counts as rounding, U: the capture's, or the model's; none if the samples are as before rounding.
     pub step: Option<f64>,
     /// The model's own effects of the spectrum: places in its list, and their terms.
@@ -120,7 +120,7 @@ impl Ready {
             declared: &prepared.spectral,
             wandering: &prepared.wandering,
             white: prepared.declared.levels[0],
-            beliefs: prepared.beliefs,
+            priors: prepared.priors,
             rate_hz: self.rate_hz,
             bursts: &prepared.bursts,
             reach: prepared.reach,
@@ -381,7 +381,7 @@ fn channel_of(
         temperature.map_or(USUAL_TEMPERATURE_C, |values| values.iter().sum::<f64>() / values.len().max(1) as f64);
     let white_shift = white_shift(model, mean_c);
     let levels = [square(density) + white_shift, square(model.b), square(model.k)];
-    let belief = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
+    let prior = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
     let rounding = model.effects.iter().find(|effect| effect.kind() == EffectKind::Resolution);
     let of_model = rounding.and_then(|effect| effect.number("step"));
     let (sines, lines) = lines_of(sim, channel, values.len(), scale).into_iter().unzip();
@@ -397,7 +397,7 @@ fn channel_of(
         outliers,
         limits,
         declared: Law { levels, terms: Vec::new(), quiet: f64::INFINITY },
-        beliefs: [None, belief(levels[1], 0.6), belief(levels[2], 0.8)],
+        priors: [None, prior(levels[1], 0.6), prior(levels[2], 0.8)],
         spectral: terms_of(model, scale, density, sim.rate_hz),
         wandering: super::wandering::bands_of(model, scale),
         sines,

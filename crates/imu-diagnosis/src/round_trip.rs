@@ -130,16 +130,16 @@ fn effects() -> Vec<Value> {
 
 #[test]
 fn parameters_are_inside_their_intervals() {
-    let (mut inside, mut of, mut said) = (0, 0, Vec::new());
+    let (mut inside, mut of, mut missed) = (0, 0, Vec::new());
     for effect in effects() {
         let tally = tally(&effect, 0..1, 20_001);
         assert!(tally.unnamed.is_empty(), "{effect}: {:?}", tally.unnamed);
         (inside, of) = (inside + tally.inside, of + tally.of);
-        said.extend(tally.missed);
+        missed.extend(tally.missed);
     }
     // 95 % of them, less the margin of a binomial's 0.1 %.
     let least = 0.95 * of as f64 - 3.1 * (0.95 * 0.05 * of as f64).sqrt();
-    assert!(inside as f64 >= least, "{inside} of {of}: {said:#?}");
+    assert!(inside as f64 >= least, "{inside} of {of}: {missed:#?}");
 }
 
 /// Effects without a number that chance would blur.
@@ -249,11 +249,11 @@ fn samples_that_are_far_out_are_spikes_and_leave_n_alone() {
 #[test]
 fn an_n_that_is_off_is_reported_behind_a_steep_filter() {
     let filter = json!({"effect": "low_pass", "cutoff_hz": 3.855, "order": 3});
-    let mut told = model(None);
-    told.channels.values_mut().for_each(|of| of.n *= 1.2);
+    let mut declared = model(None);
+    declared.channels.values_mut().for_each(|of| of.n *= 1.2);
     for seed in 21..25 {
         let real = recording(&model(Some(&filter)), seed, 16_384);
-        let outcome = diagnose(&real, &told, &Options::default()).unwrap();
+        let outcome = diagnose(&real, &declared, &Options::default()).unwrap();
         let off = |channel: &&str| {
             let of = &outcome.diagnosis.parameters;
             of.iter().any(|of| of.channel == **channel && of.parameter == "N" && (of.capture / 2e-3 - 1.0).abs() < 0.06)

@@ -5,7 +5,7 @@ use super::evidence::declared;
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
 use super::hidden;
-use super::law::{Beliefs, Data, Shape};
+use super::law::{Data, Priors, Shape};
 use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::report::Sense;
@@ -70,7 +70,7 @@ const SIMPLER: [(Kind, Kind, f64); 17] = [
 ];
 
 /// The levels have no prior.
-pub(super) const FREE: Beliefs = [None, None, None];
+pub(super) const FREE: Priors = [None, None, None];
 /// Nats that B and K of any size have to gain: the model's statement about them is rarely wrong by a large factor.
 const ANY_LEVELS: f64 = 12.0;
 
@@ -165,7 +165,7 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     const NONE: f64 = -50.0;
     const MOST: f64 = 20.0;
     let declared = series.setting().white;
-    if declared < NONE || series.setting().beliefs == FREE {
+    if declared < NONE || series.setting().priors == FREE {
         return 0.0;
     }
     (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
@@ -175,14 +175,14 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
 /// rounded readings do not show.
 fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
     /// Limit as a part of a step of the readings.
-    const UNSAID: f64 = 0.4;
+    const UNRESOLVED: f64 = 0.4;
     let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
     let per_c = of.explanation.courses.iter().map(follows).fold(0.0, f64::max);
-    let unsaid = UNSAID * series.setting().courses.reading_c() * per_c;
+    let unresolved = UNRESOLVED * series.setting().courses.reading_c() * per_c;
     let term = of.explanation.law.terms.last().filter(|term| term.shape == Shape::GaussMarkov);
     of.kind == Kind::GaussMarkov
         && of.of_model.is_none()
-        && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unsaid)
+        && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unresolved)
 }
 
 /// Subtracts the doubt from the gains of filters.
@@ -211,21 +211,21 @@ fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     /// Sessions differ by up to 30 times. From 100 times on there is further doubt: this is ln of 10⁴, the ratio in
     /// power.
     const FAR_LARGER: f64 = 9.2;
-    if series.beliefs == FREE {
+    if series.priors == FREE {
         return false;
     }
-    let free = series.explanation.law.fit_from_several(Data { beliefs: &FREE, ..series.data() });
-    let beyond = |(level, belief): (&f64, &Option<(f64, f64)>)| {
-        belief.map_or(0.0, |(declared, _)| (level - declared - FAR_LARGER).max(0.0))
+    let free = series.explanation.law.fit_from_several(Data { priors: &FREE, ..series.data() });
+    let beyond = |(level, prior): (&f64, &Option<(f64, f64)>)| {
+        prior.map_or(0.0, |(declared, _)| (level - declared - FAR_LARGER).max(0.0))
     };
-    let doubt: f64 = free.law.levels.iter().zip(&series.beliefs).map(beyond).sum();
+    let doubt: f64 = free.law.levels.iter().zip(&series.priors).map(beyond).sum();
     let gain = free.log_likelihood - series.fitted.log_posterior - doubt;
     let do_as_well = match step.kind {
         Kind::GaussMarkov => gain > step.gain - CLEARLY,
         _ => gain - ANY_LEVELS > step.gain - step.price,
     };
     if do_as_well {
-        series.beliefs = FREE;
+        series.priors = FREE;
         series.rebuild(true);
     }
     do_as_well
@@ -233,11 +233,11 @@ fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
 
 /// Resets B and K to the model's values if these fit about as well, because known effects may explain the difference.
 fn believe_again(series: &mut Series<'_>) {
-    if series.beliefs == series.setting().beliefs {
+    if series.priors == series.setting().priors {
         return;
     }
     let mut believed = series.clone();
-    believed.beliefs = series.setting().beliefs;
+    believed.priors = series.setting().priors;
     believed.rebuild(true);
     if series.fitted.log_posterior - believed.fitted.log_posterior < ANY_LEVELS {
         *series = believed;

@@ -6,7 +6,7 @@ use super::equaliser::Equaliser;
 use super::explanation::{Explanation, LOUD, Loud, Sine};
 use super::filling::fill_in;
 use super::grid::{Grid, Narrow};
-use super::law::{Base, Beliefs, Data, Fitted, Law, Term};
+use super::law::{Base, Data, Fitted, Law, Priors, Term};
 use super::phase;
 use super::transform::Cosines;
 use super::variances::Varied;
@@ -31,7 +31,7 @@ pub struct Setting<'a> {
     /// ln of the power of the model's white noise.
     pub white: f64,
     /// Priors of the levels with which a search begins.
-    pub beliefs: Beliefs,
+    pub priors: Priors,
     /// Samples per second.
     pub rate_hz: f64,
     /// The intervals of the model's bursts.
@@ -60,7 +60,7 @@ pub struct Series<'a> {
     pub grid: Grid,
     base: Base,
     /// Priors of the levels: the setting's, unless the record contradicts them.
-    pub(super) beliefs: Beliefs,
+    pub(super) priors: Priors,
     /// The samples less the explained part.
     pub rest: Vec<f64>,
     /// The mean that was subtracted from the samples.
@@ -116,7 +116,7 @@ impl<'a> Series<'a> {
             explanation: start,
             grid,
             base,
-            beliefs: setting.beliefs,
+            priors: setting.priors,
             rest: samples.clone(),
             mean: 0.0,
             censored: Vec::new(),
@@ -162,7 +162,7 @@ impl<'a> Series<'a> {
 
     /// Returns the data with another power in the bins.
     pub fn data_of<'b>(&'b self, power: &'b [f64]) -> Data<'b> {
-        Data { grid: &self.grid, power, worth: &self.worth, base: &self.base, beliefs: &self.beliefs }
+        Data { grid: &self.grid, power, worth: &self.worth, base: &self.base, priors: &self.priors }
     }
 
     /// Returns the standard deviation of the white part, per sample.
@@ -265,7 +265,7 @@ impl<'a> Series<'a> {
             return grid.counts().iter().map(|count| there * count).collect();
         }
         let square = variance.iter().map(|v| v * v).sum::<f64>() / variance.len() as f64;
-        let data = Data { grid, power: &[], worth: &[], base, beliefs: &self.beliefs };
+        let data = Data { grid, power: &[], worth: &[], base, priors: &self.priors };
         let white = self.white().powi(2);
         let logarithms = self.explanation.law.logarithms(data);
         let places = logarithms.iter().zip(base.gain.iter().zip(grid.counts()));
@@ -378,8 +378,8 @@ impl<'a> Series<'a> {
         // A wrong filter may have moved the levels far away: white noise is about 1 in this scale.
         let mut usual = self.explanation.law.clone();
         usual.levels[0] = -self.setting.rate_hz.ln();
-        for (level, belief) in usual.levels.iter_mut().zip(self.setting.beliefs) {
-            *level = belief.map_or(*level, |(centre, _)| centre);
+        for (level, prior) in usual.levels.iter_mut().zip(self.setting.priors) {
+            *level = prior.map_or(*level, |(centre, _)| centre);
         }
         let fitted = [&self.explanation.law, &usual].map(|law| law.fit_from_several(self.data()));
         let [one, other] = fitted;

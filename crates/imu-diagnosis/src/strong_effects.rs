@@ -76,9 +76,9 @@ fn a_variance_that_changes_a_thousandfold_is_no_other_effect() {
         let effect = json!({"effect": "variance_change", "from_s": 300.0, "to_s": 420.0, "factor": factor});
         let found = found(&effect, seed);
         let own = found.diagnosis.causes.first().and_then(|cause| list(cause, "accel_x").first().cloned());
-        let said = own.and_then(|own| own["factor"].as_f64()).unwrap_or_default();
-        let is_right = names(&found) == ["variance_change"] && (said / factor - 1.0).abs() < 0.25;
-        wrong.expect(is_right, || format!("{factor}: {said} {:?} {:?}", names(&found), found.diagnosis.notes));
+        let stated = own.and_then(|own| own["factor"].as_f64()).unwrap_or_default();
+        let is_right = names(&found) == ["variance_change"] && (stated / factor - 1.0).abs() < 0.25;
+        wrong.expect(is_right, || format!("{factor}: {stated} {:?} {:?}", names(&found), found.diagnosis.notes));
     }
     wrong.none();
 }

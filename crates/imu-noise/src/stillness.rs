@@ -280,9 +280,9 @@ fn departures(means: &[Means], window_s: f64) -> Vec<bool> {
             let rate: [f64; 3] = std::array::from_fn(|axis| means[at].gyro[axis] - bias[axis]);
             Some(cross(levels[at], rate).map(|axis| axis * window_s))
         });
-        let told = turn.fold(before, |sum, change| std::array::from_fn(|axis| sum[axis] + change[axis]));
+        let predicted = turn.fold(before, |sum, change| std::array::from_fn(|axis| sum[axis] + change[axis]));
         // If an axis is absent, the quantities neither agree nor disagree.
-        let agree = told.iter().any(|axis| axis.is_nan()) || distance(told, after) < 0.5 * apart;
+        let agree = predicted.iter().any(|axis| axis.is_nan()) || distance(predicted, after) < 0.5 * apart;
         apart > acceleration && (!has_gyro || agree)
     };
     let turned: Vec<bool> = (0..means.len()).map(turned).collect();
@@ -401,20 +401,20 @@ fn tilts_of(direction: &[[f64; 3]], turned: &[[f64; 3]], length: usize) -> Vec<R
     };
     let count = direction.len() + 1 - 3 * length;
     let seen: Vec<[f64; 3]> = (0..count).map(|from| excess(&at, from)).collect();
-    let told: Vec<[f64; 3]> = (0..count).map(|from| excess(&|boundary| turned[boundary], from)).collect();
+    let predicted: Vec<[f64; 3]> = (0..count).map(|from| excess(&|boundary| turned[boundary], from)).collect();
     let size = |of: &[[f64; 3]]| -> Vec<f64> { of.iter().map(|one| distance(*one, [0.0; 3])).collect() };
-    let (seen_size, told_size) = (size(&seen), size(&told));
+    let (seen_size, predicted_size) = (size(&seen), size(&predicted));
     let typical = |sizes: &[f64]| {
         let mut sorted = sizes.to_vec();
         let middle = sorted.len() / 2;
         // The median of a Rayleigh distribution is 1.18 standard deviations.
         *sorted.select_nth_unstable_by(middle, f64::total_cmp).1 / 1.18
     };
-    let least = [typical(&seen_size), typical(&told_size)].map(|typical| (DEVIATIONS * typical).max(TILT_MIN));
+    let least = [typical(&seen_size), typical(&predicted_size)].map(|typical| (DEVIATIONS * typical).max(TILT_MIN));
     let mut found = Vec::new();
     for from in 0..count {
-        let agree = distance(seen[from], told[from]) < 0.3 * seen_size[from];
-        if !(agree && seen_size[from] > least[0] && told_size[from] > least[1]) {
+        let agree = distance(seen[from], predicted[from]) < 0.3 * seen_size[from];
+        if !(agree && seen_size[from] > least[0] && predicted_size[from] > least[1]) {
             continue;
         }
         let near = from.saturating_sub(3 * length / 2)..(from + 3 * length / 2 + 1).min(count);

@@ -44,7 +44,7 @@ pub struct Again {
 
 impl Again {
     /// Evaluates the diagnosis of a case with this key, and the four that followed.
-    pub fn of(said: &Report, then: &Diagnoses, key: &Key) -> Self {
+    pub fn of(diagnosis: &Report, then: &Diagnoses, key: &Key) -> Self {
         let report = |of: &Result<Value, String>| of.as_ref().ok().and_then(|value| Report::of(value).ok());
         let clean = |of: &Result<Value, String>| {
             report(of).is_some_and(|report| matches!(report.verdict.as_str(), "no_gap" | "parameters"))
@@ -64,7 +64,7 @@ impl Again {
             closed: second.zip(corrected).and_then(|(second, corrected)| closed_under(second, corrected)),
             second_clean: then.second_corrected.as_ref().map(clean),
             itself_clean: clean(&then.itself),
-            returns: said.causes.iter().find(|cause| !is_of_delivery(cause, key)).map(same),
+            returns: diagnosis.causes.iter().find(|cause| !is_of_delivery(cause, key)).map(same),
         }
     }
 }
@@ -137,9 +137,9 @@ mod tests {
             stamps: Some(Stamps { late_s, ..Stamps::exact(0.0) }),
             ..Case::make(5, 1, &Recipe::lacking(&[Kind::Tone]), Some(10_000)).unwrap().key()
         };
-        let said = Report::of(&report("effects", &["timing", "tone"], 1.0)).unwrap();
-        assert_eq!(Again::of(&said, &then, &key(0.0)).returns, Some(false));
-        let again = Again::of(&said, &then, &key(0.01));
+        let diagnosis = Report::of(&report("effects", &["timing", "tone"], 1.0)).unwrap();
+        assert_eq!(Again::of(&diagnosis, &then, &key(0.0)).returns, Some(false));
+        let again = Again::of(&diagnosis, &then, &key(0.01));
         assert!((again.closed.unwrap() - 0.9).abs() < 1e-12);
         assert_eq!((again.second_clean, again.itself_clean, again.returns), (Some(true), true, Some(true)));
         let refused = Diagnoses { second: None, second_corrected: None, itself: Err("constant".to_owned()), ..then };

@@ -242,7 +242,7 @@ impl Case {
 ///
 /// `declared` is the model that the diagnosis was given; it keeps its own levels, because means are not compared.
 pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
-    if key.effects.iter().any(|effect| !can_be_said(effect.kind)) {
+    if key.effects.iter().any(|effect| !is_expressible(effect.kind)) {
         return None;
     }
     let mut value = serde_json::to_value(declared).ok()?;
@@ -266,7 +266,7 @@ pub fn true_model(key: &Key, declared: &SensorModel) -> Option<SensorModel> {
 }
 
 /// Returns whether a model covers every property of an effect of this kind.
-fn can_be_said(kind: Kind) -> bool {
+fn is_expressible(kind: Kind) -> bool {
     kind.effect().is_some() && kind != Kind::Saturation
 }
 
@@ -330,7 +330,7 @@ mod tests {
         for kind in Kind::LIBRARY.iter().copied() {
             let case = Case::draw(13, 1, &[kind]).unwrap();
             let found = true_model(&case.key(), &case.model());
-            assert_eq!(found.is_some(), can_be_said(kind), "{kind}");
+            assert_eq!(found.is_some(), is_expressible(kind), "{kind}");
             let effects =
                 found.iter().flat_map(|model| model.channels.values()).map(|of| of.effects.len()).sum::<usize>();
             assert!(found.is_none() || effects >= case.effects().next().unwrap().channels.len(), "{kind}");

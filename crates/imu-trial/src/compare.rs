@@ -1,6 +1,6 @@
 //! Comparing: how far the numbers of a cause differ from those of the matching effect.
 
-use super::fit::{intervals_of, told_intervals};
+use super::fit::{intervals_of, stated_intervals};
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::report::{Cause, entries};
@@ -35,7 +35,7 @@ pub(super) fn locate(truth: &TrueEffect, cause: &Cause, key: &Key, into: &mut BT
             }
         }
     }
-    let (truths, stated) = (intervals_of(truth, cause), told_intervals(cause));
+    let (truths, stated) = (intervals_of(truth, cause), stated_intervals(cause));
     for [from, to] in truths {
         // Each end is compared with that of the nearest interval.
         let edges = [(from, 0), (to, 1)];

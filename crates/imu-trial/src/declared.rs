@@ -287,8 +287,8 @@ mod tests {
                         sense == Sense::Size || sense == Sense::Elsewhere || kind == Kind::Saturation,
                         "{kind} {sense:?} {effect:?}"
                     );
-                    let said: usize = model.channels.values().map(|of| of.effects.len()).sum();
-                    assert!(said >= effect.channels.len(), "{kind} {sense:?}");
+                    let count: usize = model.channels.values().map(|of| of.effects.len()).sum();
+                    assert!(count >= effect.channels.len(), "{kind} {sense:?}");
                 }
             }
         }

@@ -54,7 +54,7 @@ impl Detection {
 /// Minimum number of right and of wrong cases that determine the curve.
 const LEAST: usize = 3;
 /// The range outside which no limit is reported: far beyond the sizes that occur.
-const TOLD: [f64; 2] = [0.05, 100.0];
+const REPORTED: [f64; 2] = [0.05, 100.0];
 /// Standard deviation of a weak prior that the slope is a few: separable data would otherwise make it infinite.
 const SLOPE: f64 = 3.0;
 const WEIGHT: f64 = 0.02;
@@ -75,8 +75,8 @@ pub(super) fn limits(sizes: &[(f64, bool)]) -> Option<[Limit; 2]> {
     let best = log_likelihood(sizes, level, slope);
     let found = odds.map(|odds| ((odds - level) / slope).exp());
     // A falling curve, or one that passes ½ far outside the sizes that occurred, determines no limit.
-    let told = slope > 0.0 && found[0] > TOLD[0] && found[1] < TOLD[1];
-    told.then(|| [0, 1].map(|at| Limit { size: found[at], ci95: interval(sizes, odds[at], found[at], best) }))
+    let is_determined = slope > 0.0 && found[0] > REPORTED[0] && found[1] < REPORTED[1];
+    is_determined.then(|| [0, 1].map(|at| Limit { size: found[at], ci95: interval(sizes, odds[at], found[at], best) }))
 }
 
 /// Returns level and slope of the log odds in the logarithm of the size, by Newton's method.
@@ -147,7 +147,7 @@ fn interval(sizes: &[(f64, bool)], odds: f64, found: f64, best: f64) -> Option<[
         }
         Some((inside * outside).sqrt())
     };
-    Some([end(TOLD[0].min(found))?, end(TOLD[1].max(found))?])
+    Some([end(REPORTED[0].min(found))?, end(REPORTED[1].max(found))?])
 }
 
 #[cfg(test)]
@@ -176,19 +176,19 @@ mod tests {
     #[test]
     fn intervals_hold_the_truth_in_nineteen_of_twenty() {
         let [truth_50, truth_90] = [1.2, 1.2 * 9.0_f64.powf(0.25)];
-        let (mut held, mut told) = ([0_u32; 2], [0_u32; 2]);
+        let (mut held, mut total) = ([0_u32; 2], [0_u32; 2]);
         for seed in 0..150 {
             let Some(found) = limits(&drawn(seed, 80)) else { continue };
             for (at, (of, truth)) in found.iter().zip([truth_50, truth_90]).enumerate() {
                 if let Some([low, high]) = of.ci95 {
-                    told[at] += 1;
+                    total[at] += 1;
                     held[at] += u32::from(low <= truth && truth <= high);
                 }
             }
         }
-        for (held, told) in held.into_iter().zip(told) {
-            let share = f64::from(held) / f64::from(told);
-            assert!(told > 130 && (0.89..=1.0).contains(&share), "{held} of {told}");
+        for (held, total) in held.into_iter().zip(total) {
+            let share = f64::from(held) / f64::from(total);
+            assert!(total > 130 && (0.89..=1.0).contains(&share), "{held} of {total}");
         }
     }
 

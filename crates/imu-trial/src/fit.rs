@@ -58,12 +58,12 @@ pub fn fit(truth: &TrueEffect, cause: &Cause, key: &Key) -> Fit {
         (Kind::Comb, EffectKind::Tone) => when(every_harmonic(truth, cause, key)),
         (Kind::Bursts, EffectKind::VarianceChange) => {
             let louder = cause.all_entries().all(|entry| entry["factor"].as_f64().is_some_and(|factor| factor > 1.0));
-            when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
+            when(louder && overlap(&intervals_of(truth, cause), &stated_intervals(cause)) >= OVERLAP)
         }
         (Kind::VarianceInterval, EffectKind::Bursts) => {
             let louder =
                 truth.meant(cause.sense).values().any(|entry| entry["factor"].as_f64().is_some_and(|one| one > 1.0));
-            when(louder && overlap(&intervals_of(truth, cause), &told_intervals(cause)) >= OVERLAP)
+            when(louder && overlap(&intervals_of(truth, cause), &stated_intervals(cause)) >= OVERLAP)
         }
         (kind, named) if kind.effect() == Some(named) => Fit::Exact,
         (kind, named) if kind.described().contains(&named) => {
@@ -115,7 +115,7 @@ pub(super) fn intervals_of(truth: &TrueEffect, cause: &Cause) -> Vec<[f64; 2]> {
 }
 
 /// Returns the intervals of a cause on its first channel that has any, s.
-pub(super) fn told_intervals(cause: &Cause) -> Vec<[f64; 2]> {
+pub(super) fn stated_intervals(cause: &Cause) -> Vec<[f64; 2]> {
     let of = |channel: &String| intervals(cause.entries(channel));
     cause.channels.iter().map(of).find(|found| !found.is_empty()).unwrap_or_default()
 }

@@ -73,10 +73,10 @@ fn kinds(out: &mut String, score: &Score) {
     *out += "<h2>By effect, alone in its case</h2>";
     let rows = score.kinds.iter().map(|of| {
         let spread = |map: &[(String, Spread)]| {
-            let told = |(name, spread): &(String, Spread)| {
+            let line = |(name, spread): &(String, Spread)| {
                 format!("{} {:.3} ({:.3})", escaped(name), spread.median, spread.p90)
             };
-            map.iter().map(told).collect::<Vec<_>>().join("<br>")
+            map.iter().map(line).collect::<Vec<_>>().join("<br>")
         };
         let location: Vec<_> = of.location.iter().map(|(name, spread)| ((*name).to_owned(), *spread)).collect();
         let parameters: Vec<_> = of.parameters.iter().map(|(name, spread)| (name.clone(), *spread)).collect();
@@ -193,14 +193,14 @@ fn miss(miss: &Miss) -> Vec<String> {
         format!("{}{mark} on {}", escaped(&cause.effect), escaped(&cause.channels.join(", ")))
     };
     let named: Vec<String> = miss.named.iter().map(named).collect();
-    let said = miss.refusal.as_ref().map_or_else(|| named.join("; "), |refusal| escaped(refusal));
+    let detail = miss.refusal.as_ref().map_or_else(|| named.join("; "), |refusal| escaped(refusal));
     vec![
         miss.case.to_string(),
         miss.class.name().to_owned(),
         if kinds.is_empty() { "none".to_owned() } else { kinds.join(", ") },
         number(miss.over_limit),
         escaped(&miss.verdict),
-        said,
+        detail,
     ]
 }
 

@@ -112,7 +112,7 @@ pub fn is_placed(truth: &TrueEffect, cause: &Cause, places: &[Place], key: &Key)
     if of_all {
         return None;
     }
-    let own = |place: &&Place| place.of == Of::Cause(cause.index) || place.of == Of::Untold;
+    let own = |place: &&Place| place.of == Of::Cause(cause.index) || place.of == Of::Unstated;
     let on = |channel: &String| {
         places.iter().filter(own).any(|place| place.channel == *channel && lies_at(truth, place, key))
     };
@@ -166,7 +166,7 @@ mod tests {
             truth.channels.iter().map(|channel| place(channel, of, Some([from, from + 0.01]), None)).collect()
         };
         assert_eq!(is_placed(truth, &cause, &at(hz - 0.005, Of::Cause(0)), &key), Some(true));
-        assert_eq!(is_placed(truth, &cause, &at(hz - 0.005, Of::Untold), &key), Some(true));
+        assert_eq!(is_placed(truth, &cause, &at(hz - 0.005, Of::Unstated), &key), Some(true));
         assert_eq!(is_placed(truth, &cause, &at(hz - 0.005, Of::Cause(1)), &key), Some(false));
         assert_eq!(is_placed(truth, &cause, &at(hz + 0.1, Of::Cause(0)), &key), Some(false));
         assert_eq!(is_placed(truth, &cause, &[], &key), Some(false));

@@ -197,8 +197,8 @@ impl Stretch {
             let level = values.iter().sum::<f64>() / values.len() as f64;
             let n = if of.n > 0.0 { of.n } else { scale(&values) / rate_hz.sqrt() };
             let true_nbk = [n, of.b, of.k];
-            let told_nbk = declared(true_nbk, far, device);
-            Some(Part { channel: *channel, level, true_nbk, told_nbk, told_bias: None })
+            let declared_nbk = declared(true_nbk, far, device);
+            Some(Part { channel: *channel, level, true_nbk, declared_nbk, declared_bias: None })
         };
         let parts = chosen.iter().filter_map(part).collect();
         let stamped = self.recording.time_s.len() == samples;
@@ -218,7 +218,7 @@ impl Stretch {
         model.channels.retain(|channel, _| setting.parts.iter().any(|part| part.channel == *channel));
         for part in setting.parts.iter().filter(|_| declared) {
             if let Some(of) = model.channels.get_mut(&part.channel) {
-                [of.n, of.b, of.k] = part.told_nbk;
+                [of.n, of.b, of.k] = part.declared_nbk;
                 of.uncertainty = None;
             }
         }

@@ -44,7 +44,7 @@ pub enum Of {
     /// The remainder without a name.
     Remainder,
     /// The report does not state the owner.
-    Untold,
+    Unstated,
 }
 
 /// A place where sensor and model differ.
@@ -142,8 +142,10 @@ fn place(value: &Value) -> Option<Place> {
     let of = match value["of"].as_str() {
         Some("parameters") => Of::Parameters,
         Some("remainder") => Of::Remainder,
-        Some(other) => other.strip_prefix("cause:").and_then(|index| index.parse().ok()).map_or(Of::Untold, Of::Cause),
-        None => Of::Untold,
+        Some(other) => {
+            other.strip_prefix("cause:").and_then(|index| index.parse().ok()).map_or(Of::Unstated, Of::Cause)
+        }
+        None => Of::Unstated,
     };
     let time_s = value["from_s"].as_f64().zip(value["to_s"].as_f64()).map(|(from, to)| [from, to]);
     Some(Place { channel: value["channel"].as_str()?.to_owned(), of, band_hz: pair(&value["band_hz"]), time_s })
@@ -174,7 +176,7 @@ mod tests {
         .unwrap();
         assert_eq!((report.causes[0].sense, report.causes[0].index), (Sense::Size, 0));
         let of: Vec<Of> = report.places.iter().map(|place| place.of).collect();
-        assert_eq!(of, [Of::Cause(0), Of::Parameters, Of::Remainder, Of::Untold]);
+        assert_eq!(of, [Of::Cause(0), Of::Parameters, Of::Remainder, Of::Unstated]);
         assert_eq!(report.places[0].time_s, Some([0.0, 9.5]));
         assert_eq!(report.remainder, Some(0.021));
     }

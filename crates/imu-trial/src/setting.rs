@@ -19,9 +19,9 @@ pub struct Part {
     /// The true N, B and K (docs/formats.md).
     pub true_nbk: [f64; 3],
     /// The model's N, B and K.
-    pub told_nbk: [f64; 3],
+    pub declared_nbk: [f64; 3],
     /// The bias that the model states, U, if there is one.
-    pub told_bias: Option<f64>,
+    pub declared_bias: Option<f64>,
 }
 
 /// A device at rest and the shape of its record.
@@ -101,9 +101,9 @@ impl Part {
         let b = FLICKER * white * draw.log_uniform(0.5, 2.0);
         let k = WALK * white * 2_f64.powf(draw.uniform(-1.3, 1.3)) * rate_hz.sqrt();
         let true_nbk = [n, b, k];
-        let told_nbk = declared(true_nbk, far, draw);
-        let told_bias = draw.chance(0.2).then(|| level + 20.0 * white * draw.normal());
-        Self { channel, level, true_nbk, told_nbk, told_bias }
+        let declared_nbk = declared(true_nbk, far, draw);
+        let declared_bias = draw.chance(0.2).then(|| level + 20.0 * white * draw.normal());
+        Self { channel, level, true_nbk, declared_nbk, declared_bias }
     }
 }
 
@@ -141,7 +141,7 @@ impl Setting {
 
     /// Returns an independent model: with N, B and K a little wrong or far off, without effects.
     pub fn model(&self) -> SensorModel {
-        self.model_with("as told", |part| part.told_nbk, |part| part.told_bias)
+        self.model_with("as told", |part| part.declared_nbk, |part| part.declared_bias)
     }
 
     /// Returns the model with the true N, B, K and levels, without effects.
@@ -176,7 +176,7 @@ mod tests {
             assert!((LENGTH_S[0] - 1.0..=LENGTH_S[1]).contains(&setting.length_s()));
             assert!((RATE_HZ[0]..=RATE_HZ[1]).contains(&setting.rate_hz));
             for part in &setting.parts {
-                for ((declared, truth), far) in part.told_nbk.iter().zip(part.true_nbk).zip(FAR) {
+                for ((declared, truth), far) in part.declared_nbk.iter().zip(part.true_nbk).zip(FAR) {
                     assert!((1.0 / far..=far).contains(&(declared / truth)));
                 }
             }
@@ -185,7 +185,7 @@ mod tests {
         let share = |of: &dyn Fn(&Setting) -> bool| all.iter().filter(|setting| of(setting)).count() as f64 / 400.0;
         let near = |setting: &Setting| {
             setting.parts.iter().all(|part| {
-                part.told_nbk
+                part.declared_nbk
                     .iter()
                     .zip(part.true_nbk)
                     .zip(OFF)

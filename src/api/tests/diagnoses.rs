@@ -132,8 +132,8 @@ fn what_cannot_be_compared_is_refused_with_what_to_do() {
         (r#"{"sim": "runs"}"#.to_owned(), 400, "still runs"),
     ] {
         let kind = if status == 404 { "not-found" } else { "bad-request" };
-        let said = world.post("/v1/captures/a/diagnoses", &body).problem(status, kind);
-        assert!(said.contains(part), "{body}: {said}");
+        let detail = world.post("/v1/captures/a/diagnoses", &body).problem(status, kind);
+        assert!(detail.contains(part), "{body}: {detail}");
     }
     let as_job = format!(r#"{{"kind": "diagnosis", "capture": "a", "with": ["runs"], "sim": {good}}}"#);
     assert!(world.post("/v1/jobs", &as_job).problem(400, "bad-request").contains("`with`"));
@@ -168,6 +168,6 @@ fn another_capture_stands_for_its_simulator_and_a_running_diagnosis_can_be_calle
     let path = format!("/v1/jobs/{}", asked.json()["id"]);
     eventually("its start", || world.get(&path).json(), |job| job["state"] != "queued");
     assert_eq!(world.delete(&path).json()["state"], "cancelled");
-    let said = done(&world, &asked.json()["id"]).problem(422, "analysis-failed");
-    assert!(said.contains("cancelled"), "{said}");
+    let detail = done(&world, &asked.json()["id"]).problem(422, "analysis-failed");
+    assert!(detail.contains("cancelled"), "{detail}");
 }

@@ -59,7 +59,7 @@ impl Session {
         }
         self.latency = latency;
         self.registers.clear();
-        self.heard_any = false;
+        self.received_any = false;
         self.good_is_garbled = false;
         if self.failed_ports == 0 {
             self.set_state(SensorState::Probing, None);
@@ -81,7 +81,7 @@ impl Session {
 
     fn scan(&mut self, now_ns: u64, index: usize, actions: &mut Vec<Action>) {
         self.status.baud = self.scan_list().get(index).copied();
-        self.phase = Phase::Scanning { index, since_ns: now_ns, heard: false, valid: false };
+        self.phase = Phase::Scanning { index, since_ns: now_ns, received: false, valid: false };
         self.ask(now_ns, actions);
     }
 
@@ -92,9 +92,9 @@ impl Session {
     }
 
     /// Handles the first bytes at a baud rate: it takes [`SCAN_NS`] from now on to determine whether they are frames.
-    pub(super) fn heard(&mut self, now_ns: u64) {
-        if let Phase::Scanning { since_ns, heard, .. } = &mut self.phase
-            && !std::mem::replace(heard, true)
+    pub(super) fn received(&mut self, now_ns: u64) {
+        if let Phase::Scanning { since_ns, received, .. } = &mut self.phase
+            && !std::mem::replace(received, true)
         {
             *since_ns = now_ns;
         }
@@ -102,8 +102,8 @@ impl Session {
 
     /// Returns the time of the next baud rate's turn, ns.
     pub(super) fn scan_end_ns(&self) -> u64 {
-        let Phase::Scanning { index, since_ns, heard, .. } = self.phase else { return u64::MAX };
-        let booting = index == 0 && !heard && self.last_good_baud.is_some();
+        let Phase::Scanning { index, since_ns, received, .. } = self.phase else { return u64::MAX };
+        let booting = index == 0 && !received && self.last_good_baud.is_some();
         let patience_ns = if booting { BOOT_NS } else { SCAN_NS };
         since_ns + patience_ns.max(2 * self.options.host_jitter_ns)
     }
@@ -126,13 +126,13 @@ impl Session {
             return;
         }
         // A sensor that sends, but not at the last good rate, uses another one.
-        let spoke = matches!(self.phase, Phase::Scanning { heard: true, .. });
+        let spoke = matches!(self.phase, Phase::Scanning { received: true, .. });
         self.good_is_garbled |= spoke && self.status.baud == self.last_good_baud;
         let step = if self.good_is_garbled && index % 2 == 1 { 2 } else { 1 };
         if let Some(baud) = self.scan_list().get(index + step) {
             actions.push(Action::SetBaud(*baud));
             self.scan(now_ns, index + step, actions);
-        } else if self.heard_any {
+        } else if self.received_any {
             let tried = self.bauds().iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
             let hint = format!(
                 "bytes arrive, but no valid frame at any of the baud rates {tried}: is this a VN-100, and is its baud rate among these?"

@@ -238,14 +238,14 @@ fn how_samples_came_about_is_kept_and_has_to_fit() {
     let file = folder.path().join("desk.csv");
     let rows: String = (0..400).map(|row| format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7)).collect();
     std::fs::write(&file, format!("time_s,gyro_x_rad_s\n{rows}")).unwrap();
-    let told = |filter_window, internal_rate_hz| {
+    let import_with = |filter_window, internal_rate_hz| {
         let source = Source { sampling: Some(StatedSampling { filter_window, internal_rate_hz }), ..Source::of(&file) };
         import(&store, &SystemClock, source, None, &mut |_, _| Ok(())).map(|imported| imported.end)
     };
-    let refused = told(4, Some(1010.0)).unwrap_err().to_string();
+    let refused = import_with(4, Some(1010.0)).unwrap_err().to_string();
     assert!(refused.contains("1010 Hz") && refused.contains("40.0000 Hz"), "{refused}");
-    let [four, eight] = [told(4, None), told(8, Some(1000.0))].map(|end| end.unwrap().id());
-    assert!(four != eight && matches!(told(4, Some(800.0)).unwrap(), ImportEnd::Known(id) if id == four));
+    let [four, eight] = [import_with(4, None), import_with(8, Some(1000.0))].map(|end| end.unwrap().id());
+    assert!(four != eight && matches!(import_with(4, Some(800.0)).unwrap(), ImportEnd::Known(id) if id == four));
     let reader = store.reader().unwrap();
     for (id, window, internal_hz) in [(four, 4, 800.0), (eight, 8, 1000.0)] {
         let plan = crate::jobs::Plan::read(&reader, id, 400, &[imu_core::sample::Channel::GyroX]).unwrap();

@@ -16,11 +16,11 @@ use std::fmt::Write as _;
 /// A picture on the page.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Figure {
-    /// A picture that is fetched from its address when it scrolls into view; `told` describes it for users who cannot
+    /// A picture that is fetched from its address when it scrolls into view; `alt` describes it for users who cannot
     /// see it.
     Linked {
         /// Its description.
-        told: String,
+        alt: String,
         /// Its address.
         address: String,
         /// Its height in units in which its width is 560.
@@ -139,11 +139,11 @@ fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
         Some(Figure::Drawn(svg)) => {
             let _ = write!(out, "<figure>{svg}</figure>");
         }
-        Some(Figure::Linked { told, address, height }) => {
-            let (told, address) = (escaped(told), escaped(address));
+        Some(Figure::Linked { alt, address, height }) => {
+            let (alt, address) = (escaped(alt), escaped(address));
             let _ = write!(
                 out,
-                "<figure><img src=\"{address}\" alt=\"{told}\" width=\"560\" height=\"{height}\" loading=\"lazy\"></figure>"
+                "<figure><img src=\"{address}\" alt=\"{alt}\" width=\"560\" height=\"{height}\" loading=\"lazy\"></figure>"
             );
         }
     }
@@ -333,10 +333,10 @@ fn diagnoses(out: &mut String, view: &CaptureView<'_>) {
     if !view.diagnoses.is_empty() {
         *out += "<ul>";
         for one in view.diagnoses {
-            let told = escaped(&one.told());
+            let summary = escaped(&one.summary_or_state());
             let _ = match view.served {
-                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{told}</a></li>", one.job.id),
-                None => write!(out, "<li>{told}</li>"),
+                Some(_) => write!(out, "<li><a href=\"/diagnoses/{}\">{summary}</a></li>", one.job.id),
+                None => write!(out, "<li>{summary}</li>"),
             };
         }
         *out += "</ul>";

@@ -101,14 +101,14 @@ fn cell(of: &Estimate) -> String {
     };
     let mut out = String::new();
     let mut line = |value: f64, ends: Option<[f64; 2]>, unit: &str, class: &str| {
-        let told = match ends {
+        let text = match ends {
             Some(ends) => {
                 let (value, interval) = parted(value, ends);
                 format!("{value}&nbsp;{} <span class=\"interval\">{interval}</span>", escaped(unit))
             }
             None => format!("{}&nbsp;{}", plain(value), escaped(unit)),
         };
-        let _ = write!(out, "<div class=\"{class}\">{told}</div>");
+        let _ = write!(out, "<div class=\"{class}\">{text}</div>");
     };
     line(value, of.ci95, &of.unit, "main");
     for (unit, also) in &of.also {

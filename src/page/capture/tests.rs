@@ -88,12 +88,12 @@ fn page_of(noise: NoiseReport, served: Option<bool>, figures: &BTreeMap<String, 
 fn everything_that_is_known_is_told_and_nothing_is_markup() {
     let linked = |name: &str| {
         let address = format!("/v1/captures/7/plots/{name}.svg");
-        (name.to_owned(), Figure::Linked { told: "<told>".to_owned(), address, height: 280 })
+        (name.to_owned(), Figure::Linked { alt: "<told>".to_owned(), address, height: 280 })
     };
     let figures =
         ["gaps", "allan-gyro", "hourly-gyro_x", "psd-gyro", "timeseries-temperature", "histogram-gyro_x"].map(linked);
     let page = shown(Some(true), &BTreeMap::from(figures));
-    for told in [
+    for expected in [
         "5 h at 40 Hz: 719990 samples, 10 missing (less than 1 %) in 1 gap",
         "2026-11-23 20:00:00 to 2026-11-24 01:00:00 UTC",
         "7 &lt; 8",
@@ -120,7 +120,7 @@ fn everything_that_is_known_is_told_and_nothing_is_markup() {
         "href=\"/captures/7/series/gyro_x\"",
         "class=\"token\"",
     ] {
-        assert!(page.contains(told), "{told}: {page}");
+        assert!(page.contains(expected), "{expected}: {page}");
     }
     assert_eq!(page.matches("<img ").count(), 6, "{page}");
     for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<42>", "<being>"] {
@@ -148,7 +148,7 @@ fn what_is_not_usable_says_so_first_and_why() {
     let noise =
         noise(json!({"usable": false, "reason": "<it> predicts another deviation", "N": n, "bandwidth": bandwidth}));
     let page = page_of(noise.clone(), None, &BTreeMap::new());
-    for told in [
+    for expected in [
         "<td colspan=\"3\"><strong class=\"bad\">not usable: &lt;it&gt; predicts another deviation</strong><br>",
         "9·10⁻⁵ to 1.1·10⁻⁴</span></div><div class=\"soft\">from the Allan deviation alone</div>",
         "Behind a low pass of order 2 at 12.5000 Hz [12.0000, 13.0000] (fitted).",
@@ -156,7 +156,7 @@ fn what_is_not_usable_says_so_first_and_why() {
         "<h2>Which number to paste where</h2>",
         "<th scope=\"row\">kalibr</th>",
     ] {
-        assert!(page.contains(told), "{told}: {page}");
+        assert!(page.contains(expected), "{expected}: {page}");
     }
     assert!(!page.contains("record at rest and without a gap") && !page.contains("No random walk"), "{page}");
     let served = page_of(noise, Some(false), &BTreeMap::new());

@@ -67,12 +67,12 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
         let of = if all.len() > 1 { format!("{whose}{}: ", escaped(place)) } else { whose.to_owned() };
         for (index, entry) in entries.iter().take(ENTRIES).enumerate() {
             let intervals = known.get(index).copied();
-            let told = entry.as_object().into_iter().flatten().map(|(key, value)| {
+            let fields = entry.as_object().into_iter().flatten().map(|(key, value)| {
                 let unit = unit(cause, place, key, value).unwrap_or_default();
                 format!("<code>{}</code> {}{unit}", escaped(key), figure(value, intervals.and_then(|of| of.get(key))))
             });
-            let told: Vec<String> = told.collect();
-            let _ = write!(out, "<li>{of}{}</li>", told.join(", "));
+            let fields: Vec<String> = fields.collect();
+            let _ = write!(out, "<li>{of}{}</li>", fields.join(", "));
         }
         if entries.len() > ENTRIES {
             let _ = write!(out, "<li>{of}and {} more</li>", entries.len() - ENTRIES);

@@ -95,9 +95,9 @@ impl Image {
                 break;
             }
             let sum = checksum(&frame[FRAME_HEADER..], checksum(&frame[..8], seed, big_endian), big_endian);
-            let told = [u32_at(&frame, 16), u32_at(&frame, 20)];
+            let stored = [u32_at(&frame, 16), u32_at(&frame, 20)];
             let (page, pages_after) = (u32_at(&frame, 0), u32_at(&frame, 4));
-            if sum == told && page > 0 {
+            if sum == stored && page > 0 {
                 pending.insert(page, at + FRAME_HEADER as u64);
                 if pages_after > 0 {
                     self.newer.append(&mut pending);
@@ -107,7 +107,7 @@ impl Image {
             } else {
                 damaged += 1;
             }
-            seed = told;
+            seed = stored;
             at += frame.len() as u64;
         }
         self.log = Some(log);

@@ -262,34 +262,34 @@ impl Oracle {
 
     /// Panics if the answer violates a requirement.
     fn check(&self, asked: &Asked, status: u16, media_type: &str, body: &[u8]) {
-        let said =
+        let context =
             || format!("{asked:?}: {status} {media_type} {}", String::from_utf8_lossy(&body[..body.len().min(500)]));
-        assert!(status != 500 && status < 600, "{}", said());
+        assert!(status != 500 && status < 600, "{}", context());
         let media_type = media_type.split(';').next().unwrap();
         if status >= 400 {
-            assert_eq!(media_type, "application/problem+json", "{}", said());
+            assert_eq!(media_type, "application/problem+json", "{}", context());
             if asked.method != "HEAD" {
-                let problem: Value = serde_json::from_slice(body).unwrap_or_else(|_| panic!("{}", said()));
-                assert_eq!(problem["status"], status, "{}", said());
+                let problem: Value = serde_json::from_slice(body).unwrap_or_else(|_| panic!("{}", context()));
+                assert_eq!(problem["status"], status, "{}", context());
                 for member in ["type", "title", "detail", "instance"] {
-                    assert!(problem[member].as_str().is_some_and(|text| !text.is_empty()), "{member}: {}", said());
+                    assert!(problem[member].as_str().is_some_and(|text| !text.is_empty()), "{member}: {}", context());
                 }
             }
         }
         let Some(operation) = self.operation(asked) else {
             // A request without a declared operation is an error, unless it is not part of the interface for programs.
             let page = ["/", "/openapi.json"].contains(&asked.target.split('?').next().unwrap());
-            assert!(status >= 400 || page, "{}", said());
+            assert!(status >= 400 || page, "{}", context());
             return;
         };
         let responses = operation["responses"].as_object().unwrap();
         let declared = responses.get(&status.to_string()).or_else(|| (status >= 400).then(|| &responses["default"]));
-        let declared = declared.unwrap_or_else(|| panic!("status not declared: {}", said()));
+        let declared = declared.unwrap_or_else(|| panic!("status not declared: {}", context()));
         if let Some(content) = declared["content"].as_object() {
-            assert!(content.contains_key(media_type), "media type not declared: {}", said());
+            assert!(content.contains_key(media_type), "media type not declared: {}", context());
             if media_type == "application/json" && asked.method != "HEAD" {
                 let answer: Result<Value, _> = serde_json::from_slice(body);
-                assert!(answer.is_ok(), "{}", said());
+                assert!(answer.is_ok(), "{}", context());
             }
         }
     }
@@ -456,7 +456,7 @@ fn bytes_that_are_no_request_are_refused_and_the_daemon_answers_on() {
         (b"GET /v1/jobs/-1 HTTP/1.1".to_vec(), &[404]),
     ];
     for (line, expected) in table {
-        let said = String::from_utf8_lossy(&line[..line.len().min(100)]).into_owned();
+        let request = String::from_utf8_lossy(&line[..line.len().min(100)]).into_owned();
         let mut took = Duration::MAX;
         for _ in 0..5 {
             let mut stream = connect(&world);
@@ -467,11 +467,11 @@ fn bytes_that_are_no_request_are_refused_and_the_daemon_answers_on() {
             took = took.min(begun.elapsed());
             let text = String::from_utf8_lossy(&bytes);
             let status: u16 = text[9..12].parse().unwrap();
-            assert!(expected.contains(&status), "{said}: {text}");
+            assert!(expected.contains(&status), "{request}: {text}");
             // The server refuses bytes that are not HTTP before the interface sees them.
-            assert!(text.contains("application/problem+json") || line.contains(&0xff), "{said}: {text}");
+            assert!(text.contains("application/problem+json") || line.contains(&0xff), "{request}: {text}");
         }
-        assert!(took <= Duration::from_millis(50), "{said}: {took:?}");
+        assert!(took <= Duration::from_millis(50), "{request}: {took:?}");
     }
     // Raw bytes, cut requests, several in one.
     let mut fuzz = Fuzz::new(11);

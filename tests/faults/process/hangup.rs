@@ -97,13 +97,13 @@ fn under_a_manager_a_hangup_reads_the_configuration_again_and_a_wrong_one_change
     let world = World::new();
     let _sensor = world.emulate(&[]);
     let manager = Manager::new(&world);
-    let told = manager.listens();
+    let messages = manager.listens();
     let mut daemon = manager.daemon(&world, "", &["--capture", "5h"]);
     world.until_more_samples(40, &daemon);
-    let reload = |text: &str, said: &str| {
+    let reload = |text: &str, expected: &str| {
         std::fs::write(world.path("vn100d.toml"), text).unwrap();
         daemon.signal(Signal::HUP);
-        world.until(said, START, || daemon.log().contains(said).then_some(()), &daemon);
+        world.until(expected, START, || daemon.log().contains(expected).then_some(()), &daemon);
     };
     let night = "[schedule]\nat = \"03:33\"\nname = \"reloaded\"\n";
     reload(&format!("{night}[sensor]\nrate-hz = 20.0\n[log]\nlevel = \"debug\"\n"), "sensor.rate-hz");
@@ -121,5 +121,5 @@ fn under_a_manager_a_hangup_reads_the_configuration_again_and_a_wrong_one_change
     world.until_more_samples(40, &daemon);
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
     assert_eq!(world.query("SELECT missing FROM capture")[0][0], Value::Integer(0));
-    assert_eq!(told.lock().unwrap().matches("RELOADING=1").count(), 3, "{}", told.lock().unwrap());
+    assert_eq!(messages.lock().unwrap().matches("RELOADING=1").count(), 3, "{}", messages.lock().unwrap());
 }

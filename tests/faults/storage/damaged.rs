@@ -188,8 +188,8 @@ fn a_log_that_was_taken_away_is_noticed() {
     let log = PathBuf::from(format!("{}-wal", world.database().display()));
     let taken = std::fs::read(&log).unwrap();
     std::fs::remove_file(&log).unwrap();
-    let said = refused(&world);
-    assert!(said.contains("-wal") && said.contains(".lock"), "{said}");
+    let refusal = refused(&world);
+    assert!(refusal.contains("-wal") && refusal.contains(".lock"), "{refusal}");
     // Once the log is back, everything is there.
     std::fs::write(&log, taken).unwrap();
     let mut daemon = start(&world, &[], "", &[]);
@@ -216,11 +216,11 @@ fn damage_met_in_use_ends_the_daemon_with_what_to_run_and_no_start_writes_to_it_
     let (code, body) = world.request("DELETE", "/v1/captures/night", "").unwrap();
     assert_eq!(code, 204, "{body}");
     assert_eq!(daemon.wait(Duration::from_secs(30)), Some(74), "{}", daemon.log());
-    let said = last_words(&daemon);
-    assert!(said.contains("vn100d check") && said.contains("vn100d recover"), "{said}");
+    let last = last_words(&daemon);
+    assert!(last.contains("vn100d check") && last.contains("vn100d recover"), "{last}");
     // systemd starts it again and again: each time it is refused with the same words, and nothing is changed.
     for _ in 0..3 {
-        assert_eq!(refused(&world), said);
+        assert_eq!(refused(&world), last);
     }
     let report = recovered(&world);
     let capture = report["captures"].as_array().unwrap().iter().find(|capture| capture["id"] == 2).unwrap();

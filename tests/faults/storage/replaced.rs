@@ -23,8 +23,9 @@ fn goes_on(replace: impl Fn(&World)) -> World {
     assert!(stored < received && segments == 1, "{capture}");
     // The new file begins with the first sample that the lost file had not acknowledged: nothing in flight was dropped.
     let events = world.get("/v1/captures/latest/events");
-    let said = events["events"].as_array().unwrap().iter().find(|event| event["kind"] == "warning").unwrap();
-    let lost: u64 = said["message"].as_str().unwrap().split(' ').filter_map(|word| word.parse().ok()).next().unwrap();
+    let warning = events["events"].as_array().unwrap().iter().find(|event| event["kind"] == "warning").unwrap();
+    let lost: u64 =
+        warning["message"].as_str().unwrap().split(' ').filter_map(|word| word.parse().ok()).next().unwrap();
     std::thread::sleep(Duration::from_millis(1200));
     let first = world.query("SELECT min(seq), count(*), (SELECT sum(missing) FROM gap) FROM sample WHERE capture_id = (SELECT max(id) FROM capture)");
     assert_eq!(first[0][0], rusqlite::types::Value::Integer(0));

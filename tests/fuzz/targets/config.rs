@@ -11,10 +11,10 @@ pub fn refused_with_its_place(input: &[u8]) {
         return;
     }
     let Err(error) = vn100d::config::parse(Path::new(FILE), text) else { return };
-    let said = error.to_string();
-    let place = said.strip_prefix(FILE).and_then(|rest| rest.strip_prefix(':'));
+    let message = error.to_string();
+    let place = message.strip_prefix(FILE).and_then(|rest| rest.strip_prefix(':'));
     match place.and_then(|rest| rest.split(':').next()?.parse::<usize>().ok()) {
-        Some(line) => assert!((1..=text.lines().count().max(1) + 1).contains(&line), "{said}"),
-        None => assert!(said.contains("built-in default"), "no place: {said}"),
+        Some(line) => assert!((1..=text.lines().count().max(1) + 1).contains(&line), "{message}"),
+        None => assert!(message.contains("built-in default"), "no place: {message}"),
     }
 }

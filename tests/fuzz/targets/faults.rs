@@ -7,8 +7,8 @@ pub fn refused_with_its_line(input: &[u8]) {
     let lines = text.lines().filter(|line| !line.split('#').next().unwrap_or_default().trim().is_empty()).count();
     match Schedule::parse(text, "fuzz.faults") {
         Err(error) => {
-            let said = error.to_string();
-            assert!(said.contains("fuzz.faults"), "{said}");
+            let message = error.to_string();
+            assert!(message.contains("fuzz.faults"), "{message}");
         }
         Ok(mut schedule) => {
             let mut found = 0;

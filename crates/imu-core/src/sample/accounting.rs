@@ -102,7 +102,7 @@ pub struct Accountant {
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
     /// The observation at a held sample.
-    told: Option<Observation>,
+    held_observation: Option<Observation>,
     arrival: Arrival,
     /// The doubt not yet passed to the caller that can query the sensor.
     doubt: Option<RateDoubt>,
@@ -258,7 +258,7 @@ impl Accountant {
                 Observation::Taken
             }
         };
-        if seen == Observation::Taken { self.told.take().unwrap_or(seen) } else { seen }
+        if seen == Observation::Taken { self.held_observation.take().unwrap_or(seen) } else { seen }
     }
 
     /// Decides about held samples; must be called before the capture ends.

@@ -96,11 +96,11 @@ pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
             // Behind the model's filters, almost nothing remains of the line; a line on the channel has another cause.
             return None;
         }
-        let (sense, says) = match is_there {
+        let (sense, difference) = match is_there {
             true => (Sense::Size, "with another amplitude than the model's"),
             false => (Sense::Superfluous, "without the model's line"),
         };
-        let evidence = format!("{channel}: {otherwise:.0} nats more {says}, its phase fitted");
+        let evidence = format!("{channel}: {otherwise:.0} nats more {difference}, its phase fitted");
         Some(Named {
             channel,
             sense,

@@ -138,7 +138,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     let power = grid.power(&series.coefficients);
     let base = (series.setting().base)(&grid, &series.explanation.without);
     let worth = series.worth_on(&grid, &base);
-    let data = Data { grid: &grid, power: &power, worth: &worth, base: &base, beliefs: &series.beliefs };
+    let data = Data { grid: &grid, power: &power, worth: &worth, base: &base, priors: &series.priors };
     let without = series.explanation.law.fit(data);
     let level = {
         let k = ((cycles * 2.0 * n as f64) as usize).clamp(1, n - 1);

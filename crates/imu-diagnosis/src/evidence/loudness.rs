@@ -331,8 +331,8 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
         for loud in &found {
             even[loud.from..loud.to].iter_mut().for_each(|e| *e *= usual.sqrt());
         }
-        let said = known.iter().map(|loud| (loud.from, loud.to)).chain(refused.iter().copied());
-        said.for_each(|(from, to)| even[from..to].fill(1.0));
+        let excluded = known.iter().map(|loud| (loud.from, loud.to)).chain(refused.iter().copied());
+        excluded.for_each(|(from, to)| even[from..to].fill(1.0));
         let sums = Sums::of(&even);
         let limited = if usual == 1.0 { sums.limited[n] / n as f64 } else { 1.0 };
         let Some((mut from, mut to)) = loudest(&sums, 0..n, n * 9 / 10, limited) else { break };

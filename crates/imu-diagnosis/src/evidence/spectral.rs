@@ -144,7 +144,7 @@ fn notched(series: &Series<'_>) -> Vec<u64> {
 pub fn slope(series: &Series<'_>) -> Option<Candidate> {
     let mut candidate = slope_believed(series)?;
     // If B or K is far off, the slope does not differ: only the gain with both free counts.
-    let free = Data { beliefs: &[None, None, None], ..series.data() };
+    let free = Data { priors: &[None, None, None], ..series.data() };
     let law = &candidate.explanation.law;
     let mut without = law.clone();
     without.terms.pop();

@@ -142,9 +142,9 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
         )];
         evidence.extend(of_estimates(estimates));
         if estimates.iter().any(|one| one.known != 0.0) {
-            let told: Vec<String> =
+            let stated: Vec<String> =
                 estimates.iter().map(|one| format!("{} {:.3e}", one.parameter, one.known)).collect();
-            evidence.push(format!("the model has {} already, with {}", called(candidate), told.join(", ")));
+            evidence.push(format!("the model has {} already, with {}", called(candidate), stated.join(", ")));
         }
         let wide = match candidate {
             Candidate::Bias => student(of.mean_freedom),
@@ -170,7 +170,7 @@ fn called(candidate: Candidate) -> String {
 
 /// Returns a text such as "x 2.0e-3 ± 3e-5, 67 standard errors".
 fn of_estimates(estimates: &[Estimate]) -> Option<String> {
-    let told: Vec<String> = estimates
+    let texts: Vec<String> = estimates
         .iter()
         .filter_map(|one| {
             let error = one.standard_error.filter(|error| *error > 0.0)?;
@@ -178,7 +178,7 @@ fn of_estimates(estimates: &[Estimate]) -> Option<String> {
             (far > 3.0).then(|| format!("{} {:.3e} ± {error:.1e} ({far:.0} standard errors)", one.parameter, one.value))
         })
         .collect();
-    (!told.is_empty()).then(|| told.join("; "))
+    (!texts.is_empty()).then(|| texts.join("; "))
 }
 
 /// Returns Student's 97.5 % point over the normal distribution's.

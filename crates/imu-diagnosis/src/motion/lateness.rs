@@ -40,7 +40,7 @@ pub(super) struct Verdict {
 }
 
 /// Separates latencies from the clock's offset. A difference counts if it gains at least `price` nats.
-pub(super) fn tell(delays: &[Delay], shared: bool, price: f64) -> Verdict {
+pub(super) fn separate(delays: &[Delay], shared: bool, price: f64) -> Verdict {
     let (gyro, accel) = match delays {
         [] => return Verdict::default(),
         [one] => {
@@ -94,7 +94,7 @@ mod tests {
 
     fn of(gyro: (f64, f64), accel: (f64, f64), shared: bool) -> Verdict {
         let delay = |triad, (seconds, error_s)| Delay { triad, seconds, error_s };
-        tell(&[delay(Triad::Gyro, gyro), delay(Triad::Accel, accel)], shared, 8.0)
+        separate(&[delay(Triad::Gyro, gyro), delay(Triad::Accel, accel)], shared, 8.0)
     }
 
     #[test]
@@ -120,7 +120,7 @@ mod tests {
         assert!((found.latencies[0].0.seconds - 0.02).abs() < 1e-12);
         assert!(of((0.3, 1e-4), (0.3005, 1e-3), false).latencies.is_empty());
         let one = [Delay { triad: Triad::Gyro, seconds: 0.3, error_s: 1e-4 }];
-        assert!(tell(&one, false, 8.0).open && tell(&one, false, 8.0).latencies.is_empty());
-        assert_eq!(tell(&one, true, 8.0).latencies.len(), 1);
+        assert!(separate(&one, false, 8.0).open && separate(&one, false, 8.0).latencies.is_empty());
+        assert_eq!(separate(&one, true, 8.0).latencies.len(), 1);
     }
 }

@@ -73,7 +73,7 @@ pub fn diagnose_any(
         Some(reference) => diagnose_moved(real, reference, sim, options),
         None => diagnose_tumble(real, sim, options).unwrap_or_else(|| super::diagnose::diagnose(real, sim, options)),
     }?;
-    outcome.diagnosis.notes.extend(field::disturbed(real).iter().map(field::Disturbed::told));
+    outcome.diagnosis.notes.extend(field::disturbed(real).iter().map(field::Disturbed::sentence));
     Ok(outcome)
 }
 

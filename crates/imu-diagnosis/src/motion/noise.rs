@@ -7,7 +7,7 @@ use imu_model::simulator::SensorModel;
 use std::sync::Arc;
 
 /// Prior uncertainty of N, B and K if a model states no interval: standard deviations of ln of their squares.
-const BELIEFS: [f64; 3] = [0.1, 0.6, 0.8];
+const PRIOR_SDS: [f64; 3] = [0.1, 0.6, 0.8];
 /// Standard error of a cutoff's logarithm if a model states no interval.
 const UNSTATED: f64 = 0.1;
 /// The upper bound of a cutoff that acts at the rate of decimated samples, in parts of that rate.
@@ -64,9 +64,9 @@ pub(super) fn filters(model: &SensorModel, triad: Triad) -> Filters {
                 continue;
             }
             if cutoff_hz.is_some() {
-                let told =
+                let stated =
                     of.effect_interval(index, "cutoff_hz").map(|[low, high]| (high / low).ln() / (2.0 * NORMAL_95));
-                let error = told.filter(|error| error.is_finite() && *error > 0.0).unwrap_or(UNSTATED);
+                let error = stated.filter(|error| error.is_finite() && *error > 0.0).unwrap_or(UNSTATED);
                 if all.open[axis].is_none_or(|(_, other)| error > other) {
                     all.open[axis] = Some((all.of[axis].len(), error));
                 }
@@ -115,8 +115,8 @@ pub(super) fn mean_freedom(model: &SensorModel, triad: Triad, rate_hz: f64, samp
         let total: f64 = parts.iter().sum();
         let names = ["N", "B", "K"];
         let spread = |place: usize| {
-            let told = of.interval(names[place]).filter(|[low, high]| *low > 0.0 && high > low);
-            told.map_or(BELIEFS[place], |[low, high]| (high / low).ln() / 1.96)
+            let interval = of.interval(names[place]).filter(|[low, high]| *low > 0.0 && high > low);
+            interval.map_or(PRIOR_SDS[place], |[low, high]| (high / low).ln() / 1.96)
         };
         let variance: f64 = (0..3).map(|place| (parts[place] / total * spread(place)).powi(2)).sum();
         Some(2.0 / variance).filter(|value| value.is_finite())
@@ -146,8 +146,8 @@ mod tests {
     #[test]
     fn the_cutoff_that_is_known_worst_is_open_as_far_as_its_interval_says() {
         let two = json!([{"effect": "low_pass", "cutoff_hz": 15.0}, {"effect": "low_pass", "cutoff_hz": 5.0}]);
-        let told = json!([{"cutoff_hz": {"ci95": [14.9, 15.1]}}, {"cutoff_hz": {"ci95": [4.5, 5.5]}}]);
-        let found = of(two.clone(), told, Value::Null);
+        let uncertainty = json!([{"cutoff_hz": {"ci95": [14.9, 15.1]}}, {"cutoff_hz": {"ci95": [4.5, 5.5]}}]);
+        let found = of(two.clone(), uncertainty, Value::Null);
         let (place, error) = found.open[0].unwrap();
         assert!(place == 1 && (error - (5.5f64 / 4.5).ln() / 3.92).abs() < 1e-4, "{error}");
         assert_eq!((found.of[0].len(), found.open[1]), (2, None));

@@ -31,9 +31,9 @@ pub(super) fn places(
     let columns = of.weighing().columns(&of.choice.groups);
     let (_, numbers) = of.screen.gain(&columns);
     // A delay that is a latency is the first of the base.
-    let told = |place: &usize| *place >= of.base.len() || (late && *place == 0);
+    let is_chosen = |place: &usize| *place >= of.base.len() || (late && *place == 0);
     let (chosen, by): (Vec<usize>, Vec<f64>) =
-        (0..columns.len()).filter(told).map(|place| (columns[place], numbers[place])).unzip();
+        (0..columns.len()).filter(is_chosen).map(|place| (columns[place], numbers[place])).unzip();
     let mut course = of.screen.course(&chosen, &by);
     for (values, more) in course.iter_mut().zip(of.cut_off.iter().flatten()) {
         values.iter_mut().zip(more).for_each(|(value, more)| *value += more);

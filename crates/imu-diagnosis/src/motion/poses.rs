@@ -27,7 +27,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF as _, Normal};
 
 /// Gravity and its prior standard deviation, m/s².
 const GRAVITY: f64 = imu_core::units::STANDARD_GRAVITY_M_S2;
-pub(super) const BELIEF: f64 = 0.013;
+pub(super) const GRAVITY_SD: f64 = 0.013;
 /// Minimum number of distinct poses.
 pub const POSES_MIN: usize = 6;
 /// Variance of flicker's mean over a rest about the record's mean, in B²: about ln of the record's length over the
@@ -97,9 +97,9 @@ fn felt(mean: Axes, numbers: &[f64]) -> Axes {
 }
 
 /// Returns the standard deviation of the prior of a number: gravity is the last; others are biases and fractions.
-pub(super) fn belief(number: usize) -> f64 {
+pub(super) fn prior_sd(number: usize) -> f64 {
     match number {
-        9 => BELIEF,
+        9 => GRAVITY_SD,
         0..3 => OFF[0],
         _ => OFF[1],
     }
@@ -176,8 +176,8 @@ pub(super) fn tumbled(
             let mut matrix = design.transpose() * &weights * &design;
             let mut right = design.transpose() * &weights * &residual;
             for (place, number) in own.iter().enumerate() {
-                matrix[(place, place)] += belief(*number).powi(-2);
-                right[place] -= numbers[*number] / belief(*number).powi(2);
+                matrix[(place, place)] += prior_sd(*number).powi(-2);
+                right[place] -= numbers[*number] / prior_sd(*number).powi(2);
             }
             let scales = DVector::from_fn(own.len(), |row, _| matrix[(row, row)].max(1e-300).sqrt().recip());
             let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| matrix[(r, c)] * scales[r] * scales[c]);
@@ -188,7 +188,7 @@ pub(super) fn tumbled(
                 numbers[*number] += step;
             }
             let left = weigh(misfit(&numbers, &everywhere))?;
-            let believed: f64 = own.iter().map(|number| (numbers[*number] / belief(*number)).powi(2)).sum();
+            let believed: f64 = own.iter().map(|number| (numbers[*number] / prior_sd(*number)).powi(2)).sum();
             square = left.iter().zip(keep).map(|(value, keep)| keep * value * value).sum::<f64>() + believed;
         }
         Some((numbers, inverse, square))

@@ -10,7 +10,7 @@
 //! Am. Stat. Assoc. 84), so that windows with a jerk count little. If the scale is above [`STEADY`], no result is
 //! reported: a hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
-use super::poses::{PARTS, Tumbled, belief, columns_of, price};
+use super::poses::{PARTS, Tumbled, columns_of, price, prior_sd};
 use super::rests::{self, Rest};
 use super::select::Choice;
 use crate::diagnose::Options;
@@ -158,7 +158,7 @@ pub(super) fn quasi_static(windows: &Windows, options: &Options<'_>) -> Option<T
     // Each half is predicted from the other.
     let mut held_out = 0.0;
     let (mut before, mut after) = (vec![0.0; count], vec![0.0; count]);
-    let half = |odd: usize| (0..count).filter(|place| place * BLOCKS / count % 2 == odd).collect::<Vec<_>>();
+    let half = |parity: usize| (0..count).filter(|place| place * BLOCKS / count % 2 == parity).collect::<Vec<_>>();
     for (from, to) in [(half(0), half(1)), (half(1), half(0))] {
         let (plain, found) = (fit(&[], &from)?, fit(&parts, &from)?);
         let left = |of: &Fit, own: &[usize], place: usize| {
@@ -206,7 +206,7 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
         let mut information = design.transpose() * &weighed / square.max(1e-18);
         let right = weighed.transpose() * off / square.max(1e-18);
         for (place, number) in own.iter().enumerate() {
-            information[(place, place)] += belief(*number).powi(-2);
+            information[(place, place)] += prior_sd(*number).powi(-2);
         }
         let scales = DVector::from_fn(own.len(), |row, _| information[(row, row)].max(1e-300).sqrt().recip());
         let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| information[(r, c)] * scales[r] * scales[c]);
@@ -219,7 +219,7 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
     }
     let left = off - design * &numbers;
     let scale = square.sqrt();
-    let believed: f64 = own.iter().zip(numbers.iter()).map(|(number, value)| (value / belief(*number)).powi(2)).sum();
+    let believed: f64 = own.iter().zip(numbers.iter()).map(|(number, value)| (value / prior_sd(*number)).powi(2)).sum();
     let nats =
         left.iter().map(|value| density(value / scale)).sum::<f64>() - count as f64 * scale.ln() - 0.5 * believed;
     // Student's information about a location is (ν + 1)/(ν + 3) of the weights'.

@@ -43,7 +43,7 @@ pub(super) fn run(
     let temperature_c = prepare::temperature(part).map(|(values, _)| values);
     let mut still = sim.clone();
     still.triads.clear();
-    let mut told = still.clone();
+    let mut noise_model = still.clone();
     let mut before = None;
     let mut round = 0;
     loop {
@@ -51,7 +51,8 @@ pub(super) fn run(
         let places: Vec<Mutex<Option<Result<Settled, DiagnosisError>>>> =
             triads.iter().map(|_| Mutex::new(None)).collect();
         options.workers.each(triads.len(), &|index| {
-            let about = About { part, aligned, sim, told: &told, temperature_c: temperature_c.as_deref() };
+            let about =
+                About { part, aligned, sim, noise_model: &noise_model, temperature_c: temperature_c.as_deref() };
             let settled = about.settle(triads[index], triads.len(), options, lenient);
             *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(settled);
         });
@@ -63,11 +64,11 @@ pub(super) fn run(
         if (round > 1 && before.as_ref() == Some(&now)) || round == ROUNDS {
             let delays: Vec<Delay> = settled.iter().filter_map(|of| of.delay).collect();
             let price_of_one = pricing(options, triads.len(), 1.0).price(1, 2);
-            let lateness = lateness::tell(&delays, aligned.shared, price_of_one);
+            let lateness = lateness::separate(&delays, aligned.shared, price_of_one);
             return Ok(Found { triads: settled, rest, lateness, price_of_one });
         }
         before = Some(now);
-        told = rest.augmented;
+        noise_model = rest.augmented;
     }
 }
 
@@ -81,15 +82,15 @@ pub(super) fn refined(
     triads: &[Triad],
 ) -> Result<Option<Lie>, DiagnosisError> {
     let mut best: Option<(f64, Lie)> = None;
-    let about = About { part, aligned, sim, told: sim, temperature_c: None };
+    let about = About { part, aligned, sim, noise_model: sim, temperature_c: None };
     let middle_s = 0.5 * part.len().saturating_sub(1) as f64 / part.rate_hz;
     for triad in triads {
         let fit = about.delayed(*triad)?;
         let of = |name: &str| fit.estimates.iter().find(|one| one.parameter == name);
-        let told = of("offset_s").zip(of("rate_error")).and_then(|(offset, rate)| {
+        let estimate = of("offset_s").zip(of("rate_error")).and_then(|(offset, rate)| {
             Some((offset.standard_error?, offset.value, rate.standard_error.map_or(0.0, |_| rate.value)))
         });
-        let Some((error_s, offset_s, gains)) = told else { continue };
+        let Some((error_s, offset_s, gains)) = estimate else { continue };
         if best.as_ref().is_none_or(|(least_s, _)| error_s < *least_s) {
             // The offset refers to the middle of the part.
             let from_s = aligned.from as f64 / part.rate_hz;
@@ -103,9 +104,9 @@ pub(super) fn refined(
 /// The start of a next round: the chosen effects, and the names of those that change the mean or the law's form.
 type Signature = (Vec<Vec<usize>>, BTreeSet<(usize, EffectKind)>);
 
-fn signature(settled: &[Settled], told: &SensorModel) -> Signature {
+fn signature(settled: &[Settled], noise_model: &SensorModel) -> Signature {
     let names = settled.iter().flat_map(|of| of.triad.channels()).filter_map(|channel| {
-        let effects = &told.channels.get(&channel)?.effects;
+        let effects = &noise_model.channels.get(&channel)?.effects;
         Some(effects.iter().map(move |effect| (channel as usize, effect.kind())))
     });
     (settled.iter().map(|of| of.choice.groups.clone()).collect(), names.flatten().collect())

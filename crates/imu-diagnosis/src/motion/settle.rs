@@ -57,9 +57,9 @@ impl Settled {
     /// Returns the sensor's range, if samples show one that the model lacks.
     pub(super) fn range(&self) -> Option<Clipping> {
         let clipping = self.fit.clipping?;
-        let told = self.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
-        let is_told = told.is_some_and(|range| (range / clipping.limit - 1.0).abs() < 1e-6);
-        (!is_told).then_some(clipping)
+        let known_range = self.known.iter().filter_map(|effect| effect.range()).reduce(f64::min);
+        let is_known = known_range.is_some_and(|range| (range / clipping.limit - 1.0).abs() < 1e-6);
+        (!is_known).then_some(clipping)
     }
 
     /// Returns the chosen groups.
@@ -82,7 +82,7 @@ pub(super) struct About<'a> {
     pub(super) aligned: &'a Aligned,
     pub(super) sim: &'a SensorModel,
     /// The known noise.
-    pub(super) told: &'a SensorModel,
+    pub(super) noise_model: &'a SensorModel,
     pub(super) temperature_c: Option<&'a [f64]>,
 }
 
@@ -109,9 +109,9 @@ impl About<'_> {
         let (rate_hz, motions) = (self.part.rate_hz, self.aligned.motions.as_slice());
         let n = motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
-        let filters = noise::filters(self.told, triad);
+        let filters = noise::filters(self.noise_model, triad);
         let left_out = self.left_out(sent, &filters);
-        let courses = noise::courses(self.told, triad, rate_hz, n, self.temperature_c);
+        let courses = noise::courses(self.noise_model, triad, rate_hz, n, self.temperature_c);
         let mut samples = sent.map(|values| {
             values.iter().map(|value| if value.is_finite() { *value } else { 0.0 }).collect::<Vec<f64>>()
         });
@@ -128,7 +128,7 @@ impl About<'_> {
             let there = (0..n).filter(|t| !left_out[*t]).map(|t| samples[axis][t] - input(t, axis));
             prepare::scale_of(&there.collect::<Vec<f64>>())
         });
-        let law = noise::law(self.told, triad, rate_hz, n, scale)?;
+        let law = noise::law(self.noise_model, triad, rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level =
@@ -149,7 +149,7 @@ impl About<'_> {
         });
         let mut screen =
             response::screen(&self.record(triad, &samples, sent, &left_out), &law, &request, extras, BLOCKS)?;
-        let mean_freedom = noise::mean_freedom(self.told, triad, rate_hz, n);
+        let mean_freedom = noise::mean_freedom(self.noise_model, triad, rate_hz, n);
         let mut groups = groups::groups(&candidates, screen.own, &counts, pricing(options, triads, mean_freedom));
         // Many numbers reach half of a price in noise alone.
         let inside_library = groups.iter_mut().filter(|group| matches!(group.member, Member::Library(_)));
@@ -285,12 +285,12 @@ impl About<'_> {
     pub(super) fn delayed(&self, triad: Triad) -> Result<Fit, DiagnosisError> {
         let n = self.aligned.motions.len();
         let sent = triad.channels().map(|channel| self.part.values(channel).unwrap_or_default());
-        let filters = noise::filters(self.told, triad);
+        let filters = noise::filters(self.noise_model, triad);
         let left_out = self.left_out(sent, &filters);
         let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
         let samples = sent.map(|values| values.iter().map(finite).collect::<Vec<f64>>());
         let scale = sent.map(prepare::scale_of);
-        let law = noise::law(self.told, triad, self.part.rate_hz, n, scale)?;
+        let law = noise::law(self.noise_model, triad, self.part.rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level =
@@ -342,8 +342,13 @@ pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -
 
 /// Returns the full scale to which a nonlinearity refers: the model's own, or the sensor's range.
 fn full_scale(triad: Triad, known: &[Arc<dyn TriadEffect>]) -> f64 {
-    let told = known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity).find_map(|effect| {
-        effect.parameters().into_iter().find(|(name, _)| *name == "full_scale").and_then(|(_, value)| value.as_f64())
-    });
-    told.unwrap_or(FULL_SCALE[usize::from(triad != Triad::Gyro)])
+    let stated =
+        known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity).find_map(|effect| {
+            effect
+                .parameters()
+                .into_iter()
+                .find(|(name, _)| *name == "full_scale")
+                .and_then(|(_, value)| value.as_f64())
+        });
+    stated.unwrap_or(FULL_SCALE[usize::from(triad != Triad::Gyro)])
 }

@@ -131,13 +131,13 @@ fn shrink(diagnosis: &mut Diagnosis, sums: &Sums, all: f64, rest: f64, driven: &
     let (floor, blocks) = (sums.floor(), sums.whole.len());
     let rest_closed = gap.closed.map_or(0.0, |part| part * rest);
     let rest_error = gap.closed_ci95.map_or(0.0, |[low, high]| (high - low) / (2.0 * NORMAL_95) * rest);
-    let ratio_is_told = driven.iter().any(|one| one.gain.is_some()) || gap.closed.is_some();
+    let ratio_is_known = driven.iter().any(|one| one.gain.is_some()) || gap.closed.is_some();
     let ratio = |whole: f64, closed: f64, more: f64| (closed + rest_closed + more) / (whole - floor + rest);
-    if ratio_is_told && whole > floor {
+    if ratio_is_known && whole > floor {
         gap.closed = Some(ratio(whole, closed, 0.0)).filter(|value| value.is_finite());
         gap.closed_ci95 = None;
     }
-    if ratio_is_told && whole > floor && blocks > 1 {
+    if ratio_is_known && whole > floor && blocks > 1 {
         let mut stream = Stream::new(blocks as u64, StreamId { owner: 0, effect: 3, instance: 0 });
         let mut draw = || {
             let (mut some_whole, mut some_closed) = (0.0, 0.0);

@@ -6,7 +6,7 @@
 
 use super::felt::felt;
 use super::noise::mean_freedom;
-use super::poses::{self, BELIEF, PARTS, POSES_MIN, Tumbled, Turned};
+use super::poses::{self, GRAVITY_SD, PARTS, POSES_MIN, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
 use super::together::{self, Driven, Sums};
@@ -88,7 +88,7 @@ pub fn diagnose_tumble(
         Some(of) => Some(Poses { of, stands: &rests, how: How::Rests }),
         None => quasi_static(&windows, options).map(|of| Poses { of, stands: &windows.stands, how: How::Windows }),
     };
-    tell(&mut outcome, sim, real, options, longest, found.as_ref(), &turns);
+    complete(&mut outcome, sim, real, options, longest, found.as_ref(), &turns);
     Some(Ok(outcome))
 }
 
@@ -110,7 +110,7 @@ struct Poses<'a> {
 
 impl Poses<'_> {
     /// Returns a text such as "7 rests (6 poses)".
-    fn told(&self) -> String {
+    fn description(&self) -> String {
         let (count, poses) = (self.stands.len(), count_poses(self.stands));
         match self.how {
             How::Rests => format!("{count} rests ({poses} poses)"),
@@ -119,7 +119,7 @@ impl Poses<'_> {
     }
 }
 
-fn tell(
+fn complete(
     outcome: &mut Outcome,
     sim: &SensorModel,
     real: &Recording,
@@ -158,9 +158,9 @@ fn tell(
             },
         };
         notes.push(format!(
-            "gravity's magnitude in {} is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± {BELIEF}: it is off by {:.4} \
-             m/s² ({}) as the model is and by {:.4} with what was found; gravity comes out as {:.4}",
-            poses.told(),
+            "gravity's magnitude in {} is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± {GRAVITY_SD}: it is off by \
+             {:.4} m/s² ({}) as the model is and by {:.4} with what was found; gravity comes out as {:.4}",
+            poses.description(),
             typical(&of.before),
             if poses.how == How::Rests { "rms" } else { "median" },
             typical(&of.after),
@@ -232,7 +232,7 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
             let (gain, price) = (of.gains[*group], of.prices[*group]);
             let mut evidence = vec![format!(
                 "accel: {gain:.0} nats more of {} with {} than without; chance gives {price:.0}",
-                poses.told(),
+                poses.description(),
                 effect.name()
             )];
             for (axis, name) in names.iter().enumerate() {

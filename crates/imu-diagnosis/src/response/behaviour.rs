@@ -143,18 +143,18 @@ fn a_still_record_tells_no_scale_factor_from_a_bias() {
     for one in &found.confounded {
         println!("{:?}: {}", one.openness, one.sentence);
     }
-    let said = |openness, words: &str| {
+    let assert_sentence = |openness, words: &str| {
         let of = found.confounded.iter().filter(|one| one.openness == openness);
         assert!(of.clone().any(|one| one.sentence.contains(words)), "{words} in {:?}", of.collect::<Vec<_>>());
     };
-    said(
+    assert_sentence(
         Openness::Confounded,
         "cannot tell apart bias z, scale_factor z, unsigned scale_factor_nonlinearity z and signed \
          scale_factor_nonlinearity z: the specific force along z never changes; rests with z up and down would tell",
     );
-    said(Openness::Confounded, "bias x, misalignment y and cross_axis_sensitivity xz");
-    said(Openness::Unseen, "scale_factor (x, y): there is never a specific force along x or y");
-    said(Openness::Unseen, "latency seconds: nothing changes by which a delay would show");
+    assert_sentence(Openness::Confounded, "bias x, misalignment y and cross_axis_sensitivity xz");
+    assert_sentence(Openness::Unseen, "scale_factor (x, y): there is never a specific force along x or y");
+    assert_sentence(Openness::Unseen, "latency seconds: nothing changes by which a delay would show");
     assert!(found.estimates.iter().all(|one| one.standard_error.is_none()));
     // Their joint effect is known: the response is at the record's level.
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
@@ -229,12 +229,12 @@ fn on_two_clocks(offset_s: f64, rate_error: f64) -> (Vec<Motion>, Vec<Motion>) {
 #[test]
 fn a_clocks_offset_and_rate_are_no_latency_and_what_one_triad_has_more_is() {
     let (offset_s, rate_error, latency_s) = (0.237, 3e-4, 0.04);
-    let (felt, told) = on_two_clocks(offset_s, rate_error);
+    let (felt, reference) = on_two_clocks(offset_s, rate_error);
     let mut delays = Vec::new();
     for (triad, seconds) in [(Triad::Gyro, 0.0), (Triad::Accel, latency_s)] {
         let mut case = Case::new(triad, felt.clone(), &[(Candidate::Latency, vec![seconds])]);
         let samples = case.samples(11);
-        case.reference = told.clone();
+        case.reference = reference.clone();
         let found = case.fit_to(&samples, &[Candidate::Bias, Candidate::Latency], Clock::SEPARATE);
         let of = |name: &str| found.estimates.iter().find(|one| one.parameter == name).unwrap().clone();
         let (delay, rate) = (of("offset_s"), of("rate_error"));
@@ -274,10 +274,10 @@ fn a_reference_that_began_seconds_apart_is_found_and_what_it_does_not_reach_is_l
 
 #[test]
 fn a_reference_that_is_late_gives_a_negative_delay() {
-    let (felt, told) = on_two_clocks(-0.3, 0.0);
+    let (felt, reference) = on_two_clocks(-0.3, 0.0);
     let mut case = Case::new(Triad::Gyro, felt, &[]);
     let samples = case.samples(12);
-    case.reference = told;
+    case.reference = reference;
     let found = case.fit_to(&samples, &[Candidate::Latency], Clock::SHARED);
     let delay = &found.estimates[0];
     assert!((delay.value + 0.3).abs() < 4.0 * delay.standard_error.unwrap() + 1e-4, "{delay:?}");

@@ -27,7 +27,7 @@ const HIGHEST: f64 = 0.49;
 /// The smallest starting value of a supposed cutoff, as a part of the rate.
 const LOWEST: f64 = 0.005;
 /// The starting value if there is no information.
-const UNTOLD: f64 = 0.1;
+const START: f64 = 0.1;
 /// Standard error of the logarithm of a cutoff without prior information.
 const WIDE_OPEN: f64 = 3.0;
 /// A filter's memory, in multiples of rate over cutoff, which is 2π of its time constants.
@@ -66,8 +66,8 @@ impl Filters {
         let own = |axis: usize| self.of[axis].iter().find_map(|filter| low_pass(filter.as_ref()));
         // The delay of a Butterworth filter of order n is 1/(2πf·sin(π/2n)).
         let lags = |seconds: f64| (TAU * seconds * (PI / (2 * order) as f64).sin()).recip();
-        let told_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(UNTOLD * rate_hz, lags);
-        let other = (0..3).find_map(own).unwrap_or(LowPass::new(told_hz, order));
+        let start_hz = delay_s.filter(|seconds| *seconds > 0.0).map_or(START * rate_hz, lags);
+        let other = (0..3).find_map(own).unwrap_or(LowPass::new(start_hz, order));
         let cutoff_hz = other.cutoff_hz.clamp(LOWEST * rate_hz, HIGHEST * rate_hz);
         if (0..3).all(|axis| own(axis).is_some()) {
             return None;
@@ -110,9 +110,9 @@ mod tests {
     use imu_core::sample::Triad;
     use imu_model::effects::MovingAverage;
 
-    /// Returns the fit of a triad behind a low pass of `sent_hz` with one of `told_hz` whose logarithm is known to
+    /// Returns the fit of a triad behind a low pass of `sent_hz` with one of `declared_hz` whose logarithm is known to
     /// `error`.
-    fn fitted(seed: u64, sent_hz: f64, told_hz: f64, error: f64) -> Fit {
+    fn fitted(seed: u64, sent_hz: f64, declared_hz: f64, error: f64) -> Fit {
         let case = Case::new(Triad::Gyro, rate_table(), &[]);
         let filters = |cutoff_hz| Filters {
             of: std::array::from_fn(|_| vec![Arc::new(LowPass::new(cutoff_hz, 2)) as Arc<dyn Effect>]),
@@ -139,7 +139,7 @@ mod tests {
             level: [0.0; 3],
             candidates: &[Candidate::Latency],
             clock: Clock::SHARED,
-            filters: &filters(told_hz),
+            filters: &filters(declared_hz),
         };
         fit(&record, &case.law, &request).unwrap()
     }

@@ -49,13 +49,13 @@ fn bias(axis: &Axis) -> (Known, f64) {
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = String::new();
     let origin = noise.origin_for(&[Part::Bias, Part::Resolution]);
-    let said = format!(
+    let note = format!(
         "{origin}. stddev is the standard deviation {}, N sqrt(rate); keep update_rate. mean is the bias: bias_mean would get another \
          sign at random. dynamic_bias_stddev is K (per root second) with a correlation time so long that the bias walks, or a \
          Gauss-Markov process as it was found. Bias instability B cannot be expressed. Where K is not identified there is none.",
         noise.of_one_sample(&[Triad::Accel, Triad::Gyro, Triad::Mag])
     );
-    let _ = writeln!(text, "<!--\n{}-->", super::comment("     ", &said));
+    let _ = writeln!(text, "<!--\n{}-->", super::comment("     ", &note));
     let entries = form(noise).entries;
     let numbers = |triad: Triad| {
         Noise::ALL.map(|noise| {

@@ -47,7 +47,7 @@ fn drift(axis: &Axis, noise: &ImuNoise) -> (Known, f64) {
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[Part::Bias]));
-    let said = format!(
+    let note = format!(
         "Biases are first-order Gauss-Markov processes here: K stands as one of {:?} s with sigma K*sqrt(Tc/2), which walks over a \
          record of {} s. Not expressible: bias instability B, K beside a Gauss-Markov process. 0.0 stands for what is not known and for \
          a bias that was not identified. mag_std is the standard deviation {}.",
@@ -55,7 +55,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
         noise.duration_s,
         noise.of_one_sample(&[Triad::Mag])
     );
-    text += &super::comment("# ", &said);
+    text += &super::comment("# ", &note);
     text.push_str("import numpy as np\n\nimu_err = {\n");
     // Writing to a text cannot fail.
     let mut row = |key: &str, unit: &str, [x, y, z]: [f64; 3]| {

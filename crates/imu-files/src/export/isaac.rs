@@ -27,14 +27,14 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
-    let said = format!(
+    let note = format!(
         "For the observation terms of an IMU in Isaac Lab (isaaclab/utils/noise/noise_cfg.py). std is the standard deviation {}, \
          N sqrt(rate); one number for three axes: the largest. Not expressible: bias instability B, random walk K, a Gauss-Markov \
          process; the bias of NoiseModelWithAdditiveBiasCfg is drawn at a reset and stays: it is the one at switch-on, which a record \
          at rest does not show.",
         noise.of_one_sample(&[Triad::Accel, Triad::Gyro])
     );
-    text += &super::comment("# ", &said);
+    text += &super::comment("# ", &note);
     // Writing to a text cannot fail.
     let _ = writeln!(
         text,

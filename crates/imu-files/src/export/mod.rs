@@ -404,11 +404,11 @@ impl ImuNoise {
                 behind.extend(there.map(|channel| (channel, format!("means of {window} at {own_hz} Hz"))));
             }
         }
-        let told = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
+        let stated_s = model.provenance.as_ref().and_then(|of| of.get("duration_s")?.as_f64());
         let caution = model.provenance.as_ref().and_then(|of| Some(of.get("not_usable")?.as_str()?.to_owned()));
         let [accel, gyro, mag] = triads;
         // Without a record: a day, over which its walks would be visible.
-        let duration_s = told.unwrap_or(86_400.0);
+        let duration_s = stated_s.unwrap_or(86_400.0);
         Self { origin, caution, behind, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
     }
 

@@ -16,13 +16,13 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
-    let said = format!(
+    let note = format!(
         "For the driver that fills sensor_msgs/Imu. Variances {}, N^2 rate, one per axis: robot_localization takes rates and \
          accelerations as measurements with the covariance of their message. It estimates no bias, and these variances hold neither B \
          nor K: add the square of the bias that is left.",
         noise.of_one_sample(&[Triad::Accel, Triad::Gyro])
     );
-    text += &super::comment("# ", &said);
+    text += &super::comment("# ", &note);
     text += &super::comment("# ", filter::INFLATED);
     ros::matrices(&mut text, form(noise));
     text

@@ -44,12 +44,12 @@ fn covariance(triad: Triad, key: &'static str, unit: &str, axes: &[Axis; 3], fac
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
-    let said = format!(
+    let note = format!(
         "Variances {}, N^2 rate, SI. A covariance holds white noise only: bias instability B, rate random walk K and Gauss-Markov \
          cannot be expressed here and belong into the filter's process noise.",
         noise.of_one_sample(&[Triad::Accel, Triad::Gyro, Triad::Mag])
     );
-    text += &super::comment("# ", &said);
+    text += &super::comment("# ", &note);
     matrices(&mut text, form(noise));
     for (sensor, axes, unit) in [("accel", &noise.accel, "m/s^3"), ("gyro", &noise.gyro, "rad/s^2")] {
         if let Some(axes) = axes {

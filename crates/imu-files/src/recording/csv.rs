@@ -151,7 +151,7 @@ pub(super) struct CsvRows {
     lines: Lines,
     pub(super) header: Header,
     /// The rate that a comment before the header states, Hz.
-    pub(super) told_rate_hz: Option<f64>,
+    pub(super) commented_rate_hz: Option<f64>,
     decimals: Decimals,
     split: Split,
     /// Whether the current line is the first row already.
@@ -164,7 +164,7 @@ impl CsvRows {
     pub(super) fn open(input: &Input) -> Result<Self, RecordingError> {
         let (file, map) = (input.path(), input.columns());
         let mut lines = Lines::new(input)?;
-        let mut told_rate_hz = None;
+        let mut commented_rate_hz = None;
         let header = loop {
             if !lines.advance()? {
                 // The file contains only comments.
@@ -175,13 +175,13 @@ impl CsvRows {
             if !Header::is_comment(&line, map) {
                 break Header::understand(&line, map, file)?;
             }
-            told_rate_hz = told_rate_hz.or_else(|| rate_of_comment(&line));
+            commented_rate_hz = commented_rate_hz.or_else(|| rate_of_comment(&line));
         };
         let waiting = header.is_row;
         Ok(Self {
             lines,
             header,
-            told_rate_hz,
+            commented_rate_hz,
             decimals: Decimals::default(),
             split: Split::default(),
             waiting,

@@ -47,7 +47,7 @@ pub(super) fn doubts(values: &Values, conversions: &[Conversion], turned_s: f64)
 }
 
 /// Returns the stated unit of a triad's columns, with its factor; `None` if they differ.
-fn told(triad: Triad, conversions: &[Conversion]) -> Option<(&'static str, f64)> {
+fn stated_unit(triad: Triad, conversions: &[Conversion]) -> Option<(&'static str, f64)> {
     let mut units = triad.channels().into_iter().map(|channel| {
         let converted = conversions.iter().find(|conversion| conversion.channel == channel);
         converted.map_or((channel.unit(), 1.0), |conversion| (conversion.original_unit, conversion.factor))
@@ -74,7 +74,7 @@ fn fitting(triad: Triad, written: f64, fits: impl Fn(f64) -> bool) -> Option<(&'
 }
 
 fn gravity(values: &Values, conversions: &[Conversion]) -> Option<Doubt> {
-    let (unit, factor) = told(Triad::Accel, conversions)?;
+    let (unit, factor) = stated_unit(Triad::Accel, conversions)?;
     let lengths = lengths(values, Triad::Accel);
     let count = lengths.len();
     let (length, spread) = median_and_spread(lengths).filter(|(length, _)| count >= LEAST_SAMPLES && *length > 0.0)?;
@@ -94,7 +94,7 @@ fn gravity(values: &Values, conversions: &[Conversion]) -> Option<Doubt> {
 }
 
 fn field(values: &Values, conversions: &[Conversion]) -> Option<Doubt> {
-    let (unit, factor) = told(Triad::Mag, conversions)?;
+    let (unit, factor) = stated_unit(Triad::Mag, conversions)?;
     let lengths = lengths(values, Triad::Mag);
     let count = lengths.len();
     let (length, _) = median_and_spread(lengths).filter(|_| count >= LEAST_SAMPLES)?;
@@ -113,7 +113,7 @@ fn field(values: &Values, conversions: &[Conversion]) -> Option<Doubt> {
 }
 
 fn rotation(values: &Values, conversions: &[Conversion], turned_s: f64) -> Option<Doubt> {
-    let (unit, factor) = told(Triad::Gyro, conversions)?;
+    let (unit, factor) = stated_unit(Triad::Gyro, conversions)?;
     let degrees = Some(("_deg_s", "deg/s"));
     let is_near = |ratio: f64, expected: f64| (ratio / expected).ln().abs() < RATIO_WITHIN.ln();
     let turns = &values.turning.turns;

@@ -9,7 +9,7 @@ use imu_core::sample::Channel;
 use std::collections::BTreeMap;
 
 /// A given rate is reported if it differs by more than this share from the rate found.
-const TOLD_DIFFERS: f64 = 0.005;
+const RATE_DIFFERS: f64 = 0.005;
 /// From this share of the samples on, late stamps are not strays but another run.
 const LATE_FROM: f64 = 0.05;
 /// From this share of samples on, repetitions are not chance: a coarse sensor's values repeat now and then.
@@ -206,10 +206,10 @@ impl RecordingInfo {
                 "the rate of {commented_hz} Hz is that of a comment before the header (--rate HZ tells another)"
             ));
         }
-        if let Some(told_hz) = self.unused_rate_hz {
-            let (differs, hz) = ((told_hz / self.rate_hz - 1.0).abs() > TOLD_DIFFERS, rate(self.rate_hz));
+        if let Some(unused_hz) = self.unused_rate_hz {
+            let (differs, hz) = ((unused_hz / self.rate_hz - 1.0).abs() > RATE_DIFFERS, rate(self.rate_hz));
             let but = if differs { format!(", which lie on a grid of {hz} Hz") } else { String::new() };
-            remarks.push(format!("the rate of {told_hz} Hz of a comment is not used: the recording has stamps{but}"));
+            remarks.push(format!("the rate of {unused_hz} Hz of a comment is not used: the recording has stamps{but}"));
         }
         remarks.extend(self.overridden());
     }
@@ -327,11 +327,11 @@ impl RecordingInfo {
             groups.entry(*count).or_default().push(channel.name());
         }
         let samples = self.samples;
-        let say = |(count, names): (u64, Vec<&str>)| {
+        let sentence = |(count, names): (u64, Vec<&str>)| {
             let has = if names.len() == 1 { "has" } else { "have" };
             format!("{} {has} no value in {count} of {samples} samples", names.join(" "))
         };
-        groups.into_iter().map(say).collect()
+        groups.into_iter().map(sentence).collect()
     }
 
     /// Describes axes of one quantity that came in different units: this may be intended, but seldom is.

@@ -111,10 +111,10 @@ impl Header {
         let mut seen: Vec<(Channel, String)> = Vec::new();
         let mut used = Vec::new();
         for (index, name) in cells.iter().map(|name| clean(name)).enumerate() {
-            let told = map.of(index + 1, name);
-            used.extend(told.map(|(pair, _)| pair));
-            let meaning = match told {
-                Some((_, told)) => target(told),
+            let mapped = map.of(index + 1, name);
+            used.extend(mapped.map(|(pair, _)| pair));
+            let meaning = match mapped {
+                Some((_, target_name)) => target(target_name),
                 None if name == STAMPS[0].0 => target(name),
                 None => value_of(name),
             };
@@ -241,9 +241,10 @@ fn cells(line: &str, delimiter: u8) -> Vec<String> {
 /// Returns whether every column that the user named by its position contains a number or is empty; other columns may
 /// hold text.
 fn is_row(cells: &[String], map: &ColumnMap) -> bool {
-    let told = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
-    let told: Vec<&str> = told.map(|(_, cell)| clean(cell)).collect();
-    told.iter().all(|cell| cell.is_empty() || cell.parse::<f64>().is_ok()) && told.iter().any(|cell| !cell.is_empty())
+    let mapped = cells.iter().enumerate().filter(|(index, name)| map.of(index + 1, name).is_some());
+    let mapped: Vec<&str> = mapped.map(|(_, cell)| clean(cell)).collect();
+    mapped.iter().all(|cell| cell.is_empty() || cell.parse::<f64>().is_ok())
+        && mapped.iter().any(|cell| !cell.is_empty())
 }
 
 fn shown(cells: &[String]) -> String {

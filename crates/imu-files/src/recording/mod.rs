@@ -149,10 +149,10 @@ impl Recording {
             Some(_) => Stamps::Relative,
         };
         let stamped = stamps != Stamps::None;
-        let commented_rate_hz = source.told_rate_hz().filter(|_| options.rate_hz.is_none());
+        let commented_rate_hz = source.commented_rate_hz().filter(|_| options.rate_hz.is_none());
         let no_step = || RecordingError::NoStep { file: file.to_owned(), samples: survey.samples };
         let (rate_hz, rate_assumed) = match (options.rate_hz, layout.kind) {
-            (Some(told_hz), _) => (told_hz, false),
+            (Some(given_hz), _) => (given_hz, false),
             _ if stamped => (NANOS_PER_SECOND as f64 / survey.period_ns().ok_or_else(no_step)?, false),
             (None, kind) => match (commented_rate_hz, kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
@@ -302,9 +302,9 @@ struct Layout {
 impl Layout {
     fn find(input: &Input, options: &Options) -> Result<Self, RecordingError> {
         let kind = detect(input)?;
-        let told = !input.columns().is_empty();
+        let has_columns = !input.columns().is_empty();
         let of_no_csv = |found| RecordingError::ColumnsOfNoCsv { file: input.path().to_owned(), found };
-        if let Some(found) = kind.without_columns().filter(|_| told) {
+        if let Some(found) = kind.without_columns().filter(|_| has_columns) {
             return Err(of_no_csv(found));
         }
         let (chosen, topics) = match kind {
@@ -322,7 +322,7 @@ impl Layout {
     }
 
     /// Finds the grid of the first stamps, unless the given rate overrides them.
-    fn find_grid(&mut self, input: &Input, told_hz: Option<f64>) -> Result<(), RecordingError> {
+    fn find_grid(&mut self, input: &Input, given_hz: Option<f64>) -> Result<(), RecordingError> {
         if self.chosen.column.is_none() {
             return Ok(());
         }
@@ -336,9 +336,9 @@ impl Layout {
             }
         }
         self.chosen.grid = grid::find(&first);
-        if let (Some(told_hz), Some(grid)) = (told_hz, &self.chosen.grid) {
+        if let (Some(given_hz), Some(grid)) = (given_hz, &self.chosen.grid) {
             let stamps_hz = NANOS_PER_SECOND as f64 / grid.period_ns;
-            if (told_hz / stamps_hz - 1.0).abs() > RATE_NEAR {
+            if (given_hz / stamps_hz - 1.0).abs() > RATE_NEAR {
                 self.chosen = Chosen { overridden_hz: Some(stamps_hz), count: self.chosen.count, ..Chosen::default() };
             }
         }
@@ -396,9 +396,9 @@ impl Source {
         if let Self::RawBytes(rows) = self { rows.restarts() } else { 0 }
     }
     /// Returns the rate that the file itself states for samples without stamps, Hz.
-    fn told_rate_hz(&self) -> Option<f64> {
+    fn commented_rate_hz(&self) -> Option<f64> {
         match self {
-            Self::Csv(rows) => rows.told_rate_hz,
+            Self::Csv(rows) => rows.commented_rate_hz,
             _ => None,
         }
     }

@@ -11,9 +11,9 @@ fn at_40_hz() -> Options {
     Options { rate_hz: Some(40.0), ..Options::default() }
 }
 
-fn says(recording: &Recording, words: &[&str]) {
+fn assert_remark(recording: &Recording, words: &[&str]) {
     let remarks = recording.info().remarks();
-    assert!(remarks.iter().any(|said| words.iter().all(|word| said.contains(word))), "{words:?}: {remarks:#?}");
+    assert!(remarks.iter().any(|remark| words.iter().all(|word| remark.contains(word))), "{words:?}: {remarks:#?}");
 }
 
 fn lines_rejected(recording: &Recording) -> Vec<u64> {
@@ -64,9 +64,9 @@ fn only_the_rate_of_samples_is_taken_from_a_comment() {
         let text = format!("{comment}\ngyro_x_rad_s\n1\n2\n");
         let recording = read(text.as_bytes(), Options::default()).unwrap();
         assert_eq!(recording.info().rate_hz, 50.0, "{comment}");
-        says(&recording, &["50 Hz", "a comment"]);
-        let told = read(text.as_bytes(), at_40_hz()).unwrap();
-        assert_eq!((told.info().rate_hz, told.info().findings.commented_rate_hz), (40.0, None));
+        assert_remark(&recording, &["50 Hz", "a comment"]);
+        let overridden = read(text.as_bytes(), at_40_hz()).unwrap();
+        assert_eq!((overridden.info().rate_hz, overridden.info().findings.commented_rate_hz), (40.0, None));
     }
 }
 
@@ -198,7 +198,7 @@ fn two_runs_in_one_file_are_said_with_the_line_that_divides_them() {
     let run: String = (0..200).map(|index| format!("{:.3},{index}\n", f64::from(index) * 0.025)).collect();
     let recording = read(format!("time_s,gyro_x_rad_s\n{run}{run}").as_bytes(), Options::default()).unwrap();
     assert_eq!(recording.info().samples, 200);
-    says(&recording, &["50 % of the samples were rejected", "two runs", "line 202"]);
+    assert_remark(&recording, &["50 % of the samples were rejected", "two runs", "line 202"]);
 }
 
 #[test]
@@ -209,8 +209,8 @@ fn channels_without_a_value_are_counted_and_said() {
         text += &format!("{:.3},{x},{x},{index},\n", f64::from(index) * 0.025);
     }
     let recording = read(text.as_bytes(), Options::default()).unwrap();
-    says(&recording, &["accel_x accel_y have no value in 20 of 200 samples"]);
-    says(&recording, &["gyro_y has no value in 200 of 200 samples"]);
+    assert_remark(&recording, &["accel_x accel_y have no value in 20 of 200 samples"]);
+    assert_remark(&recording, &["gyro_y has no value in 200 of 200 samples"]);
     let absent: Vec<u64> = recording.info().findings.absent.values().copied().collect();
     assert_eq!(absent, [20, 20, 200]);
 }

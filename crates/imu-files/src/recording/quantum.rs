@@ -140,8 +140,8 @@ mod tests {
         let mut values: Vec<f64> = noise(7, 4096).iter().map(|noise| rounded(2.0 * noise).to_radians()).collect();
         let found = step_of(&values).unwrap().to_degrees();
         assert!((found / step - 1.0).abs() < 1e-3, "{found}");
-        for (place, odd) in noise(8, 40).into_iter().enumerate() {
-            values[place * 100] = odd;
+        for (place, outlier) in noise(8, 40).into_iter().enumerate() {
+            values[place * 100] = outlier;
         }
         let found = step_of(&values).unwrap().to_degrees();
         assert!((found / step - 1.0).abs() < 1e-3, "{found}");

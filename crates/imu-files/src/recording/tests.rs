@@ -135,8 +135,8 @@ fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
     let loaded = Folder::new().load(&content, Options::default()).unwrap();
     assert!((loaded.info.rate_hz / 400.0 - 1.0).abs() < 1e-6, "{}", loaded.info.rate_hz);
     assert_eq!((loaded.samples, loaded.missing, loaded.gaps.len()), (240_000, 0, 0));
-    let said = loaded.info.remarks().join("; ");
-    assert!(said.contains("stamps lie on a grid of 400.0 Hz, rounded to 1 ms"), "{said}");
+    let remarks = loaded.info.remarks().join("; ");
+    assert!(remarks.contains("stamps lie on a grid of 400.0 Hz, rounded to 1 ms"), "{remarks}");
     // Two decimals at 200 Hz: two samples with each stamp. None is a duplicate.
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
     for index in 0..20_000 {
@@ -234,9 +234,9 @@ fn a_told_rate_overrides_the_stamps_and_says_so() {
     let far = load(400.0);
     assert_eq!((far.info.rate_hz, far.missing, far.info.stamps), (400.0, 0, Stamps::None));
     for (loaded, words) in [(near, "gaps are still theirs"), (far, "they do not count")] {
-        let said = loaded.info.remarks().join("; ");
+        let remarks = loaded.info.remarks().join("; ");
         let overrides = format!("--rate {} overrides", loaded.info.rate_hz);
-        assert!(said.contains(words) && said.contains(&overrides) && said.contains("40.0 Hz"), "{said}");
+        assert!(remarks.contains(words) && remarks.contains(&overrides) && remarks.contains("40.0 Hz"), "{remarks}");
     }
 }
 
@@ -340,8 +340,8 @@ fn raw_lines_without_stamps_are_taken_at_forty_hertz_and_say_so() {
     assert_eq!(values(&loaded, Channel::AccelZ)[0], -9.965);
     assert_eq!(loaded.info.decimals.get(Channel::GyroX), Some(6));
     assert_eq!(loaded.info.decimals.get(Channel::MagX), Some(4));
-    let told = Folder::new().load(&content, at_rate(50.0)).unwrap();
-    assert_eq!((told.info.rate_hz, told.info.rate_assumed), (50.0, false));
+    let overridden = Folder::new().load(&content, at_rate(50.0)).unwrap();
+    assert_eq!((overridden.info.rate_hz, overridden.info.rate_assumed), (50.0, false));
 }
 
 #[test]
@@ -637,7 +637,7 @@ fn a_pipe_a_device_and_a_folder_are_no_files_and_nothing_waits_for_them() {
         [(pipe.as_path(), "a pipe"), (Path::new("/dev/zero"), "a device"), (folder.0.path(), "a folder")]
     {
         let error = Recording::open(path, Options::default()).unwrap_err();
-        assert!(matches!(error, RecordingError::NoFile { found: said, .. } if said == found), "{error}");
+        assert!(matches!(error, RecordingError::NoFile { found: actual, .. } if actual == found), "{error}");
     }
 }
 

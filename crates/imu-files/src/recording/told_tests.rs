@@ -13,16 +13,16 @@ fn read(text: &str, pairs: &[&str], options: Options) -> Result<Recording, Recor
     Recording::read(input, options)
 }
 
-fn told(text: &str) -> Vec<String> {
+fn remarks_of(text: &str) -> Vec<String> {
     read(text, &[], Options::default()).unwrap().info().remarks()
 }
 
-fn says(remarks: &[String], words: &[&str]) {
+fn assert_remark(remarks: &[String], words: &[&str]) {
     let has = |remark: &String| words.iter().all(|word| remark.contains(word));
     assert!(remarks.iter().any(has), "{words:?} in none of {remarks:#?}");
 }
 
-fn says_not(remarks: &[String], word: &str) {
+fn assert_no_remark(remarks: &[String], word: &str) {
     assert!(remarks.iter().all(|remark| !remark.contains(word)), "{word}: {remarks:#?}");
 }
 
@@ -82,21 +82,33 @@ fn claimed(rocks: bool, [gyro, accel, mag]: [f64; 3]) -> String {
 fn a_unit_that_the_values_contradict_is_said_with_the_one_that_fits_and_nothing_is_converted() {
     let degrees = 1.0_f64.to_degrees();
     for rocks in [false, true] {
-        let remarks = told(&claimed(rocks, [1.0, 1.0, 1.0]));
-        says_not(&remarks, "does not look like");
+        let remarks = remarks_of(&claimed(rocks, [1.0, 1.0, 1.0]));
+        assert_no_remark(&remarks, "does not look like");
         let recording = read(&claimed(rocks, [degrees, 1.0, 1.0]), &[], Options::default()).unwrap();
-        says(&recording.info().remarks(), &["gyro does not look like rad/s", "gyro_x_deg_s", "nothing was changed"]);
+        assert_remark(
+            &recording.info().remarks(),
+            &["gyro does not look like rad/s", "gyro_x_deg_s", "nothing was changed"],
+        );
         let loaded = columns(&recording).unwrap();
         let first = loaded.column(Channel::GyroZ).unwrap().values[0];
         assert!((first - rows(rocks)[0][2] * degrees).abs() < 1e-5, "{first}");
     }
-    says(
-        &told(&claimed(false, [1.0, 1.0 / 9.80665, 1.0])),
+    assert_remark(
+        &remarks_of(&claimed(false, [1.0, 1.0 / 9.80665, 1.0])),
         &["accel does not look like m/s²", "accel_x_g", "|a| is 0.99"],
     );
-    says(&told(&claimed(false, [1.0, 1000.0 / 9.80665, 1.0])), &["accel does not look like m/s²", "accel_x_mg"]);
-    says(&told(&claimed(false, [1.0, 16_384.0 / 9.80665, 1.0])), &["accel does not look like m/s²", "counts"]);
-    says(&told(&claimed(false, [1.0, 1.0, 100.0])), &["mag does not look like gauss", "mag_x_ut", "|m| is 47"]);
+    assert_remark(
+        &remarks_of(&claimed(false, [1.0, 1000.0 / 9.80665, 1.0])),
+        &["accel does not look like m/s²", "accel_x_mg"],
+    );
+    assert_remark(
+        &remarks_of(&claimed(false, [1.0, 16_384.0 / 9.80665, 1.0])),
+        &["accel does not look like m/s²", "counts"],
+    );
+    assert_remark(
+        &remarks_of(&claimed(false, [1.0, 1.0, 100.0])),
+        &["mag does not look like gauss", "mag_x_ut", "|m| is 47"],
+    );
 }
 
 /// About the vertical, gravity shows no turning: the motion of a rate table is no noise.
@@ -112,7 +124,7 @@ fn turning_about_the_vertical_is_no_noise() {
         let cells: Vec<String> = turned.iter().chain(&felt).map(|value| format!("{value:.6}")).collect();
         text += &format!("{time:.3},{}\n", cells.join(","));
     }
-    says_not(&told(&text), "does not look like");
+    assert_no_remark(&remarks_of(&text), "does not look like");
 }
 
 #[test]
@@ -135,8 +147,8 @@ fn stamps_that_stand_still_or_come_late_are_counted_and_said() {
     assert_eq!(found.latest_by_s, Some(0.05));
     assert_eq!(recording.info().rejected, [(DiscardCause::Duplicate, 6)].into());
     let remarks = recording.info().remarks();
-    says(&remarks, &["5 stamps repeat the one before, in 2 runs of up to 4"]);
-    says(&remarks, &["1 stamps lie before the one before, by up to 0.05 s"]);
+    assert_remark(&remarks, &["5 stamps repeat the one before, in 2 runs of up to 4"]);
+    assert_remark(&remarks, &["1 stamps lie before the one before, by up to 0.05 s"]);
 }
 
 #[test]
@@ -144,7 +156,7 @@ fn a_told_rate_that_the_stamps_contradict_is_said_and_a_comment_tells_one_to_row
     let stamped = "# rate: 100 Hz\ntime_s,gyro_x_rad_s\n0,1\n0.025,2\n0.05,4\n";
     let recording = read(stamped, &[], Options::default()).unwrap();
     assert_eq!((recording.info().rate_hz, recording.info().unused_rate_hz), (40.0, Some(100.0)));
-    says(&recording.info().remarks(), &["the rate of 100 Hz of a comment is not used", "a grid of 40.0 Hz"]);
+    assert_remark(&recording.info().remarks(), &["the rate of 100 Hz of a comment is not used", "a grid of 40.0 Hz"]);
     let plain = read("% sampling rate 100 Hz\ngyro_x_rad_s\n1\n2\n", &[], Options::default()).unwrap();
     assert_eq!((plain.info().rate_hz, plain.info().unused_rate_hz), (100.0, None));
     let options = Options { rate_hz: Some(50.0), ..Options::default() };
@@ -155,8 +167,8 @@ fn a_told_rate_that_the_stamps_contradict_is_said_and_a_comment_tells_one_to_row
 fn axes_in_different_units_are_each_converted_and_said() {
     let text =
         "time_s,accel_x_g,accel_y_m_s2,gyro_x_deg_s,gyro_y_deg_s\n0,1,9.5,1,2\n0.025,1.1,9.6,2,3\n0.05,1,9,3,1\n";
-    says(&told(text), &["different units (accel_x in g, accel_y in m/s²)"]);
-    says_not(&told(text), "gyro_x in");
+    assert_remark(&remarks_of(text), &["different units (accel_x in g, accel_y in m/s²)"]);
+    assert_no_remark(&remarks_of(text), "gyro_x in");
 }
 
 #[test]
@@ -290,7 +302,7 @@ fn of_real_recordings_the_facts_are_told_and_no_unit_is_doubted() {
         let recording = Recording::open(&folder.join(file), Options { rate_hz, ..Options::default() }).unwrap();
         let remarks = recording.info().remarks();
         assert!(recording.info().findings.doubts.is_empty(), "{file}: {remarks:#?}");
-        says_not(&remarks, "pairs or bursts");
-        words.iter().for_each(|word| says(&remarks, &[word]));
+        assert_no_remark(&remarks, "pairs or bursts");
+        words.iter().for_each(|word| assert_remark(&remarks, &[word]));
     }
 }

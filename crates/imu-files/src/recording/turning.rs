@@ -24,16 +24,16 @@ type Vector = [f64; 3];
 pub(super) struct Turns {
     /// The number of comparisons.
     pub(super) count: u64,
-    seen_told: f64,
+    seen_predicted: f64,
     seen_seen: f64,
-    told_told: f64,
+    predicted_predicted: f64,
 }
 
 impl Turns {
     /// Returns the ratio of the sensor's turning to that of the gyro, and how well directions agree (1: exactly).
     pub(super) fn ratio(&self) -> Option<(f64, f64)> {
-        let ratio = self.seen_told / self.told_told;
-        let agreement = self.seen_told / (self.seen_seen * self.told_told).sqrt();
+        let ratio = self.seen_predicted / self.predicted_predicted;
+        let agreement = self.seen_predicted / (self.seen_seen * self.predicted_predicted).sqrt();
         (self.count > 0 && ratio.is_finite() && agreement.is_finite()).then_some((ratio, agreement))
     }
 }
@@ -89,11 +89,11 @@ impl Turning {
         *hops += 1;
         let seen = [0, 1, 2].map(|axis| now[axis] - begin[axis]);
         if dot(seen, seen) > TURNED * TURNED {
-            let told = cross(*begin, self.angle);
+            let predicted = cross(*begin, self.angle);
             self.turns.count += 1;
-            self.turns.seen_told += dot(seen, told);
+            self.turns.seen_predicted += dot(seen, predicted);
             self.turns.seen_seen += dot(seen, seen);
-            self.turns.told_told += dot(told, told);
+            self.turns.predicted_predicted += dot(predicted, predicted);
             self.begin(now);
         } else if *hops == HOPS_MAX {
             self.begin(now);

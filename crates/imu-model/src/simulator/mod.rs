@@ -132,7 +132,7 @@ pub struct Simulator {
     course: Option<Box<dyn TemperatureCourse>>,
     rest_temperature_c: f64,
     /// Whether the motion has given a temperature so far.
-    motion_told_temperature: bool,
+    motion_has_temperature: bool,
     threads: usize,
     timing: Vec<(Timing, Stream, Stream)>,
     motions: Vec<Motion>,
@@ -195,7 +195,7 @@ impl Simulator {
             motion: None,
             course: None,
             rest_temperature_c: temperature.unwrap_or(USUAL_TEMPERATURE_C),
-            motion_told_temperature: false,
+            motion_has_temperature: false,
             threads: 1,
             timing: timing(model, seed),
             motions: Vec::new(),
@@ -340,11 +340,11 @@ impl Simulator {
             self.temperatures.extend((0..internal).map(|place| course.temperature_c(time_s(place))));
         } else if self.motion.is_some() {
             for motion in &self.motions {
-                self.motion_told_temperature |= motion.temperature_c.is_some();
+                self.motion_has_temperature |= motion.temperature_c.is_some();
                 self.rest_temperature_c = motion.temperature_c.unwrap_or(self.rest_temperature_c);
                 self.temperatures.push(self.rest_temperature_c);
             }
-            if !self.motion_told_temperature {
+            if !self.motion_has_temperature {
                 self.temperatures.clear();
             }
         }

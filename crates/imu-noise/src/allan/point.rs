@@ -93,9 +93,9 @@ pub fn noise_by_slope(points: &[AllanPoint]) -> Vec<NoiseType> {
             kinds[at] = before;
         }
     }
-    let told = points.iter().take_while(|point| point.phases() >= LEAST * point.m as f64).count();
-    if let Some(last) = told.checked_sub(1).and_then(|last| kinds.get(last).copied()) {
-        kinds.iter_mut().skip(told).for_each(|kind| *kind = last);
+    let reliable = points.iter().take_while(|point| point.phases() >= LEAST * point.m as f64).count();
+    if let Some(last) = reliable.checked_sub(1).and_then(|last| kinds.get(last).copied()) {
+        kinds.iter_mut().skip(reliable).for_each(|kind| *kind = last);
     }
     kinds
 }

@@ -92,8 +92,8 @@ impl Strided {
     pub(super) fn from_bytes(grid: &TauGrid, bytes: &[u8]) -> Option<Self> {
         let mut strided = Self::new(grid);
         let (index, rest) = bytes.split_first_chunk::<8>()?;
-        let (phases, odd) = rest.as_chunks::<16>();
-        if !odd.is_empty() || phases.len() != 1 + KEPT * strided.rings.len() {
+        let (phases, remainder) = rest.as_chunks::<16>();
+        if !remainder.is_empty() || phases.len() != 1 + KEPT * strided.rings.len() {
             return None;
         }
         strided.index = u64::from_le_bytes(*index);

@@ -313,22 +313,22 @@ mod tests {
     fn a_record_of_68_seconds_is_too_short_to_tell_and_says_what_would_do() {
         let n = 1.2e-4;
         let deviation = n / 12.8f64.sqrt();
-        let told = Measured {
+        let measured = Measured {
             density: Some((n, [n, n])),
             minimum: Some((3.0 * deviation, 12.8, 2.6 * deviation)),
             at_rest_s: Some(68.0),
             ..Measured::default()
         };
-        let found = verdict(Channel::GyroX, told, 800.0).bias_stability.unwrap();
+        let found = verdict(Channel::GyroX, measured, 800.0).bias_stability.unwrap();
         assert_eq!((found.verdict, found.verdict.words()), (Verdict::TooShort, "too short to tell"));
         let needed_s = found.needed_s.unwrap();
         assert!((400.0..3600.0).contains(&needed_s), "{needed_s}");
         for at_rest_s in [Some(3600.0), Some(needed_s), None] {
-            let long = verdict(Channel::GyroX, Measured { at_rest_s, ..told }, 800.0).bias_stability.unwrap();
+            let long = verdict(Channel::GyroX, Measured { at_rest_s, ..measured }, 800.0).bias_stability.unwrap();
             assert_eq!((long.verdict, long.needed_s), (Verdict::Above, None));
         }
         // A value that is already within the limit stays within it.
-        let quiet = Measured { minimum: Some((1e-6, 12.8, 0.9e-6)), ..told };
+        let quiet = Measured { minimum: Some((1e-6, 12.8, 0.9e-6)), ..measured };
         assert_eq!(verdict(Channel::GyroX, quiet, 800.0).bias_stability.unwrap().verdict, Verdict::Within);
     }
 

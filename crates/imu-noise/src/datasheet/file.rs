@@ -170,7 +170,7 @@ impl Datasheet {
         });
         let sampled = match sheet.sampling {
             Some(Sampling { internal_rate_hz, filter_window }) => {
-                Sampled::Told { internal_rate_hz, filter_window: filter_window.get() }
+                Sampled::Stated { internal_rate_hz, filter_window: filter_window.get() }
             }
             None => Sampled::AsSent,
         };

@@ -48,7 +48,7 @@ pub enum Sampled {
     /// Like a VN-100: register 85 has the windows, else they are the factory's.
     Register85,
     /// By means of this many samples at an internal rate; the magnetometer sends its own samples.
-    Told {
+    Stated {
         /// The internal rate, Hz.
         internal_rate_hz: f64,
         /// Samples per mean.
@@ -108,7 +108,7 @@ impl Datasheet {
     pub fn sampling(&self, rate_hz: f64, windows: Option<FilterWindows>) -> Result<Sampling, RateError> {
         let (internal_rate_hz, window) = match self.sampled {
             Sampled::Register85 => return Ok(Sampling::new(rate_hz, windows)),
-            Sampled::Told { internal_rate_hz, filter_window } => (internal_rate_hz, filter_window),
+            Sampled::Stated { internal_rate_hz, filter_window } => (internal_rate_hz, filter_window),
             Sampled::AsSent => (rate_hz, 1),
         };
         if sampling::every(internal_rate_hz, rate_hz).is_none() {

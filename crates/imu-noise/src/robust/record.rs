@@ -215,9 +215,9 @@ pub fn parameters_together(
         false => sum(|record| record.noise.as_ref()),
     };
     // The flags of the sums themselves are kept.
-    let said = all.parameters.flags.iter().filter(|flag| !is_misfit(flag) && !main.flags.contains(flag));
-    let said: Vec<Flag> = said.cloned().collect();
-    main.flags.extend(said);
+    let kept = all.parameters.flags.iter().filter(|flag| !is_misfit(flag) && !main.flags.contains(flag));
+    let kept: Vec<Flag> = kept.cloned().collect();
+    main.flags.extend(kept);
     if let Some(foot_hz) = records.iter().flat_map(Record::foot_hz).reduce(f64::min) {
         // The skirts of a vibration extend beyond its band; they are weakest below half of the frequency at which the
         // band begins.

@@ -123,7 +123,7 @@ fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
         let part = setting.parts.iter().find(|part| part.channel == *channel)?;
         let white = part.white(setting.rate_hz);
         Some(On {
-            told: effect.parameters.get(channel.name())?.clone(),
+            parameters: effect.parameters.get(channel.name())?.clone(),
             rate_hz: setting.rate_hz,
             white,
             b: part.true_nbk[1] / white,
@@ -143,7 +143,7 @@ fn draw(kind: Kind, device: u64) -> Option<(f64, Nats)> {
 /// An effect on one channel.
 struct On {
     /// The effect's parameters, in the documented form.
-    told: Value,
+    parameters: Value,
     rate_hz: f64,
     /// The white part's standard deviation, U, and flicker and walk in units of it.
     white: f64,
@@ -153,7 +153,7 @@ struct On {
 
 impl On {
     fn number(&self, name: &str) -> Option<f64> {
-        self.told[name].as_f64()
+        self.parameters[name].as_f64()
     }
 
     /// Returns a parameter in units of the white part.
@@ -166,7 +166,7 @@ impl On {
             Kind::Tone => self.lines(&[(self.number("frequency_hz")?, self.size("amplitude")?)]),
             Kind::Comb => {
                 let fundamental_hz = self.number("fundamental_hz")?;
-                let amplitudes = self.told["amplitudes"].as_array()?.iter().filter_map(Value::as_f64);
+                let amplitudes = self.parameters["amplitudes"].as_array()?.iter().filter_map(Value::as_f64);
                 let line =
                     |(harmonic, amplitude): (u32, f64)| (f64::from(harmonic) * fundamental_hz, amplitude / self.white);
                 self.lines(&(1..).zip(amplitudes).map(line).collect::<Vec<_>>())
@@ -185,7 +185,7 @@ impl On {
             }
             Kind::BiasStep => {
                 let mut made = vec![0.0; STUDY];
-                for one in self.told.as_array()? {
+                for one in self.parameters.as_array()? {
                     course::step(&mut made, one["at_s"].as_f64()? * self.rate_hz, one["size"].as_f64()? / self.white);
                 }
                 self.course(made)
@@ -210,7 +210,7 @@ impl On {
             }
             Kind::Bursts => {
                 let size = self.size("sigma")?;
-                let intervals = self.told["intervals"].as_array()?;
+                let intervals = self.parameters["intervals"].as_array()?;
                 let length = |one: &Value| Some((one[1].as_f64()? - one[0].as_f64()?) * self.rate_hz);
                 let within: f64 = intervals.iter().map(length).sum::<Option<f64>>()?;
                 Some(Box::new(move |times| 0.5 * within * louder((times * size).powi(2))))
@@ -222,7 +222,7 @@ impl On {
                 Some(Box::new(move |times| loudness(&[(part, times * log), (1.0 - part, 0.0)])))
             }
             Kind::VarianceProfile => {
-                let factors = self.told["profile"].as_array()?.iter().filter_map(|point| point[1].as_f64());
+                let factors = self.parameters["profile"].as_array()?.iter().filter_map(|point| point[1].as_f64());
                 Some(of_logs(factors.map(|factor| 2.0 * factor.ln()).collect()))
             }
             Kind::VariancePerC => {

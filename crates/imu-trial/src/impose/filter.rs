@@ -105,13 +105,13 @@ pub(super) fn draw(making: &mut Making<'_>) -> Made {
         }
     };
     let behind: Vec<f64> = whites.into_iter().map(|white| behind * white).collect();
-    let told = |behind: &f64| {
+    let entry_of = |behind: &f64| {
         let mut entry = entry.clone();
         if *behind > 0.0 {
             entry["white_behind"] = (behind / rate_hz.sqrt()).into();
         }
         entry
     };
-    let parameters = behind.iter().map(told).collect();
+    let parameters = behind.iter().map(entry_of).collect();
     Made { size, parameters, act: Box::new(Filtered { filter, behind }) }
 }

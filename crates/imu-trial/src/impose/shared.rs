@@ -29,8 +29,8 @@ impl Act for Crosstalk {
         let Some(source) = on.columns.first().map(|column| column.values.clone()) else { return };
         let level = source.first().copied().unwrap_or(0.0);
         for (gain, column) in self.1.iter().zip(at) {
-            let heard = on.columns[*column].values.iter_mut().skip(self.0);
-            heard.zip(&source).for_each(|(value, source)| *value += gain * (source - level));
+            let delayed = on.columns[*column].values.iter_mut().skip(self.0);
+            delayed.zip(&source).for_each(|(value, source)| *value += gain * (source - level));
         }
     }
 }

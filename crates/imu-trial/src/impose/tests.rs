@@ -14,8 +14,8 @@ fn setting() -> Setting {
         channel,
         level: 0.3,
         true_nbk: [2.0 / RATE.sqrt(), 0.01, 1e-3],
-        told_nbk: [2.0 / RATE.sqrt(), 0.01, 1e-3],
-        told_bias: None,
+        declared_nbk: [2.0 / RATE.sqrt(), 0.01, 1e-3],
+        declared_bias: None,
     };
     Setting {
         rate_hz: RATE,
@@ -55,7 +55,7 @@ fn imposed(kind: Kind, seed: u64) -> (Effect, Columns, Vec<f64>) {
     (effect, after, changed)
 }
 
-fn told(effect: &Effect, name: &str) -> f64 {
+fn parameter(effect: &Effect, name: &str) -> f64 {
     effect.parameters[effect.channels[0].name()][name].as_f64().unwrap()
 }
 
@@ -102,8 +102,8 @@ fn what_is_told_of_an_effect_is_read_by_the_library() {
             continue;
         }
         let (effect, ..) = imposed(kind, 3);
-        for told in effect.parameters.values() {
-            for one in told.as_array().cloned().unwrap_or_else(|| vec![told.clone()]) {
+        for stated in effect.parameters.values() {
+            for one in stated.as_array().cloned().unwrap_or_else(|| vec![stated.clone()]) {
                 let found = CHANNEL.iter().find(|of| Some(of.spec.kind) == kind.effect()).unwrap();
                 let read = found.read(one.as_object().unwrap()).unwrap();
                 assert_eq!(read.check(RATE), Ok(()), "{kind}");
@@ -129,17 +129,17 @@ fn imposed_size(seed: u64) -> Effect {
 fn courses_of_the_level_are_what_they_say() {
     let (effect, _, changed) = imposed(Kind::RateRamp, 1);
     let slope = (changed[SAMPLES - 1] - changed[0]) / (SAMPLES - 1) as f64 * RATE;
-    assert!((slope / told(&effect, "R") - 1.0).abs() < 1e-9);
+    assert!((slope / parameter(&effect, "R") - 1.0).abs() < 1e-9);
 
     let (effect, after, changed) = imposed(Kind::TemperatureBias, 1);
     for i in [0, 9_999, SAMPLES - 1] {
-        let expected = told(&effect, "per_c") * (after.temperature_c[i] - told(&effect, "reference_c"));
+        let expected = parameter(&effect, "per_c") * (after.temperature_c[i] - parameter(&effect, "reference_c"));
         assert!((changed[i] - expected).abs() < 1e-9);
     }
 
     let (effect, _, changed) = imposed(Kind::WarmUp, 1);
-    let tau = (told(&effect, "tau_s") * RATE) as usize;
-    assert!((changed[0] / told(&effect, "amplitude") - 1.0).abs() < 1e-9);
+    let tau = (parameter(&effect, "tau_s") * RATE) as usize;
+    assert!((changed[0] / parameter(&effect, "amplitude") - 1.0).abs() < 1e-9);
     assert!((changed[tau] / changed[0] - (-1.0_f64).exp()).abs() < 1e-3);
 
     let (effect, _, changed) = imposed(Kind::BiasStep, 1);
@@ -151,9 +151,9 @@ fn courses_of_the_level_are_what_they_say() {
 #[test]
 fn lines_stand_where_they_are_told() {
     let (effect, _, changed) = imposed(Kind::Tone, 1);
-    let found = amplitude(&changed, told(&effect, "frequency_hz"));
-    assert!((found / told(&effect, "amplitude") - 1.0).abs() < 0.02, "{found}");
-    let bins = told(&effect, "frequency_hz") / RATE * SAMPLES as f64;
+    let found = amplitude(&changed, parameter(&effect, "frequency_hz"));
+    assert!((found / parameter(&effect, "amplitude") - 1.0).abs() < 0.02, "{found}");
+    let bins = parameter(&effect, "frequency_hz") / RATE * SAMPLES as f64;
     assert!((bins - bins.round()).abs() > 1e-4, "a line on a bin");
 
     let (effect, _, changed) = imposed(Kind::Comb, 1);
@@ -168,13 +168,13 @@ fn lines_stand_where_they_are_told() {
 #[test]
 fn noise_has_its_size_and_time_constant() {
     let (effect, _, changed) = imposed(Kind::QuantizationNoise, 1);
-    let expected = told(&effect, "Q") * RATE * 2.0_f64.sqrt();
+    let expected = parameter(&effect, "Q") * RATE * 2.0_f64.sqrt();
     assert!((rms(&changed) / expected - 1.0).abs() < 0.02);
 
     let sizes = |kind: Kind| {
         let ratio = |seed| {
             let (effect, _, changed) = imposed(kind, seed);
-            (rms(&changed) / told(&effect, "sigma")).powi(2)
+            (rms(&changed) / parameter(&effect, "sigma")).powi(2)
         };
         (0..30).map(ratio).sum::<f64>() / 30.0
     };
@@ -182,7 +182,7 @@ fn noise_has_its_size_and_time_constant() {
     assert!((sizes(Kind::GaussMarkov) - 1.0).abs() < 0.15);
 
     let (effect, _, changed) = imposed(Kind::GaussMarkov, 2);
-    let lag = (told(&effect, "tc_s") * RATE).round() as usize;
+    let lag = (parameter(&effect, "tc_s") * RATE).round() as usize;
     let product: f64 = changed.iter().zip(&changed[lag..]).map(|(one, other)| one * other).sum();
     let correlation = product / (SAMPLES - lag) as f64 / rms(&changed).powi(2);
     assert!((correlation - (-1.0_f64).exp()).abs() < 0.15, "{correlation}");
@@ -194,12 +194,12 @@ fn a_resonance_is_as_wide_as_told() {
     let mut power = [0.0, 0.0];
     for seed in 0..60 {
         let (effect, _, changed) = imposed(Kind::Resonance, seed);
-        let (middle, width) = (told(&effect, "frequency_hz"), told(&effect, "bandwidth_hz"));
+        let (middle, width) = (parameter(&effect, "frequency_hz"), parameter(&effect, "bandwidth_hz"));
         for chunk in changed.chunks_exact(10_000) {
-            power[0] += (amplitude(chunk, middle) / told(&effect, "sigma")).powi(2) * width;
+            power[0] += (amplitude(chunk, middle) / parameter(&effect, "sigma")).powi(2) * width;
             let side =
                 0.5 * (amplitude(chunk, middle - 0.5 * width).powi(2) + amplitude(chunk, middle + 0.5 * width).powi(2));
-            power[1] += side / told(&effect, "sigma").powi(2) * width;
+            power[1] += side / parameter(&effect, "sigma").powi(2) * width;
         }
     }
     let ratio = power[1] / power[0];
@@ -214,8 +214,8 @@ fn filters_leave_half_the_power_at_their_corner() {
             let draws = |purpose| Draw::device(seed, 9, purpose);
             Effect::draw(Kind::LowPass, &setting, Role::ALONE, draws("device"), draws("events")).unwrap()
         };
-        let effect = (0..).map(find).find(|effect| told(effect, "order") == f64::from(order)).unwrap();
-        let corner = told(&effect, "cutoff_hz");
+        let effect = (0..).map(find).find(|effect| parameter(effect, "order") == f64::from(order)).unwrap();
+        let corner = parameter(&effect, "cutoff_hz");
         let mut columns = white();
         for (i, value) in columns.columns[0].values.iter_mut().enumerate() {
             *value = 1e3 * (TAU * corner / RATE * i as f64).cos();
@@ -229,10 +229,10 @@ fn filters_leave_half_the_power_at_their_corner() {
 #[test]
 fn events_come_as_often_and_where_they_are_told() {
     let (effect, _, changed) = imposed(Kind::Spikes, 4);
-    let expected = told(&effect, "rate_hz") / RATE * SAMPLES as f64;
+    let expected = parameter(&effect, "rate_hz") / RATE * SAMPLES as f64;
     let count = changed.iter().filter(|change| **change != 0.0).count() as f64;
     assert!((count - expected).abs() < 4.0 * expected.sqrt() + 1.0, "{count} for {expected}");
-    let size = told(&effect, "amplitude");
+    let size = parameter(&effect, "amplitude");
     assert!(
         changed.iter().filter(|change| **change != 0.0).all(|change| (0.59..1.41).contains(&(change.abs() / size)))
     );
@@ -245,7 +245,7 @@ fn events_come_as_often_and_where_they_are_told() {
     };
     assert!((0..SAMPLES).all(|i| changed[i] == 0.0 || within(i)));
     let inside: Vec<f64> = (0..SAMPLES).filter(|i| within(*i)).map(|i| changed[i]).collect();
-    let ratio = rms(&inside) / told(&effect, "sigma");
+    let ratio = rms(&inside) / parameter(&effect, "sigma");
     assert!((0.75..1.05).contains(&ratio), "{ratio}");
 }
 
@@ -260,9 +260,9 @@ fn drawn(kind: Kind, role: Role) -> impl Iterator<Item = Effect> {
 #[test]
 fn what_comes_after_other_effects_does_not_erase_them() {
     let beside = Role { sense: Sense::Missing, of: 2 };
-    assert!(drawn(Kind::LowPass, beside).all(|effect| told(&effect, "cutoff_hz") >= 0.1 * RATE));
-    assert!(drawn(Kind::MovingAverage, beside).all(|effect| told(&effect, "window") <= 9.0));
-    assert!(drawn(Kind::Resolution, beside).all(|effect| told(&effect, "step") <= 1.5 * 2.0));
+    assert!(drawn(Kind::LowPass, beside).all(|effect| parameter(&effect, "cutoff_hz") >= 0.1 * RATE));
+    assert!(drawn(Kind::MovingAverage, beside).all(|effect| parameter(&effect, "window") <= 9.0));
+    assert!(drawn(Kind::Resolution, beside).all(|effect| parameter(&effect, "step") <= 1.5 * 2.0));
     assert!(!Kind::Spikes.goes_with(Kind::Saturation) && Kind::Spikes.goes_with(Kind::Tone));
 }
 
@@ -282,14 +282,15 @@ fn bursts_and_louder_intervals_leave_half_of_the_record_or_most_of_it() {
     }
     assert!((1..30).contains(&to_the_end), "{to_the_end}");
     assert!(
-        drawn(Kind::VarianceInterval, Role::ALONE).all(|of| told(&of, "to_s") - told(&of, "from_s") < 0.61 * length_s)
+        drawn(Kind::VarianceInterval, Role::ALONE)
+            .all(|of| parameter(&of, "to_s") - parameter(&of, "from_s") < 0.61 * length_s)
     );
 }
 
 #[test]
 fn spikes_that_the_sensor_lacks_are_expected_often() {
     let superfluous = Role { sense: Sense::Superfluous, of: 1 };
-    let expected = |effect: Effect| told(&effect, "rate_hz") * SAMPLES as f64 / RATE;
+    let expected = |effect: Effect| parameter(&effect, "rate_hz") * SAMPLES as f64 / RATE;
     assert!(drawn(Kind::Spikes, superfluous).map(expected).all(|events| events >= 11.9));
 }
 
@@ -302,9 +303,9 @@ fn the_white_parts_law_and_size_change_as_told() {
         columns.columns.iter().position(|column| column.channel == effect.channels[0]).unwrap()
     };
     let (effect, after, _) = imposed(Kind::VarianceInterval, 2);
-    let index = |name| (told(&effect, name) * RATE) as usize;
+    let index = |name| (parameter(&effect, name) * RATE) as usize;
     let found = variance(&after, place(&effect, &after), index("from_s"), index("to_s"));
-    let expected = told(&effect, "factor").powi(2);
+    let expected = parameter(&effect, "factor").powi(2);
     assert!((found / expected - 1.0).abs() < 0.1, "{found} for {expected}");
 
     for (kind, within) in [(Kind::HeavyTails, 0.05), (Kind::SkewedNoise, 0.05)] {
@@ -315,7 +316,7 @@ fn the_white_parts_law_and_size_change_as_told() {
     let (effect, after, _) = imposed(Kind::SkewedNoise, 3);
     let white = &after.columns[place(&effect, &after)].white;
     let skewness = white.iter().map(|value| value.powi(3)).sum::<f64>() / SAMPLES as f64 / rms(white).powi(3);
-    let part = told(&effect, "square");
+    let part = parameter(&effect, "square");
     let expected = (6.0 * part + 8.0 * part.powi(3)) / (1.0 + 2.0 * part * part).powf(1.5);
     assert!((skewness - expected).abs() < 0.08, "{skewness} for {expected}");
 }
@@ -324,7 +325,7 @@ fn the_white_parts_law_and_size_change_as_told() {
 fn what_is_sent_is_rounded_clipped_repeated_and_lost_as_told() {
     let (effect, after, _) = imposed(Kind::Resolution, 2);
     let column = after.columns.iter().find(|column| column.channel == effect.channels[0]).unwrap();
-    let step = told(&effect, "step");
+    let step = parameter(&effect, "step");
     assert!(column.values.iter().all(|value| ((value / step).round() - value / step).abs() < 1e-9));
 
     let (effect, after, _) = imposed(Kind::Saturation, 2);
@@ -335,23 +336,24 @@ fn what_is_sent_is_rounded_clipped_repeated_and_lost_as_told() {
         column.values.iter().fold((f64::MIN, f64::MAX), |(high, low), one| (high.max(*one), low.min(*one)));
     for (side, limit) in [("above", high), ("below", low)] {
         if entry[side] == true {
-            assert!((of(limit) / told(&effect, "share") - 1.0).abs() < 0.2, "{}", of(limit));
+            assert!((of(limit) / parameter(&effect, "share") - 1.0).abs() < 0.2, "{}", of(limit));
         }
     }
 
     let (effect, after, _) = imposed(Kind::HeldSamples, 2);
     let column = after.columns.iter().find(|column| column.channel == effect.channels[0]).unwrap();
     let repeats = column.values.windows(2).filter(|two| two[0] == two[1]).count() as f64;
-    let expected = told(&effect, "probability") * SAMPLES as f64;
+    let expected = parameter(&effect, "probability") * SAMPLES as f64;
     assert!((repeats - expected).abs() < 4.0 * expected.sqrt() + 1.0, "{repeats} for {expected}");
 
-    let lossy =
-        (0..20).map(|seed| imposed(Kind::Timing, seed)).find(|(effect, ..)| told(effect, "drop_probability") > 3e-4);
+    let lossy = (0..20)
+        .map(|seed| imposed(Kind::Timing, seed))
+        .find(|(effect, ..)| parameter(effect, "drop_probability") > 3e-4);
     let (effect, after, _) = lossy.unwrap();
     let steps: Vec<f64> = after.time_s.windows(2).map(|two| two[1] - two[0] - 1.0 / RATE).collect();
-    assert!((rms(&steps) / 2.0_f64.sqrt() / told(&effect, "jitter_s") - 1.0).abs() < 0.03);
+    assert!((rms(&steps) / 2.0_f64.sqrt() / parameter(&effect, "jitter_s") - 1.0).abs() < 0.03);
     let lost = after.missing.iter().filter(|missing| **missing).count() as f64;
-    let expected = told(&effect, "drop_probability") * SAMPLES as f64;
+    let expected = parameter(&effect, "drop_probability") * SAMPLES as f64;
     assert!((lost - expected).abs() < 4.0 * expected.sqrt(), "{lost} for {expected}");
 }
 
@@ -364,5 +366,5 @@ fn common_noise_is_common() {
         after.columns[other].values.iter().zip(&before.columns[other].values).map(|(now, then)| now - then).collect();
     let product: f64 = changed.iter().zip(&second).map(|(one, other)| one * other).sum::<f64>() / SAMPLES as f64;
     assert!(((product / rms(&changed) / rms(&second)).abs() - 1.0).abs() < 1e-6);
-    assert!((rms(&changed) / told(&effect, "sigma") - 1.0).abs() < 0.02);
+    assert!((rms(&changed) / parameter(&effect, "sigma") - 1.0).abs() < 0.02);
 }

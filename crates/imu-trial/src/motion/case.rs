@@ -125,8 +125,8 @@ impl Case {
                 let n = level * draw.uniform(0.8, 1.5);
                 let b = n * draw.log_uniform(0.02, 0.3);
                 let k = n * draw.log_uniform(0.001, 0.02);
-                let told = [n * draw.uniform(0.95, 1.05), b * draw.uniform(0.75, 1.25), k * draw.uniform(0.6, 1.4)];
-                [[n, b, k], told]
+                let declared = [n * draw.uniform(0.95, 1.05), b * draw.uniform(0.75, 1.25), k * draw.uniform(0.6, 1.4)];
+                [[n, b, k], declared]
             })
         });
         let warms = TemperatureCourse::draw(&mut draw);
@@ -201,9 +201,9 @@ impl Case {
                     (along.iter().map(|value| value * size).collect(), limit)
                 }
             };
-            let told =
+            let truth =
                 TrueEffect { kind: *kind, triad: triad.name().to_owned(), over_limit, numbers: numbers.clone(), limit };
-            (told, Imposed { kind: *kind, triad: *triad, numbers })
+            (truth, Imposed { kind: *kind, triad: *triad, numbers })
         };
         self.planned.iter().enumerate().map(of).collect()
     }
@@ -216,7 +216,7 @@ impl Case {
             rate_hz: self.rate_hz,
             samples: self.samples,
             own_clock: self.clock.is_some(),
-            effects: self.effects(&course, &warmth_c).into_iter().map(|(told, _)| told).collect(),
+            effects: self.effects(&course, &warmth_c).into_iter().map(|(truth, _)| truth).collect(),
             salt: self.stream("salt").salt(),
         }
     }

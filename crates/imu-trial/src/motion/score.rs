@@ -18,7 +18,7 @@ const NEARLY: f64 = 0.9;
 
 /// A judged cause of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Told {
+pub struct JudgedCause {
     /// The effect.
     pub effect: String,
     /// The triad: as stated, or that of all channels.
@@ -43,7 +43,7 @@ pub struct Judgement {
     /// The verdict, or the reason for its absence.
     pub verdict: String,
     /// The causes in their order.
-    pub causes: Vec<Told>,
+    pub causes: Vec<JudgedCause>,
     /// Whether the first cause is right.
     pub right_first: bool,
     /// Whether each effect was named.
@@ -80,7 +80,7 @@ pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f6
         verdict,
         causes: causes
             .iter()
-            .map(|cause| Told { effect: called(cause), triad: triad_of(cause), right: right(cause) })
+            .map(|cause| JudgedCause { effect: called(cause), triad: triad_of(cause), right: right(cause) })
             .collect(),
         right_first: causes.first().is_some_and(right),
         named: key.effects.iter().map(|of| causes.iter().any(|cause| is(of, cause))).collect(),
@@ -155,8 +155,8 @@ fn on_channels(of: &TrueEffect, cause: &Value) -> Vec<bool> {
         .iter()
         .enumerate()
         .filter_map(|(axis, letter)| {
-            let told = &cause["uncertainty"][format!("{}_{letter}", of.triad)];
-            let ends = &told.as_array().and_then(|list| list.first()).unwrap_or(told)[name];
+            let uncertainty = &cause["uncertainty"][format!("{}_{letter}", of.triad)];
+            let ends = &uncertainty.as_array().and_then(|list| list.first()).unwrap_or(uncertainty)[name];
             let (low, high) = (ends[0].as_f64()?, ends[1].as_f64()?);
             // One corner applies to all axes.
             let truth = of.numbers.get(axis).or(of.numbers.first())?;
@@ -357,10 +357,10 @@ mod tests {
         use crate::motion::case::{Case, pack, unpack};
         use crate::motion::plan;
         use imu_diagnosis::{Options, diagnose_moved};
-        let told = |name: &str| std::env::var(name).ok();
-        let cases: usize = told("VN100D_MOTION_CASES").and_then(|text| text.parse().ok()).unwrap_or(10);
-        let seed: u64 = told("VN100D_MOTION_SEED").and_then(|text| text.parse().ok()).unwrap_or(11);
-        let kinds = told("VN100D_MOTION_KINDS").unwrap_or_default();
+        let variable = |name: &str| std::env::var(name).ok();
+        let cases: usize = variable("VN100D_MOTION_CASES").and_then(|text| text.parse().ok()).unwrap_or(10);
+        let seed: u64 = variable("VN100D_MOTION_SEED").and_then(|text| text.parse().ok()).unwrap_or(11);
+        let kinds = variable("VN100D_MOTION_KINDS").unwrap_or_default();
         let planned = plan(seed, cases, kinds.split(',').filter(|word| !word.is_empty())).unwrap();
         let mut judged = Vec::new();
         for (index, own) in planned.iter().enumerate() {

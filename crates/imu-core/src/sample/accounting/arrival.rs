@@ -167,8 +167,8 @@ impl Accountant {
             let quarter = &mut earliest_ns[(4 * since_ns(sample) / (span_ns + 1)) as usize];
             *quarter = quarter.min(*late_ns);
         }
-        let heard = earliest_ns.into_iter().filter(|ns| ns.is_finite());
-        let (least, most) = heard.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), ns| (a.min(ns), b.max(ns)));
+        let finite_ns = earliest_ns.into_iter().filter(|ns| ns.is_finite());
+        let (least, most) = finite_ns.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), ns| (a.min(ns), b.max(ns)));
         let agreement_ns = (LATE_PERIODS * period).clamp(0.4 * HOST_JITTER_NS, HOST_JITTER_NS).max(self.host_jitter_ns);
         let on_time = |late_ns: &f64| late_ns - least < (LATE_PERIODS * period).max(self.jitter_ns());
         (most - least <= agreement_ns).then(|| from + late_ns.iter().rposition(on_time).map_or(0, |last| last + 1))

@@ -133,8 +133,8 @@ fn a_reset_to_another_rate_is_one_gap_by_the_hosts_clock() {
         line.send(to_hz, 10.0, |_| false, |_| 0);
         let (accountant, out) = line.observed(from_hz, Timebase::Arrival);
         let gaps = gaps(&out);
-        let told = (accountant.rate_hz(), gaps.len(), gaps[0].cause, gaps[0].missing_exact);
-        assert_eq!(told, (to_hz, 1, GapCause::SensorReset, false), "{from_hz} to {to_hz}");
+        let actual = (accountant.rate_hz(), gaps.len(), gaps[0].cause, gaps[0].missing_exact);
+        assert_eq!(actual, (to_hz, 1, GapCause::SensorReset, false), "{from_hz} to {to_hz}");
         assert!((accountant.missing() as f64 - 1.25 * from_hz).abs() <= 2.0, "{}", accountant.missing());
     }
 }
@@ -152,8 +152,9 @@ fn a_reset_to_a_much_higher_rate_is_one_gap_whatever_the_latency() {
                 line.send(from_hz, 40.0, |_| false, latency);
                 line.silence(1.25);
                 line.send(to_hz, 20.0, |_| false, latency);
-                let told = |at_ns| registers.then_some(if at_ns < START_NS + 40_000_000_000 { from_hz } else { to_hz });
-                let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, told);
+                let known_hz =
+                    |at_ns| registers.then_some(if at_ns < START_NS + 40_000_000_000 { from_hz } else { to_hz });
+                let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, known_hz);
                 let case = format!("{from_hz} to {to_hz}, {latency_ns}, {registers}, {seed}");
                 assert_eq!((accountant.rate_hz(), gaps(&out).len()), (to_hz, 1), "{case}");
                 assert!(
@@ -211,27 +212,27 @@ fn a_loss_that_shows_while_the_host_is_to_blame_is_the_hosts() {
         accountant.observe(Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64), &mut out);
     }
     accountant.settle(&mut out);
-    let told: Vec<_> = gaps(&out).iter().map(|gap| (gap.before_seq, gap.missing, gap.cause)).collect();
-    assert_eq!(told, [(100, 40, GapCause::HostStall)]);
+    let actual: Vec<_> = gaps(&out).iter().map(|gap| (gap.before_seq, gap.missing, gap.cause)).collect();
+    assert_eq!(actual, [(100, 40, GapCause::HostStall)]);
 }
 
 /// The registers decide before the arrivals do.
 #[test]
 fn registers_that_were_read_again_decide_about_what_is_held() {
-    for (told_hz, missing) in [(50.0, true), (25.0, false)] {
+    for (known_hz, missing) in [(50.0, true), (25.0, false)] {
         let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Arrival), Vec::new());
         let mut line = Line::default();
         line.send(50.0, 5.0, |_| false, |_| 0);
         line.send(25.0, 3.0, |_| false, |_| 0);
-        line.send(told_hz, 3.0, |_| false, |_| 0);
+        line.send(known_hz, 3.0, |_| false, |_| 0);
         for (arrived, _) in &line.arrivals {
             accountant.observe(Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64), &mut out);
             if accountant.take_doubt() == Some(RateDoubt::Open) {
-                accountant.rate_known(told_hz, &mut out);
+                accountant.rate_known(known_hz, &mut out);
             }
         }
         accountant.settle(&mut out);
-        assert_eq!((accountant.rate_hz(), accountant.missing() > 60), (told_hz, missing), "{}", accountant.missing());
+        assert_eq!((accountant.rate_hz(), accountant.missing() > 60), (known_hz, missing), "{}", accountant.missing());
         assert_eq!(accountant.received(), line.arrivals.len() as u64);
     }
 }

@@ -8,7 +8,7 @@ use crate::units::{IMU_RATE_HZ, period_ns};
 
 /// Steps of the sensor's ticks that differ from the period by more than this share belong to another rate or to losses;
 /// steps within [`RATE_SAME`] have one length.
-const RATE_ODD: f64 = 0.19;
+const RATE_DIFFERS: f64 = 0.19;
 const RATE_SAME: f64 = 0.01;
 /// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
 /// so regularly. At 100 Hz the decision takes 0.12 s, at 20 Hz 0.6 s.
@@ -67,15 +67,15 @@ impl Accountant {
         };
         let step_ns = step_ns as f64;
         let same = |other: f64| (step_ns - other).abs() <= RATE_SAME * other;
-        let odd = step_ns > 0.0
+        let differs = step_ns > 0.0
             && step_ns <= RATE_STEP_MAX_NS
-            && (step_ns / period_ns(self.rate_hz) - 1.0).abs() > RATE_ODD
+            && (step_ns / period_ns(self.rate_hz) - 1.0).abs() > RATE_DIFFERS
             && !explained;
         let begun = self.trial.held.len();
-        let goes_on = odd && (begun < 2 || same(self.trial.step_ns));
+        let goes_on = differs && (begun < 2 || same(self.trial.step_ns));
         if !goes_on {
             self.end_trial(out);
-            if !odd {
+            if !differs {
                 return self.observe_step(sample, out);
             }
         } else if begun == 1 {
@@ -93,7 +93,7 @@ impl Accountant {
     /// (shorter than one, or two and a half), which no loss makes.
     pub(super) fn end_trial(&mut self, out: &mut Vec<Record>) {
         let periods = self.trial.step_ns / period_ns(self.rate_hz);
-        let uneven = (periods - periods.round().max(1.0)).abs() > RATE_ODD;
+        let uneven = (periods - periods.round().max(1.0)).abs() > RATE_DIFFERS;
         if uneven && self.trial.held.len() > RATE_STEPS_UNEVEN {
             self.adopt_rate(out);
             return;
@@ -113,7 +113,7 @@ impl Accountant {
                 Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
                 Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
                 Observation::Taken => {}
-                told => self.told = Some(told),
+                observation => self.held_observation = Some(observation),
             }
         }
     }
@@ -223,7 +223,7 @@ impl Accountant {
             let missing = if changes { (step_ns / before).round() as u64 } else { steps } - 1;
             let gap = self.gap(&last, &sample, device_ns, missing, !changes, self.cause());
             self.push_gap(gap, out);
-        } else if (periods - 1.0).abs() > RATE_ODD {
+        } else if (periods - 1.0).abs() > RATE_DIFFERS {
             // No sample is missing, but the samples of one segment are a period apart.
             self.open = None;
         }

@@ -186,7 +186,7 @@ impl<W: Write> Sink for McapSink<W> {
     fn finish(mut self: Box<Self>, tally: &Tally) -> Result<(), ExportError> {
         let about = &self.about;
         let mut metadata: BTreeMap<String, String> =
-            about.said(tally).into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+            about.metadata(tally).into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
         for channel in &about.channels {
             metadata.insert(format!("unit.{}", channel.column_name()), channel.unit().to_owned());
         }

@@ -52,8 +52,8 @@ pub struct About {
 
 impl About {
     /// Returns a file's description of the capture besides its samples, by name.
-    fn said(&self, tally: &Tally) -> Vec<(&'static str, String)> {
-        let mut said = vec![
+    fn metadata(&self, tally: &Tally) -> Vec<(&'static str, String)> {
+        let mut pairs = vec![
             ("capture", self.name.clone()),
             ("database", self.database.clone()),
             ("started_at", rfc3339(self.origin_ns)),
@@ -65,8 +65,8 @@ impl About {
             ("recorded_by", self.software.clone()),
             ("software", self.writer.clone()),
         ];
-        said.extend(self.rate_hz.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
-        said
+        pairs.extend(self.rate_hz.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
+        pairs
     }
 }
 

@@ -83,7 +83,7 @@ impl<W: Write + Send> Sink for ParquetSink<W> {
     }
 
     fn finish(mut self: Box<Self>, tally: &Tally) -> Result<(), ExportError> {
-        for (key, value) in self.about.said(tally) {
+        for (key, value) in self.about.metadata(tally) {
             self.writer.append_key_value_metadata(KeyValue::new(key.to_owned(), value));
         }
         self.writer.finish()?;

@@ -96,15 +96,15 @@ fn parquet_gives_back_every_bit_and_says_units_and_gaps() {
     );
     assert_eq!(schema.field(7).metadata()["unit"], "rad/s");
     assert_eq!(schema.field(8).metadata()["unit"], "°C");
-    let said = builder.metadata().file_metadata().key_value_metadata().unwrap();
-    let said = |key: &str| said.iter().find(|pair| pair.key == key).unwrap().value.clone().unwrap();
+    let metadata = builder.metadata().file_metadata().key_value_metadata().unwrap();
+    let value = |key: &str| metadata.iter().find(|pair| pair.key == key).unwrap().value.clone().unwrap();
     assert_eq!(
-        (said("capture").as_str(), said("rate_hz").as_str(), said("missing").as_str()),
+        (value("capture").as_str(), value("rate_hz").as_str(), value("missing").as_str()),
         ("night \"1\"", "40", "4")
     );
-    assert_eq!(said("started_at"), "2027-01-15T08:00:00.123456789Z");
-    assert_eq!(said("sensor"), r#"{"serial_number":"0100012345"}"#);
-    let gaps: serde_json::Value = serde_json::from_str(&said("gaps")).unwrap();
+    assert_eq!(value("started_at"), "2027-01-15T08:00:00.123456789Z");
+    assert_eq!(value("sensor"), r#"{"serial_number":"0100012345"}"#);
+    let gaps: serde_json::Value = serde_json::from_str(&value("gaps")).unwrap();
     assert_eq!((&gaps[0]["cause"], &gaps[0]["missing"]), (&"unplugged".into(), &4.into()));
     let [batch] = batches.as_slice() else { panic!("{} batches", batches.len()) };
     assert!(batch.column(0).as_string::<i32>().iter().all(|database| database == Some("d0d0")));

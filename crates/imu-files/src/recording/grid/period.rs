@@ -338,8 +338,8 @@ fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     phases.extend(around);
     let phase = mode(&mut phases)?;
     let phase = phase - phase.round();
-    let told = |(index, at_ns): (usize, &f64)| (at_ns / period_ns - phase - index as f64).round() as i64;
-    let lowest = at_ns.iter().take(1024).enumerate().map(told).min()?;
+    let offset = |(index, at_ns): (usize, &f64)| (at_ns / period_ns - phase - index as f64).round() as i64;
+    let lowest = at_ns.iter().take(1024).enumerate().map(offset).min()?;
     Some((phase * period_ns, lowest.min(0)))
 }
 

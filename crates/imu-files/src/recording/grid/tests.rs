@@ -30,7 +30,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
     let origin_ns: f64 = random.random_range(0.0..1e9);
     let times: Vec<f64> = (0..count).map(|index| origin_ns + index as f64 * period_ns).collect();
     let mut held_until_ns = 0.0;
-    let told: Vec<f64> = (0..count)
+    let reported: Vec<f64> = (0..count)
         .map(|index| match kind {
             Kind::Exact | Kind::Rounded(_) => times[index],
             Kind::Jitter(sigma_ns) => {
@@ -50,11 +50,11 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
         .collect();
     let step = if let Kind::Rounded(step) = kind { step } else { 1 };
     let (mut stamps, mut places) = (Vec::new(), Vec::new());
-    for (index, told) in told.iter().enumerate() {
+    for (index, reported) in reported.iter().enumerate() {
         if random.random_bool(loss) {
             continue;
         }
-        let stamp = (told / step as f64).round() as i64 * step;
+        let stamp = (reported / step as f64).round() as i64 * step;
         // The stamps as `Order` passes them on.
         stamps.push(stamps.last().map_or(stamp, |last: &i64| stamp.max(*last)));
         places.push(index);
@@ -64,7 +64,7 @@ fn stamps(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) -> (Vec
 }
 
 /// Returns the result for stamps: the grid, missing samples, the rate.
-fn told(stamps: &[i64]) -> (StampGrid, u64, f64) {
+fn tracked(stamps: &[i64]) -> (StampGrid, u64, f64) {
     let grid = find(stamps).unwrap();
     let mut tracker = Tracker::new(&grid);
     let (mut missing, mut placed) = (0, 0);
@@ -91,9 +91,9 @@ fn identity(stamps: &[i64], missing: u64, rate_hz: f64) -> f64 {
     (stamps.len() as u64 + missing) as f64 - 1.0 - span_s * rate_hz
 }
 
-fn is_told(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
+fn assert_tracked(kind: Kind, rate_hz: f64, loss: f64, length_s: f64, seed: u64) {
     let (stamps, missing) = stamps(kind, rate_hz, loss, length_s, seed);
-    let (grid, found, found_hz) = told(&stamps);
+    let (grid, found, found_hz) = tracked(&stamps);
     let case =
         format!("{kind:?} {rate_hz} Hz, {loss} lost, seed {seed}: {found_hz} Hz, {found} of {missing}, {grid:?}");
     let period_ns = 1e9 / rate_hz;
@@ -142,7 +142,7 @@ fn half_steps_are_no_loops() {
             at_ns as i64
         })
         .collect();
-    let (grid, missing, rate_hz) = told(&stamps);
+    let (grid, missing, rate_hz) = tracked(&stamps);
     let mean_hz = (stamps.len() - 1) as f64 / (1e-9 * (stamps[stamps.len() - 1] - stamps[0]) as f64);
     assert!(!grid.is_loop && missing == 0 && (rate_hz / mean_hz - 1.0).abs() < 1e-4, "{grid:?} {missing} {rate_hz}");
 }
@@ -164,7 +164,7 @@ fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
                 }
             }
             let missing = places[places.len() - 1] - places[0] + 1 - places.len() as u64;
-            let (grid, found, found_hz) = told(&stamps);
+            let (grid, found, found_hz) = tracked(&stamps);
             let span_s = (stamps[stamps.len() - 1] - stamps[0]) as f64 / 1e9;
             let rate_hz = (stamps.len() as u64 + missing - 1) as f64 / span_s;
             let case =
@@ -181,7 +181,7 @@ fn exact_rounded_late_and_paired_stamps_tell_rate_duration_and_losses() {
     for rate_hz in RATES_HZ {
         for loss in LOSSES {
             for kind in [Kind::Exact, Kind::Rounded(1_000_000), Kind::Rounded(10_000_000), Kind::Late, Kind::Pairs] {
-                is_told(kind, rate_hz, loss, 120.0, 11);
+                assert_tracked(kind, rate_hz, loss, 120.0, 11);
             }
         }
     }
@@ -192,7 +192,7 @@ fn jittering_stamps_tell_rate_and_duration_and_losses_while_jitter_is_below_a_th
     for rate_hz in RATES_HZ {
         for loss in LOSSES {
             for jitter_ms in [1.0, 3.0, 5.0] {
-                is_told(Kind::Jitter(1e6 * jitter_ms), rate_hz, loss, 120.0, 12);
+                assert_tracked(Kind::Jitter(1e6 * jitter_ms), rate_hz, loss, 120.0, 12);
             }
         }
     }
@@ -208,7 +208,7 @@ fn a_wandering_clock_is_followed() {
     let drift = |index: i64| (index as f64 * 25e6 + 1e-4 * (index as f64 * 25e6).powi(2) / 3600e9) as i64;
     for clock in [&wander as &dyn Fn(i64) -> i64, &drift] {
         let stamps: Vec<i64> = (0..144_000).map(clock).collect();
-        let (_, missing, rate_hz) = told(&stamps);
+        let (_, missing, rate_hz) = tracked(&stamps);
         assert_eq!(missing, 0);
         assert!(identity(&stamps, missing, rate_hz).abs() < 0.2);
     }
@@ -220,7 +220,7 @@ fn holes_are_counted_whatever_the_phase_behind_them() {
         for at in [700, 70_000] {
             let hole_ns = if shift_ns == 0 { 2400 * period_ns } else { shift_ns };
             let stamps: Vec<i64> = (0..144_000).map(|i| i * period_ns + if i > at { hole_ns } else { 0 }).collect();
-            let (_, found, rate_hz) = told(&stamps);
+            let (_, found, rate_hz) = tracked(&stamps);
             assert!(found.abs_diff(missing) <= 1, "{found}");
             assert!(identity(&stamps, found, rate_hz).abs() < 0.5);
         }
@@ -231,16 +231,16 @@ fn holes_are_counted_whatever_the_phase_behind_them() {
     let jitters: Vec<i64> = (0..222).map(jitter).collect();
     let at = |index: usize| index as i64 * 1_000_030_000 + if index > 100 { 4_796_143_000_000 } else { 0 };
     let slow: Vec<i64> = jitters.iter().enumerate().map(|(index, jitter)| at(index) + jitter).collect();
-    assert_eq!(told(&slow).1, 4796);
+    assert_eq!(tracked(&slow).1, 4796);
     let slow: Vec<i64> = (0..221).map(|i| i * 1_000_000_000 + if i > 100 { 4_796_000_000_000 } else { 0 }).collect();
-    assert_eq!(told(&slow).1, 4796);
+    assert_eq!(tracked(&slow).1, 4796);
 }
 
 #[test]
 fn of_few_stamps_the_period_is_that_of_their_line() {
     for count in [2, 3, 5, 10, 30, 100] {
         let stamps: Vec<i64> = (0..count).map(|index| index * 25_000_000).collect();
-        let (_, missing, rate_hz) = told(&stamps);
+        let (_, missing, rate_hz) = tracked(&stamps);
         assert!(missing == 0 && (rate_hz - 40.0).abs() < 1e-9, "{count}: {rate_hz}");
     }
     for stamps in [&[][..], &[5], &[5, 5], &[5, 4]] {
@@ -261,7 +261,7 @@ fn bursts_of_an_unsteady_reader_have_their_mean_rate() {
         let last = stamps.last().copied().unwrap_or(0_i64);
         stamps.push((last + 2_000_000).max(fetched) + random.random_range(0..300_000));
     }
-    let (_, missing, rate_hz) = told(&stamps);
+    let (_, missing, rate_hz) = tracked(&stamps);
     assert!((rate_hz - 100.0).abs() < 0.1 && missing < 3, "{rate_hz} Hz, {missing} missing");
 }
 
@@ -280,7 +280,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
                 last
             })
             .collect();
-        let (grid, missing, found_hz) = told(&stamps);
+        let (grid, missing, found_hz) = tracked(&stamps);
         assert!(
             (found_hz / rate_hz - 1.0).abs() < 2e-4 && missing == 0,
             "{found_hz} for {rate_hz}, {missing}, {grid:?}"
@@ -292,7 +292,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
     {
         let stamp = |index: i64| (((index / batch * batch) as f64) * 1e9 / rate_hz) as i64 + index % batch * apart_ns;
         let stamps: Vec<i64> = (0..24_000).map(stamp).collect();
-        let (grid, missing, found_hz) = told(&stamps);
+        let (grid, missing, found_hz) = tracked(&stamps);
         assert!(
             (found_hz / rate_hz - 1.0).abs() < 2e-4 && missing == 0,
             "{found_hz} for {rate_hz}, {missing}, {grid:?}"
@@ -304,7 +304,7 @@ fn the_steps_of_deliveries_are_no_grid_of_samples() {
 fn regular_losses_of_a_steady_clock_are_losses() {
     // Every third: 0, 1, 3, 4. From 0, 2, 3, 5 on they could equally be pairs.
     let stamps: Vec<i64> = (0..60_000_i64).filter(|index| index % 3 != 2).map(|index| index * 25_000_000).collect();
-    let (_, missing, rate_hz) = told(&stamps);
+    let (_, missing, rate_hz) = tracked(&stamps);
     assert!((rate_hz - 40.0).abs() < 1e-6 && missing == 19_999, "{rate_hz} Hz, {missing} missing");
     let mut random = ChaCha8Rng::seed_from_u64(12);
     let mut jitter = || -> f64 { StandardNormal.sample(&mut random) };
@@ -316,6 +316,6 @@ fn regular_losses_of_a_steady_clock_are_losses() {
             last
         })
         .collect();
-    let (_, missing, rate_hz) = told(&stamps);
+    let (_, missing, rate_hz) = tracked(&stamps);
     assert!((rate_hz - 100.0).abs() < 2e-3 && missing == 60_000 / 97 + 1, "{rate_hz} Hz, {missing} missing");
 }

@@ -252,14 +252,14 @@ impl Tracker {
     /// Extends all paths to the next stamp.
     fn extend(&mut self, index: u64, at_ns: f64) {
         // A stamp's error at level 0 is the level that it shows.
-        let told = self.error(index, 0, at_ns).clamp(-LEVEL_MOST, LEVEL_MOST);
+        let shown = self.error(index, 0, at_ns).clamp(-LEVEL_MOST, LEVEL_MOST);
         let half = self.half_ns / self.period_ns;
         let lowest = self.paths.first().map_or(0, |path| path.level);
         let highest = self.paths.last().map_or(0, |path| path.level);
-        if told - highest as f64 >= self.hole() {
+        if shown - highest as f64 >= self.hole() {
             self.loose_until = index + u64::from(BEGUN);
         }
-        let near = if half > 1.0 { (told - half).ceil() } else { told.round() };
+        let near = if half > 1.0 { (shown - half).ceil() } else { shown.round() };
         // A period of length zero gives an unbounded level.
         let near = near.clamp(-LEVEL_MOST, LEVEL_MOST) as i64;
         let mut levels: Vec<i64> = self.paths.iter().map(|path| path.level).collect();
@@ -273,7 +273,7 @@ impl Tracker {
             let from = from.filter(|(_, path)| path.level == level || path.level + self.rise_least <= level);
             let ways = from.map(|(place, path)| (path.cost + loss(level - path.level), place));
             let Some((cost, place)) = ways.min_by(|one, other| one.0.total_cmp(&other.0)) else { continue };
-            let cost = cost + self.cost(index, told - level as f64);
+            let cost = cost + self.cost(index, shown - level as f64);
             // A higher level is kept only if it could not be reached later at a lower cost.
             let dominated = next.iter().any(|path: &Path| path.cost + loss(level - path.level) <= cost);
             if !dominated {

@@ -254,8 +254,8 @@ fn a_hole_in_a_database_costs_its_own_rows_and_is_said() {
         let (rows, samples) = (loaded.column(Channel::GyroX).unwrap(), loaded.info.samples);
         assert!(samples >= 2000 - 12 * holes.len() as u64 && samples < 2000, "{samples}");
         assert_eq!(*rows.values.last().unwrap(), GYRO[0] + 1999.0);
-        let said: Vec<_> = loaded.info.first_rejected.iter().map(|rejected| rejected.text.as_str()).collect();
-        assert!(!said.is_empty() && said.iter().all(|text| text.contains("passed over")), "{said:?}");
+        let texts: Vec<_> = loaded.info.first_rejected.iter().map(|rejected| rejected.text.as_str()).collect();
+        assert!(!texts.is_empty() && texts.iter().all(|text| text.contains("passed over")), "{texts:?}");
     }
     let loaded = whole(&leaves[middle..]);
     assert!((900..1100).contains(&loaded.info.samples), "{}", loaded.info.samples);
@@ -286,11 +286,11 @@ fn a_damaged_page_is_the_same_at_every_reading() {
 fn a_database_that_was_cut_off_says_what_may_save_it() {
     let messages: Vec<_> = (0..200).map(|index| message(0, index, imu(index))).collect();
     let bytes = db3(&[IMU], &messages);
-    let told = match load(bytes[..bytes.len() / 2].to_vec(), Options::default()) {
+    let report = match load(bytes[..bytes.len() / 2].to_vec(), Options::default()) {
         Err(error) => error.to_string(),
         Ok(loaded) => loaded.info.first_rejected[0].text.clone(),
     };
-    assert!(told.contains(".recover"), "{told}");
+    assert!(report.contains(".recover"), "{report}");
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
     assert_eq!(loaded.samples, 40);
     assert!(loaded.info.channels.contains(Channel::MagX), "the field goes with the samples, however many came first");
     let ignored = &loaded.info.ignored_columns;
-    assert!(ignored.iter().any(|said| said.contains("144 more connections")), "{ignored:?}");
+    assert!(ignored.iter().any(|entry| entry.contains("144 more connections")), "{ignored:?}");
     // Topics that have only text might hold raw lines: only so many of them are examined that there is room for others.
     let mut topics: Vec<Topic<'_>> =
         names[..300].iter().map(|name| (name.as_str(), "std_msgs/msg/String", None)).collect();
@@ -313,7 +313,7 @@ fn topics_of_other_things_take_no_place_and_those_not_looked_at_are_counted() {
     let loaded = load(db3(&topics, &messages), Options::default()).unwrap();
     assert_eq!(loaded.samples, 40);
     let ignored = &loaded.info.ignored_columns;
-    assert!(ignored.iter().any(|said| said.contains("108 more connections")), "{ignored:?}");
+    assert!(ignored.iter().any(|entry| entry.contains("108 more connections")), "{ignored:?}");
 }
 
 #[test]

@@ -60,7 +60,7 @@ impl SensorModel {
 
     /// Checks that channels agree about the effects that they share.
     fn check_shared(&self) -> Result<(), Fault> {
-        let mut told: BTreeMap<Shared<'_>, (Channel, &Arc<dyn Effect>)> = BTreeMap::new();
+        let mut shared: BTreeMap<Shared<'_>, (Channel, &Arc<dyn Effect>)> = BTreeMap::new();
         for (channel, parameters) in &self.channels {
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
             for (index, effect) in parameters.effects.iter().enumerate() {
@@ -71,7 +71,7 @@ impl SensorModel {
                     _ => continue,
                 };
                 let instance = counts.entry(effect.name()).or_default();
-                let (first, known) = told.entry((effect.name(), triad, *instance)).or_insert((*channel, effect));
+                let (first, known) = shared.entry((effect.name(), triad, *instance)).or_insert((*channel, effect));
                 *instance += 1;
                 if *known != effect {
                     let parameters = |effect: &dyn Effect| {
