@@ -1,5 +1,6 @@
 //! Equaliser: turns a record whose white noise changes with time into one whose white noise is even.
 
+use super::dot::dot;
 use super::filling::stream;
 use super::series::Series;
 use super::transform::Cosines;
@@ -90,11 +91,10 @@ impl Equaliser {
         const ENOUGH: f64 = 1e-8;
         const MOST: f64 = 1e-4;
         let n = values.len();
-        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / n as f64).exp();
         let nearly = |s: f64| 1.0 / (1.0 + s / usual);
         let mut residual = self.whitened(values);
-        let all = product(&residual, &self.filtered(transform, &residual, &nearly));
+        let all = dot(&residual, &self.filtered(transform, &residual, &nearly));
         let mut solution = match near {
             Some(near) => near.iter().zip(&self.deviation).map(|(x, own)| x * own).collect(),
             None => vec![0.0; n],
@@ -104,17 +104,17 @@ impl Equaliser {
             residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= i);
         }
         let mut direction = self.filtered(transform, &residual, &nearly);
-        let mut square = product(&residual, &direction);
+        let mut square = dot(&residual, &direction);
         for _ in 0..ROUNDS.min(WORK / n.max(1)) {
             if square <= ENOUGH * all || square.is_nan() {
                 break;
             }
             let image = self.image(transform, &direction);
-            let step = square / product(&direction, &image);
+            let step = square / dot(&direction, &image);
             solution.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
             residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
             let nearer = self.filtered(transform, &residual, &nearly);
-            let next = product(&residual, &nearer);
+            let next = dot(&residual, &nearer);
             let ratio = next / square;
             direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
             square = next;

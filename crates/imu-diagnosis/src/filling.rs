@@ -1,5 +1,6 @@
 //! Filling: values that replace samples that are not noise.
 
+use super::dot::dot;
 use super::explanation::LOUD;
 use super::preconditioner::Preconditioner;
 use super::series::Series;
@@ -72,8 +73,7 @@ impl Series<'_> {
         };
         let mut residual: Vec<f64> = precision(&difference).into_iter().map(|value| -value).collect();
         let mut direction = nearly(&residual);
-        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let mut square = product(&residual, &direction);
+        let mut square = dot(&residual, &direction);
         let mut spread = vec![0.0; n];
         let mut idle = 0;
         for _ in 0..ROUNDS.min(WORK / n) {
@@ -84,7 +84,7 @@ impl Series<'_> {
                 spread[*place] = *value;
             }
             let image = precision(&spread);
-            let curvature = product(&direction, &image);
+            let curvature = dot(&direction, &image);
             if curvature <= 0.0 {
                 break;
             }
@@ -95,7 +95,7 @@ impl Series<'_> {
                 residual[at] -= step * image[at];
             }
             let nearer = nearly(&residual);
-            let next = product(&residual, &nearer);
+            let next = dot(&residual, &nearer);
             let ratio = next / square;
             direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
             square = next;

@@ -3,6 +3,7 @@
 //! All quantities here are in the channel's own scale and per sample: power is U²·rate of a two-sided density, and U is a unit in
 //! which the white part is about 1.
 
+use super::dot::dot;
 use super::grid::{Grid, Narrow};
 use imu_model::effects::{Effect, EffectKind, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
 use nalgebra::{DMatrix, DVector};
@@ -507,14 +508,13 @@ impl Law {
             let slopes = law.slopes(&pieces, data);
             let count = slopes.len();
             let mut gradient = DVector::zeros(count);
+            let excess: Vec<f64> = data.power.iter().zip(&pieces.spectrum).map(|(power, s)| power / s - 1.0).collect();
             for i in 0..count {
-                let bins = slopes[i].iter().zip(&pieces.spectrum).zip(data.power).zip(data.worth);
-                gradient[i] = bins.map(|(((slope, s), power), n)| 0.5 * n * slope * (power / s - 1.0)).sum();
+                let weighted: Vec<f64> = slopes[i].iter().zip(data.worth).map(|(slope, n)| 0.5 * n * slope).collect();
+                gradient[i] = dot(&weighted, &excess);
                 for j in 0..=i {
-                    let bins = slopes[i].iter().zip(&slopes[j]).zip(data.worth);
-                    let sum: f64 = bins.map(|((a, b), n)| 0.5 * n * a * b).sum();
-                    fisher[(i, j)] = sum;
-                    fisher[(j, i)] = sum;
+                    fisher[(i, j)] = dot(&weighted, &slopes[j]);
+                    fisher[(j, i)] = fisher[(i, j)];
                 }
             }
             for (i, prior) in data.priors.iter().enumerate() {

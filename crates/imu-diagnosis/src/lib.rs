@@ -49,6 +49,7 @@ mod declared;
 pub mod diagnose;
 mod discrepancy;
 mod dither;
+mod dot;
 mod drawings;
 mod ends;
 mod equaliser;

@@ -1,5 +1,7 @@
 //! Preconditioner: the precision matrix among some samples; for many samples, restricted to pairs that are near each other.
 
+use super::dot::dot;
+
 /// The Cholesky factor of a matrix that is a function of the distance between places, reflected at the record's ends.
 ///
 /// Among many places it is tapered to 0 for far places. Parzen's window is a positive definite function, so that the
@@ -17,8 +19,11 @@ impl Preconditioner {
     /// Factors the matrix among `places` (in order) of a record of `length` samples; `kernel` is the matrix by distance,
     /// from 0 on. `None` if the factorization fails numerically.
     pub(super) fn of(kernel: &[f64], places: &[usize], length: usize) -> Option<Self> {
-        /// Approximate number of products for making the factor; in long runs, only nearer samples are used.
+        /// Approximate number of products for making the factor, per sample of the record and in all: transforms of a short
+        /// record cost little. In long runs, only nearer samples are used.
+        const WORK_PER_SAMPLE: usize = 500;
         const WORK: usize = 30_000_000;
+        let most = WORK.min(WORK_PER_SAMPLE * length);
         /// The distance of places that count as near if there are many.
         const REACH: usize = 512;
         const LEAST: usize = 8;
@@ -34,10 +39,10 @@ impl Preconditioner {
         };
         let work =
             |firsts: &[usize]| firsts.iter().enumerate().map(|(row, first)| (row - first + 1).pow(2)).sum::<usize>();
-        let is_whole = places.len().pow(3) / 3 <= WORK;
+        let is_whole = places.len().pow(3) / 3 <= most;
         let mut reach = if is_whole { length } else { REACH };
         let mut first = firsts(reach);
-        while !is_whole && reach > LEAST && work(&first) > WORK {
+        while !is_whole && reach > LEAST && work(&first) > most {
             reach /= 2;
             first = firsts(reach);
         }
@@ -52,12 +57,11 @@ impl Preconditioner {
             for column in first..row {
                 let (begin, other) = &rows[column];
                 let from = first.max(*begin);
-                let both = own[from - first..column - first].iter().zip(&other[from - begin..column - begin]);
-                let sum: f64 = both.map(|(a, b)| a * b).sum();
+                let sum = dot(&own[from - first..column - first], &other[from - begin..column - begin]);
                 own[column - first] = (own[column - first] - sum) / other[column - begin];
             }
             let (diagonal, before) = own.split_last_mut()?;
-            *diagonal -= before.iter().map(|value| value * value).sum::<f64>();
+            *diagonal -= dot(before, before);
             if diagonal.is_nan() || *diagonal <= 0.0 {
                 return None;
             }
@@ -72,8 +76,7 @@ impl Preconditioner {
         let mut x = right.to_vec();
         for (row, (first, own)) in self.rows.iter().enumerate() {
             let (diagonal, before) = own.split_last().map_or((1.0, &own[..0]), |(last, before)| (*last, before));
-            let sum: f64 = before.iter().zip(&x[*first..row]).map(|(a, b)| a * b).sum();
-            x[row] = (x[row] - sum) / diagonal;
+            x[row] = (x[row] - dot(before, &x[*first..row])) / diagonal;
         }
         for (row, (first, own)) in self.rows.iter().enumerate().rev() {
             let (diagonal, before) = own.split_last().map_or((1.0, &own[..0]), |(last, before)| (*last, before));

@@ -3,6 +3,7 @@
 use super::clipping::Bridges;
 use super::design::Column;
 use super::noise_law::NoiseLaw;
+use crate::dot::dot;
 use crate::transform::Cosines;
 use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
@@ -17,10 +18,6 @@ pub(super) struct Whitening<'a> {
 
 /// A whitened design.
 pub(super) type Columns = Vec<Column>;
-
-fn dot(one: &[f64], other: &[f64]) -> f64 {
-    one.iter().zip(other).map(|(one, other)| one * other).sum()
-}
 
 /// Samples whose products are summed at a time: two dozen columns of them fit a processor's cache.
 const AT_A_TIME: usize = 1024;
