@@ -59,6 +59,17 @@ enum Phase {
     Ended,
 }
 
+/// Which unit sends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Unit {
+    /// The one of before.
+    Known,
+    /// It is open since a silence, and nothing has arrived yet.
+    Open,
+    /// Measurements have arrived since, and the unit was asked for its serial number.
+    Asked,
+}
+
 /// The connection to one sensor.
 #[derive(Debug)]
 pub struct Session {
@@ -94,6 +105,8 @@ pub struct Session {
     /// The time from which an open doubt is examined, ns.
     next_doubt_ns: u64,
     foreign_since_ns: Option<u64>,
+    /// Whether it is open which unit sends after a silence.
+    unit: Unit,
     /// Whether a sample has arrived since streaming began.
     flowing: bool,
     /// Whether, according to the registers, the messages carry a serial count that increases by one.
@@ -133,6 +146,7 @@ impl Session {
             doubt: None,
             next_doubt_ns: 0,
             foreign_since_ns: None,
+            unit: Unit::Known,
             flowing: false,
             counted: false,
             numbered: false,
@@ -156,6 +170,7 @@ impl Session {
             Phase::Identifying | Phase::Describing | Phase::Configuring | Phase::Restoring => self.script.deadline_ns(),
             Phase::Measuring { until_ns, .. } => *until_ns,
             Phase::Backoff { until_ns } => (*until_ns).min(self.next_look_ns),
+            Phase::Streaming if self.unit == Unit::Asked => self.script.deadline_ns(),
             Phase::Streaming => {
                 let warned = matches!(self.status.state, SensorState::Stalled | SensorState::NoValidFrames);
                 let silence = if warned { self.reopen_ns() } else { self.stall_ns() };

@@ -218,6 +218,19 @@ async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -
     }
 }
 
+/// Takes the measurements that were held until their unit was recognised.
+fn take_held(
+    session: &mut Session,
+    state: &mut RecorderState,
+    device_clock: &mut DeviceClock,
+    actions: &mut Vec<Action>,
+    held: &mut Vec<(u64, i64, Measurement)>,
+) {
+    for (mono_ns, utc_ns, measurement) in held.drain(..) {
+        measured(session, state, device_clock, actions, (mono_ns, utc_ns), &measurement);
+    }
+}
+
 /// Takes a measurement that arrived at these times (monotonic and UTC ns).
 fn measured(
     session: &mut Session,
@@ -365,9 +378,12 @@ impl Shell {
         }
         decoder.push(bytes, &mut |event| match event {
             Event::Measurement(measurement) if session.is_unit_open() => {
+                session.await_unit(mono_ns, actions);
                 unrecognised.push((mono_ns, utc_ns, measurement.clone()));
             }
             Event::Measurement(measurement) => {
+                // The reply that recognised the unit may be in the same bytes.
+                take_held(session, state, device_clock, actions, unrecognised);
                 measured(session, state, device_clock, actions, (mono_ns, utc_ns), measurement);
             }
             Event::Reply(reply) => {
@@ -398,9 +414,7 @@ impl Shell {
     fn recognised(&mut self) {
         let Self { session, state, actions, device_clock, unrecognised, .. } = self;
         if !session.is_unit_open() || self.ended {
-            for (mono_ns, utc_ns, measurement) in unrecognised.drain(..) {
-                measured(session, state, device_clock, actions, (mono_ns, utc_ns), &measurement);
-            }
+            take_held(session, state, device_clock, actions, unrecognised);
         }
     }
 

@@ -5,7 +5,7 @@ use super::super::description::describe;
 use super::super::output::is_binary;
 use super::super::rate_meter::RateMeter;
 use super::configure::COUNT_REGISTERS;
-use super::{Action, Command, EventKind, GapCause, Output, Phase, RecorderAction, SensorState, Session, Step};
+use super::{Action, Command, EventKind, GapCause, Output, Phase, RecorderAction, SensorState, Session, Step, Unit};
 use imu_core::units::period_ns;
 use vn100_proto::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 
@@ -31,11 +31,22 @@ impl Session {
     /// Returns whether it is open which unit sends: its output is kept, the line was silent, and the unit has not stated its
     /// serial number yet. What arrives meanwhile belongs to a capture only if it is the unit of before.
     pub fn is_unit_open(&self) -> bool {
-        self.options.output == Output::Keep
-            && self.phase == Phase::Streaming
-            && self.status.state == SensorState::Stalled
-            && self.status.serial_number.is_some()
-            && !self.script.is_done()
+        let is_open = match self.unit {
+            Unit::Known => false,
+            Unit::Open => true,
+            // A unit that does not answer any more is taken for the same one.
+            Unit::Asked => !self.script.is_done(),
+        };
+        self.phase == Phase::Streaming && is_open
+    }
+
+    /// Asks the unit for its serial number when its first measurement arrives: a question during the silence may have gone to
+    /// nobody.
+    pub fn await_unit(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
+        if self.unit == Unit::Open {
+            self.unit = Unit::Asked;
+            self.script.begin(now_ns, vec![Step::optional(Command::read(3))], actions);
+        }
     }
 
     /// Takes a valid measurement frame and returns whether it is a sample of the stream.
@@ -67,6 +78,7 @@ impl Session {
         self.last_sample_ns = now_ns;
         self.rejected_since_sample = 0;
         self.foreign_since_ns = None;
+        self.unit = Unit::Known;
         if !self.flowing {
             self.flowing = true;
             self.failed_ports = 0;
@@ -138,6 +150,9 @@ impl Session {
     /// before is identified from the beginning.
     pub(super) fn recognise(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let found = self.script.read().get(&3).cloned();
+        if found.is_some() {
+            self.unit = Unit::Known;
+        }
         if found.is_some() && self.status.serial_number.is_some() && found != self.status.serial_number {
             actions.push(RecorderAction::Interrupt(GapCause::Silent).into());
             self.identify(now_ns, actions);
@@ -189,6 +204,7 @@ impl Session {
         self.script.clear();
         self.phase = Phase::Streaming;
         (self.flowing, self.numbered) = (false, false);
+        self.unit = Unit::Known;
         self.last_sample_ns = now_ns;
         self.rejected_since_sample = 0;
         (self.resumed_ns, self.doubt) = (None, None);
@@ -221,7 +237,13 @@ impl Session {
     /// Handles silence while streaming.
     pub(super) fn listen(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
         let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
-        if silence_ns >= self.reopen_ns() {
+        if self.unit == Unit::Asked {
+            self.script.tick(now_ns, actions);
+            if self.script.is_done() {
+                // What has arrived is taken next.
+                (self.unit, self.last_sample_ns) = (Unit::Known, now_ns);
+            }
+        } else if silence_ns >= self.reopen_ns() {
             let (cause, message) = if self.is_garbled() {
                 (
                     GapCause::Checksum,
@@ -244,6 +266,9 @@ impl Session {
                 actions.push(RecorderAction::AcceptAny.into());
             } else {
                 self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
+            }
+            if self.options.output == Output::Keep && self.status.serial_number.is_some() {
+                self.unit = Unit::Open;
             }
             // A sensor that answers is alive; an output that was paused resumes.
             let mut steps = vec![Step::optional(Command::read(1)), Step::optional(Command::read(3))];

@@ -438,19 +438,36 @@ fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
 #[test]
 fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
     let ymr = ascii_kind(14).unwrap();
-    for serial in ["0100012345", "0100099999"] {
-        let mut world = World::new(Output::Keep);
-        world.give(Input::Expect(Some("0100012345".to_owned())));
-        world.pass(1_000_000_000);
-        assert!(world.measured(ymr) && !world.session.is_unit_open());
-        world.sensor.answers = false;
-        world.pass(1_100_000_000);
-        assert_eq!((world.state(), world.session.is_unit_open()), (SensorState::Stalled, true));
-        world.sensor.registers.insert(3, serial.to_owned());
-        world.sensor.answers = true;
-        world.pass(1_000_000_000);
-        assert!(!world.session.is_unit_open());
-        assert_eq!(world.measured(ymr), serial == "0100012345");
+    let arrives = |world: &mut World| {
+        assert!(world.session.is_unit_open());
+        let mut actions = Vec::new();
+        world.session.await_unit(world.now_ns, &mut actions);
+        world.perform(actions);
+    };
+    for silence_ns in [1_100_000_000, 3_500_000_000, 4_900_000_000] {
+        for serial in [Some("0100012345"), Some("0100099999"), None] {
+            let mut world = World::new(Output::Keep);
+            world.give(Input::Expect(Some("0100012345".to_owned())));
+            world.pass(1_000_000_000);
+            assert!(world.measured(ymr) && !world.session.is_unit_open());
+            world.sensor.answers = false;
+            world.pass(silence_ns);
+            assert_eq!(world.state(), SensorState::Stalled);
+            if let Some(serial) = serial {
+                world.sensor.registers.insert(3, serial.to_owned());
+                world.sensor.answers = true;
+                arrives(&mut world);
+                assert!(!world.session.is_unit_open());
+                assert_eq!(world.measured(ymr), serial == "0100012345");
+            } else {
+                // What does not answer is the unit of before, after a while; the port stays open meanwhile.
+                arrives(&mut world);
+                world.pass(1_000_000_000);
+                assert!(world.session.is_unit_open());
+                world.pass(600_000_000);
+                assert!(!world.session.is_unit_open() && world.measured(ymr));
+            }
+        }
     }
     // A line that carries nothing to the sensor: nothing is known of its unit.
     let mut world = World::new(Output::Keep);

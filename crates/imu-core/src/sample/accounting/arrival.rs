@@ -54,6 +54,11 @@ pub(super) struct Arrival {
     early_ns: f64,
     /// The host's trouble when the first held sample arrived.
     host_trouble: Option<GapCause>,
+    /// The beginning of what is undecided, ns of the host's monotonic clock: the first held sample, or the first one after a
+    /// silence among them.
+    begun_ns: u64,
+    /// Whether there was such a silence.
+    was_silent: bool,
     /// When the doubt is due to be reported, ns of the host's monotonic clock.
     doubt_due_ns: u64,
     /// Whether the sensor's registers state that the rate is unchanged.
@@ -115,22 +120,30 @@ impl Accountant {
     }
 
     fn hold(&mut self, sample: Sample, out: &mut Vec<Record>) {
-        if self.arrival.held.is_empty() {
-            self.arrival.host_trouble = self.host_trouble.map(|(cause, _)| cause);
-            self.arrival.doubt_due_ns = sample.host_mono_ns + DOUBT_NS;
-        }
         let now_ns = sample.host_mono_ns;
+        let before_ns = self.arrival.held.last().map(|before| before.host_mono_ns);
+        if before_ns.is_none() {
+            self.arrival.host_trouble = self.host_trouble.map(|(cause, _)| cause);
+        }
+        let silence_ns = RESET_SILENCE_NS + period_ns(self.rate_hz);
+        let is_silence = before_ns.is_none_or(|before_ns| now_ns.saturating_sub(before_ns) as f64 > silence_ns);
+        // A first silence may be a boot. Later ones may be a low rate.
+        if before_ns.is_none() || (is_silence && !self.arrival.was_silent) {
+            self.arrival.was_silent = before_ns.is_some();
+            (self.arrival.begun_ns, self.arrival.doubt_due_ns) = (now_ns, now_ns + DOUBT_NS);
+        }
         self.arrival.held.push(sample);
         let held = &self.arrival.held;
         // If many samples are held, each further one changes little.
         if !held.len().is_multiple_of(1 + held.len() / 64) {
             return;
         }
-        let span_ns = held[held.len() - 1].host_mono_ns.saturating_sub(held[0].host_mono_ns);
+        let span_ns = now_ns.saturating_sub(self.arrival.begun_ns);
         let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
         if let Some(late_from) = self.steady_until() {
             let late = self.arrival.held.split_off(late_from);
             self.release(out);
+            (self.arrival.begun_ns, self.arrival.doubt_due_ns) = (now_ns, now_ns + DOUBT_NS);
             self.arrival.held = late;
         } else if span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
             self.release(out);
@@ -159,12 +172,18 @@ impl Accountant {
         let period = period_ns(self.rate_hz);
         let from = self.tail(STEADY_NS, STEADY_MIN)?;
         let held = &self.arrival.held[from..];
+        // Samples of a higher rate make up for a boot, and are as early as the old rate for a moment.
+        let silence_ns = RESET_SILENCE_NS + period;
+        let gap_ns = |pair: &[Sample]| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64;
+        if held.windows(2).any(|pair| gap_ns(pair) > silence_ns) {
+            return None;
+        }
         let since_ns = |sample: &Sample| sample.host_mono_ns.saturating_sub(held[0].host_mono_ns);
         let span_ns = since_ns(&held[held.len() - 1]);
         let mut earliest_ns = [f64::INFINITY; 4];
         let late_ns = residuals_ns(held, period);
         for (sample, late_ns) in held.iter().zip(&late_ns) {
-            let quarter = &mut earliest_ns[(4 * since_ns(sample) / (span_ns + 1)) as usize];
+            let quarter = &mut earliest_ns[((4 * since_ns(sample) / (span_ns + 1)) as usize).min(3)];
             *quarter = quarter.min(*late_ns);
         }
         let finite_ns = earliest_ns.into_iter().filter(|ns| ns.is_finite());
@@ -261,10 +280,18 @@ impl Accountant {
         let begun_ns = held[0].host_mono_ns as f64 - next_mono_ns;
         // After a boot the new rate begins with the first sample, although the samples of a higher rate soon make up for the
         // silence at the old rate. Samples that were only read late come at once.
-        let head = &late_ns[..late_ns.len().min(2 * STEADY_MIN)];
-        let spread_ns = head.iter().copied().fold(0.0, f64::max) - head.iter().copied().fold(0.0, f64::min);
-        if begun_ns > RESET_SILENCE_NS && spread_ns <= self.tolerance_ns() {
-            return 0;
+        let silence_ns = |index: usize| match index.checked_sub(1) {
+            Some(before) => held[index].host_mono_ns.saturating_sub(held[before].host_mono_ns) as f64,
+            None => begun_ns + old_period,
+        };
+        let keeps = |index: &usize| {
+            let head = &late_ns[*index..late_ns.len().min(index + 2 * STEADY_MIN)];
+            let ends =
+                head.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), ns| (low.min(*ns), high.max(*ns)));
+            silence_ns(*index) > silence_of_a_reset(old_period, period) && ends.1 - ends.0 <= self.tolerance_ns()
+        };
+        if let Some(first) = (0..held.len()).rev().find(keeps) {
+            return first;
         }
         let old_late_ns: Vec<f64> = residuals_ns(held, old_period).iter().map(|ns| begun_ns + ns).collect();
         let (mut first, mut fewest) = (0, f64::INFINITY);
@@ -320,7 +347,7 @@ impl Accountant {
         let due_ns = first.host_mono_ns as f64 + late_ns.iter().copied().fold(0.0, f64::min);
         let (away_ns, longest) = (due_ns - last_due_ns, old_period.max(period));
         if away_ns - longest > (LATE_PERIODS * longest).max(self.jitter_ns()) {
-            let reset = away_ns > RESET_SILENCE_NS.max(5.0 * longest);
+            let reset = away_ns > silence_of_a_reset(old_period, period);
             // No sample is missing at the step from one rate to the other.
             let (cause, away_ns) = match reset {
                 true => (GapCause::SensorReset, away_ns),
@@ -337,6 +364,12 @@ impl Accountant {
             self.observe_arrival(sample, out);
         }
     }
+}
+
+/// Returns the time between two samples of these periods above which the sensor was reset in between, ns. Without a reset, a
+/// sample follows within the longer period.
+fn silence_of_a_reset(old_period: f64, period: f64) -> f64 {
+    RESET_SILENCE_NS + old_period.max(period)
 }
 
 /// Returns the lateness of each sample relative to this many periods after the first, ns.

@@ -167,6 +167,52 @@ fn a_reset_to_a_much_higher_rate_is_one_gap_whatever_the_latency() {
     }
 }
 
+/// A hiccup `before_s` before a reset: samples are late by `late_ms`, or this many are lost. The silence of the boot then lies
+/// among the undecided samples.
+fn reset_after_a_hiccup(
+    from_hz: f64,
+    to_hz: f64,
+    boot_s: f64,
+    before_s: f64,
+    (late_ms, lost): (u64, u64),
+    answers: bool,
+) {
+    let at = ((10.0 - before_s) * from_hz) as u64;
+    // The host reads nothing for a while.
+    let latency = |index: u64| match index.checked_sub(at) {
+        Some(since) if late_ms > 0 => (late_ms * 1_000_000).saturating_sub(since * period_ns(from_hz) as u64),
+        _ => random(index) % 2_000_000,
+    };
+    let mut line = Line::default();
+    line.send(from_hz, 10.0, |index| (at..at + lost).contains(&index), latency);
+    let lost = line.lost;
+    line.silence(boot_s);
+    line.send(to_hz, 30.0, |_| false, |index| random(index) % 2_000_000);
+    let registers = |at_ns| answers.then_some(if at_ns < START_NS + 10_100_000_000 { from_hz } else { to_hz });
+    let (accountant, out) = line.observed_with(from_hz, Timebase::Arrival, registers);
+    let case = format!("{from_hz} to {to_hz}, {boot_s} s, {before_s}, {late_ms}, {lost}, {answers}");
+    assert_eq!((accountant.rate_hz(), accountant.received()), (to_hz, line.arrivals.len() as u64), "{case}");
+    let (missing, expected) = (accountant.missing() as f64, boot_s * from_hz + lost as f64);
+    assert!((missing - expected).abs() <= 2.0 + 0.03 * from_hz, "{case}: {missing} of {expected}");
+    let resets = gaps(&out).iter().filter(|gap| gap.cause == GapCause::SensorReset).count();
+    assert_eq!(resets, 1, "{case}: {:?}", gaps(&out));
+}
+
+proptest! {
+    #[test]
+    fn a_reset_soon_after_a_hiccup_is_one_gap_too(
+        from in 3_usize..11, other in 1_usize..10, more_s in 0.0_f64..2.2, before_s in 0.0_f64..0.6, late_ms in 0_u64..200,
+        lost in 0_u64..10, answers in any::<bool>(),
+    ) {
+        let rates_hz = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
+        let (from_hz, to_hz) = (rates_hz[from], rates_hz[if other < from { other } else { other + 1 }]);
+        let lost = lost.min((before_s * from_hz) as u64);
+        // Half a second and a period of the lower rate are no sign of a reset.
+        let boot_s = 0.8 + 1.0 / from_hz.min(to_hz) + more_s;
+        reset_after_a_hiccup(from_hz, to_hz, boot_s, before_s, (late_ms, lost), answers);
+    }
+}
+
 #[test]
 fn messages_that_are_counted_by_another_clock_than_their_rate_lose_nothing_when_it_changes() {
     for to_hz in [20.0, 25.0, 50.0, 100.0, 200.0, 10.0] {
