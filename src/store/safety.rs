@@ -178,6 +178,17 @@ fn a_healthy_database_of_many_pages_has_no_damage() {
 }
 
 #[test]
+fn a_file_without_a_whole_page_is_damaged() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("vn100d.db");
+    for length in [0, 50, 4095] {
+        std::fs::write(&path, vec![0; length]).unwrap();
+        let report = recover(&path, &directory.path().join("out.db"), true).unwrap();
+        assert!(report.has_damage() && report.captures.is_empty(), "{length}: {report:?}");
+    }
+}
+
+#[test]
 fn lost_samples_become_a_gap_in_the_recovered_database() {
     let world = World::new();
     let id = world.capturing();

@@ -181,3 +181,40 @@ fn a_clock_that_jumps_ahead_is_told_and_nothing_is_missing() {
     assert_eq!(integer(&world, "SELECT max(epoch) FROM segment"), 2);
     assert_eq!(integer(&world, "SELECT count(*) FROM event WHERE message LIKE '%jumped ahead by 0.%'"), 1);
 }
+
+/// After a silence the unit of a kept output is asked for its serial number, and what comes meanwhile waits: it keeps its order,
+/// also if the reply and the next message come in one read.
+#[test]
+fn a_kept_output_goes_on_in_order_after_stalls_and_losses() {
+    for fields in ["1,4,01,0609", "0,0,0"] {
+        let world = World::new();
+        let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600", "--rate", "50"]);
+        let mut line = std::fs::OpenOptions::new().write(true).open(world.port()).unwrap();
+        line.write_all(format!("$VNWRG,75,{fields}*XX\r\n").as_bytes()).unwrap();
+        drop(line);
+        let daemon = world.daemon("[sensor]\nbaud = 921600\noutput = \"keep\"\n", &["--capture", "1h"]);
+        samples(&world, &daemon, 100);
+        for (before, fault) in [("drop 1", "hold 2500ms"), ("drop 2", "hold 1500ms"), ("hold 100ms", "hold 2s")] {
+            sensor.say(before);
+            std::thread::sleep(Duration::from_millis(200));
+            sensor.say(fault);
+            std::thread::sleep(Duration::from_secs(3));
+            samples(&world, &daemon, 100);
+        }
+        let capture = world.get("/v1/captures/latest");
+        assert_eq!(
+            (&capture["state"], &capture["accounting"]["holds"]),
+            (&"capturing".into(), &true.into()),
+            "{capture:#}"
+        );
+        assert!(
+            integer(&world, "SELECT coalesce(sum(missing), 0) FROM gap") <= 6,
+            "{fields}: {:?}",
+            world.query("SELECT * FROM gap")
+        );
+        let backwards =
+            "SELECT count(*) FROM sample a JOIN sample b ON b.seq = a.seq + 1 WHERE b.host_mono_ns < a.host_mono_ns";
+        assert_eq!(integer(&world, backwards), 0, "{fields}");
+        assert_eq!(integer(&world, "SELECT coalesce(sum(count), 0) FROM rejected WHERE cause = 'out_of_order'"), 0);
+    }
+}

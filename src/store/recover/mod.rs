@@ -122,6 +122,10 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
         // A schema version other than this program's is no damage.
         findings: check(path).map_or_else(|_| Vec::new(), |report| report.findings),
     };
+    if salvage.image.pages == 0 {
+        let message = "the file has less than a page, and its log has none: nothing of it can be read".to_owned();
+        report.findings.push(Finding { check: "unreadable", capture: None, message });
+    }
     let mut ids: std::collections::BTreeSet<i64> = salvage.captures.keys().copied().collect();
     ids.extend(salvage.places.keys());
     for id in ids {
