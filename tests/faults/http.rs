@@ -167,7 +167,7 @@ fn crowd(world: &World, daemon: &Process, connections: usize, bytes: &[u8]) -> (
         .collect();
     let mut most = 0;
     let took = std::thread::scope(|scope| {
-        let asking = scope.spawn(|| ask(world, 20, Duration::from_secs(6)));
+        let asking = scope.spawn(|| ask(world, 20, scaled(Duration::from_secs(2), Duration::from_secs(6))));
         while !asking.is_finished() {
             for (stream, sent) in &mut sockets {
                 let rest = &bytes[*sent..bytes.len().min(*sent + 32_768)];
@@ -192,9 +192,11 @@ fn clients_that_finish_no_body_or_read_no_answer_share_one_budget() {
     let get =
         |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\nAccept-Encoding: gzip\r\n\r\n").repeat(600);
     let (page, openapi) = (get("/captures/latest"), get("/openapi.json"));
-    for (what, connections, bytes) in
-        [("unfinished bodies", 900, &body), ("unread pages", 900, &page), ("unread descriptions", 500, &openapi)]
-    {
+    for (what, connections, bytes) in [
+        ("unfinished bodies", scaled(200, 900), &body),
+        ("unread pages", scaled(200, 900), &page),
+        ("unread descriptions", scaled(100, 500), &openapi),
+    ] {
         let (most, took) = crowd(&world, &daemon, connections, bytes.as_bytes());
         eprintln!(
             "E8: {connections} {what}: {} MiB, status p99 {:?}, slowest {:?}",
