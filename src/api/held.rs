@@ -64,8 +64,10 @@ impl AsRef<[u8]> for Answer {
 
 /// Takes a part of the budget for each answer that is in memory as a whole, or answers 429 in its place.
 pub(super) async fn answer(State(state): State<ApiState>, request: Request, next: Next) -> Response {
+    // What a change has done is reported in any case; few changes run at once.
+    let is_change = !request.method().is_safe();
     let response = next.run(request).await;
-    if response.extensions().get::<Streamed>().is_some() {
+    if is_change || response.extensions().get::<Streamed>().is_some() {
         return response;
     }
     let (head, body) = response.into_parts();

@@ -75,6 +75,9 @@ pub struct Progress {
     pub capture: Option<(Plan, Counts, bool)>,
 }
 
+/// Maximum number of measurements that wait until their unit is recognised.
+const HELD_MAX: usize = 16_384;
+
 struct Shell {
     clock: Arc<dyn Clock>,
     session: Session,
@@ -199,7 +202,6 @@ pub async fn run(
             shell.publish(&progress);
         }
     }
-    shell.recognised();
     shell.state.close().await;
     shell.publish(&progress);
 }
@@ -377,7 +379,7 @@ impl Shell {
             state.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
         }
         decoder.push(bytes, &mut |event| match event {
-            Event::Measurement(measurement) if session.is_unit_open() => {
+            Event::Measurement(measurement) if session.is_unit_open() && unrecognised.len() < HELD_MAX => {
                 session.await_unit(mono_ns, actions);
                 unrecognised.push((mono_ns, utc_ns, measurement.clone()));
             }
@@ -393,7 +395,9 @@ impl Shell {
             }
             Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
             // A partial frame received while the sensor is being identified was never part of the capture.
-            Event::Rejected { cause, bytes } if session.status().state == SensorState::Streaming => {
+            Event::Rejected { cause, bytes }
+                if session.status().state == SensorState::Streaming || session.is_unit_open() =>
+            {
                 session.handle(mono_ns, Input::Rejected(bytes.len()), actions);
                 let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
                 state.discard(cause, count);
@@ -412,10 +416,15 @@ impl Shell {
 
     /// Takes the measurements of a unit that was not recognised when they arrived, if it is now or cannot be.
     fn recognised(&mut self) {
-        let Self { session, state, actions, device_clock, unrecognised, .. } = self;
-        if !session.is_unit_open() || self.ended {
-            take_held(session, state, device_clock, actions, unrecognised);
+        if !self.session.is_unit_open() {
+            self.take_held();
         }
+    }
+
+    /// Takes the held measurements now, as those of the unit of before.
+    fn take_held(&mut self) {
+        let Self { session, state, actions, device_clock, unrecognised, .. } = self;
+        take_held(session, state, device_clock, actions, unrecognised);
     }
 
     /// Passes on the written records, and closes a capture that has its planned duration. A capture belongs to the
@@ -450,13 +459,18 @@ impl Shell {
             let stepped =
                 last.and_then(|last| stepped_while_away((last.host_mono_ns, last.host_utc_ns), (mono_ns, utc_ns)));
             let recorder = Recorder::new(plan, resume, self.host_jitter_ns).of_boot(self.clock.boot_id());
+            // What arrived before the beginning belongs to no capture.
+            self.unrecognised.drain(..).for_each(|_| self.state.refuse(DiscardCause::Probing));
             self.state.begin(recorder);
             if let Some(by_ns) = stepped {
                 self.state.clock_stepped(by_ns, utc_ns);
             }
         }
         self.recognised();
-        self.state.tick(mono_ns, utc_ns);
+        // Held measurements are no silence.
+        if self.unrecognised.is_empty() {
+            self.state.tick(mono_ns, utc_ns);
+        }
         self.note_clock(mono_ns);
         self.settle();
     }
@@ -473,6 +487,7 @@ impl Shell {
                     let host_jitter_ns = self.host_jitter_ns;
                     self.state.recorder.get_or_insert_with(|| Recorder::new(plan, resume, host_jitter_ns));
                 }
+                self.take_held();
                 self.clock_due_ns = 0;
                 self.note_clock(self.clock.mono_ns());
                 let running = self.state.stop(self.clock.mono_ns(), self.clock.utc_ns());
@@ -481,6 +496,7 @@ impl Shell {
                 let _ = reply.send(running);
             }
             TaskCommand::Shutdown => {
+                self.take_held();
                 self.clock_due_ns = 0;
                 self.note_clock(self.clock.mono_ns());
                 self.input(Input::Stop);

@@ -48,7 +48,10 @@ pub fn fill(
     stretches: &[Stretch],
     value: impl Fn(u64, Channel) -> f64,
 ) -> i64 {
-    let store = Store::open(&world.database(), StoreOptions::default()).unwrap();
+    // A process that another test is just starting has this one's locks for a moment.
+    let open = || Store::open(&world.database(), StoreOptions::default());
+    let store = (0..20).find_map(|_| open().map_err(|_| std::thread::sleep(Duration::from_millis(50))).ok());
+    let store = store.unwrap_or_else(|| open().unwrap());
     let mut capture = NewCapture::new("test", CaptureState::Imported);
     capture.name = Some(name.to_owned());
     let mut import = store.begin_import(capture, None).unwrap();

@@ -12,8 +12,9 @@ set -euo pipefail
 program=$(realpath "$1")
 mkdir -p "$2"
 cd "$2"
-export VN100D_CONFIG=/dev/null COLUMNS=100 TZ=UTC
 database=$(mktemp -d)
+touch "$database/empty.toml"
+export VN100D_CONFIG=$database/empty.toml COLUMNS=100 TZ=UTC
 trap 'rm -rf "$database"' EXIT
 run() { "$program" --data-dir "$database" "$@"; }
 

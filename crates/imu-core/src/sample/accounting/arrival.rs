@@ -141,9 +141,16 @@ impl Accountant {
         let span_ns = now_ns.saturating_sub(self.arrival.begun_ns);
         let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
         if let Some(late_from) = self.steady_until() {
-            let late = self.arrival.held.split_off(late_from);
+            let (late, host_trouble) = (self.arrival.held.split_off(late_from), self.arrival.host_trouble);
             self.release(out);
-            (self.arrival.begun_ns, self.arrival.doubt_due_ns) = (now_ns, now_ns + DOUBT_NS);
+            if let Some(first) = late.first() {
+                self.arrival.begun_ns = first.host_mono_ns;
+                self.arrival.doubt_due_ns = now_ns + DOUBT_NS;
+                self.arrival.host_trouble = host_trouble;
+                if let (Timebase::SyncCounter, Some(last)) = (self.timebase, self.last) {
+                    self.arrival.next_mono_ns = last.host_mono_ns as f64 + period_ns(self.rate_hz);
+                }
+            }
             self.arrival.held = late;
         } else if span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
             self.release(out);
