@@ -118,7 +118,7 @@ pub(super) async fn list(
     (status = 201, body = CaptureRow, headers(("Location" = String, description = "The capture"))),
     (status = 400, body = Problem, content_type = "application/problem+json"),
     (status = 409, body = Problem, content_type = "application/problem+json", description = "One runs already, or the name is taken")))]
-pub(super) async fn start(State(state): State<ApiState>, J(body, _hold): J<StartBody>) -> Result<Response, ApiError> {
+pub(super) async fn start(State(state): State<ApiState>, J(body, _permit): J<StartBody>) -> Result<Response, ApiError> {
     let body = body.unwrap_or_default();
     let duration = match &body.duration {
         Some(text) => parse_duration(text).map_err(|error| ApiError::bad_request(format!("`duration`: {error}")))?,
@@ -208,7 +208,7 @@ pub(super) async fn stop(State(state): State<ApiState>, P(name): P) -> Result<Js
 pub(super) async fn pin(
     State(state): State<ApiState>,
     P(name): P,
-    J(body, _hold): J<PinBody>,
+    J(body, _permit): J<PinBody>,
 ) -> Result<Json<CaptureRow>, ApiError> {
     let pinned = body.is_none_or(|body| body.pinned);
     let id = state.resolve(name).await?;

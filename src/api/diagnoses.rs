@@ -130,7 +130,7 @@ pub(super) async fn submit(
     let capture_id = state.resolve(capture).await?;
     LARGE_BODY.room_for(&state, announced.unwrap_or(0))?;
     if !is_put_aside(&request) {
-        let (body, _hold) = held::body(&state, request.into_body()).await?;
+        let (body, _permit) = held::body(&state, request.into_body()).await?;
         return jobs::queue_diagnosis(&state, move |jobs| jobs.submit_diagnosis(capture_id, Body::Bytes(&body))).await;
     }
     let permit = state.body_permit()?;

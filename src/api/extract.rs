@@ -1,11 +1,12 @@
 //! Extractors for the parts of a request, with errors of our own.
 
-use super::held::{self, Hold};
+use super::held;
 use super::problem::{ApiError, ProblemType};
 use super::state::ApiState;
 use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::{HeaderMap, header, request::Parts};
 use serde::de::DeserializeOwned;
+use tokio::sync::OwnedSemaphorePermit;
 
 /// The query, of which every parameter must be known.
 #[derive(Debug, Clone)]
@@ -67,21 +68,21 @@ pub(super) fn no_json() -> ApiError {
 
 /// A JSON body, or `None` if the request has no body, with its memory. Bind both: the memory counts until it is dropped.
 #[derive(Debug)]
-pub(super) struct J<T>(pub Option<T>, pub Option<Hold>);
+pub(super) struct J<T>(pub Option<T>, pub Option<OwnedSemaphorePermit>);
 
 impl<T: DeserializeOwned> FromRequest<ApiState> for J<T> {
     type Rejection = ApiError;
     async fn from_request(request: Request, state: &ApiState) -> Result<Self, ApiError> {
         let is_json = is_json(request.headers());
-        let (bytes, hold) = held::body(state, request.into_body()).await?;
+        let (bytes, permit) = held::body(state, request.into_body()).await?;
         if bytes.is_empty() {
-            return Ok(Self(None, hold));
+            return Ok(Self(None, permit));
         }
         if !is_json {
             return Err(no_json());
         }
         serde_json::from_slice(&bytes)
-            .map(|body| Self(Some(body), hold))
+            .map(|body| Self(Some(body), permit))
             .map_err(|error| ApiError::bad_request(format!("the body: {error}")))
     }
 }

@@ -22,18 +22,12 @@ const FREE_BYTES: usize = 4 * 1024;
 /// The part of the budget that a larger body takes: JSON of 64 KiB has up to eight times its size when it is parsed.
 const PARSED_BYTES: usize = 8 * BODY_BYTES;
 
-/// A part of the budget, until it is dropped.
-#[derive(Debug)]
-pub(super) struct Hold {
-    _permit: OwnedSemaphorePermit,
-}
-
-/// Reads a body into memory. The body's memory counts until the returned part of the budget is dropped.
+/// Reads a body into memory. The body's memory counts until the returned permit is dropped.
 ///
 /// # Errors
 /// [`ApiError`]: 413 above [`BODY_BYTES`], 429 if the budget has no room, 400 for a body that ends early.
-pub(super) async fn body(state: &ApiState, mut body: Body) -> Result<(Bytes, Option<Hold>), ApiError> {
-    let (mut bytes, mut hold) = (Vec::new(), None);
+pub(super) async fn body(state: &ApiState, mut body: Body) -> Result<(Bytes, Option<OwnedSemaphorePermit>), ApiError> {
+    let (mut bytes, mut permit) = (Vec::new(), None);
     while let Some(frame) = std::future::poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
         let frame = frame.map_err(|error| ApiError::bad_request(format!("the body ended early: {error}")))?;
         let Ok(data) = frame.into_data() else { continue };
@@ -41,19 +35,19 @@ pub(super) async fn body(state: &ApiState, mut body: Body) -> Result<(Bytes, Opt
         if length > BODY_BYTES {
             return Err(ApiError::new(ProblemType::TooLarge, "a body holds at most 64 KiB"));
         }
-        if length > FREE_BYTES && hold.is_none() {
-            hold = Some(state.hold(PARSED_BYTES)?);
+        if length > FREE_BYTES && permit.is_none() {
+            permit = Some(state.memory_permit(PARSED_BYTES)?);
             bytes.reserve_exact(BODY_BYTES);
         }
         bytes.extend_from_slice(&data);
     }
-    Ok((bytes.into(), hold))
+    Ok((bytes.into(), permit))
 }
 
-/// An answer with its part of the budget: both end when the last byte is sent.
+/// An answer with its permit: both end when the last byte is sent.
 struct Answer {
     bytes: Bytes,
-    _hold: Hold,
+    _permit: OwnedSemaphorePermit,
 }
 
 impl AsRef<[u8]> for Answer {
@@ -78,23 +72,8 @@ pub(super) async fn answer(State(state): State<ApiState>, request: Request, next
     if bytes.len() <= FREE_BYTES {
         return Response::from_parts(head, bytes.into());
     }
-    match state.hold(bytes.len()) {
-        Ok(hold) => Response::from_parts(head, Bytes::from_owner(Answer { bytes, _hold: hold }).into()),
+    match state.memory_permit(bytes.len()) {
+        Ok(permit) => Response::from_parts(head, Bytes::from_owner(Answer { bytes, _permit: permit }).into()),
         Err(error) => error.into_response(),
-    }
-}
-
-impl ApiState {
-    /// Returns a part of the budget, or 429 at once. A single larger answer takes the whole budget.
-    fn hold(&self, bytes: usize) -> Result<Hold, ApiError> {
-        let kib = bytes.min(self.parts.limits.held_bytes).div_ceil(1024) as u32;
-        self.budget().try_acquire_many_owned(kib).map(|permit| Hold { _permit: permit }).map_err(|_| {
-            self.busy(
-                "other clients hold as much memory as they may with bodies they do not finish and answers they do not \
-                 read: ask again"
-                    .to_owned(),
-                5,
-            )
-        })
     }
 }

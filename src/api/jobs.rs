@@ -124,7 +124,10 @@ pub(super) async fn list(
     (status = 200, body = Job, description = "It was submitted before"),
     (status = 400, body = Problem, content_type = "application/problem+json"),
     (status = 404, body = Problem, content_type = "application/problem+json")))]
-pub(super) async fn submit(State(state): State<ApiState>, J(body, _hold): J<SubmitBody>) -> Result<Response, ApiError> {
+pub(super) async fn submit(
+    State(state): State<ApiState>,
+    J(body, _permit): J<SubmitBody>,
+) -> Result<Response, ApiError> {
     let body =
         body.ok_or_else(|| ApiError::bad_request("the body is empty: expected {\"kind\": …, \"capture\": …}"))?;
     let kind: JobKind = body.kind.parse().map_err(|_| {

@@ -81,7 +81,7 @@ pub(super) async fn list(
     (status = 200, body = Model, description = "It was here before"),
     (status = 400, body = Problem, content_type = "application/problem+json", description = "It is no sensor model"),
     (status = 409, body = Problem, content_type = "application/problem+json", description = "There are as many as are kept")))]
-pub(super) async fn keep(State(state): State<ApiState>, J(body, _hold): J<Value>) -> Result<Response, ApiError> {
+pub(super) async fn keep(State(state): State<ApiState>, J(body, _permit): J<Value>) -> Result<Response, ApiError> {
     let body = body.ok_or_else(|| ApiError::bad_request("the body is empty: expected a sensor model"))?;
     let model = SensorModel::from_value(&body, "the body").map_err(JobError::from)?;
     let text = serde_json::to_string(&model).map_err(JobError::from)?;

@@ -76,7 +76,8 @@ pub(super) struct Inner {
     bodies: Arc<Semaphore>,
     takers: Arc<Semaphore>,
     listeners: Arc<Semaphore>,
-    budget: Arc<Semaphore>,
+    /// In KiB.
+    memory: Arc<Semaphore>,
     pub(super) latest: Latest,
 }
 
@@ -102,7 +103,7 @@ impl ApiState {
             bodies: Arc::new(Semaphore::new(1)),
             takers: Arc::new(Semaphore::new(TAKERS)),
             listeners: Arc::new(Semaphore::new(LISTENERS)),
-            budget: Arc::new(Semaphore::new(parts.limits.held_bytes / 1024)),
+            memory: Arc::new(Semaphore::new(parts.limits.held_bytes / 1024)),
             latest: Latest::default(),
             parts,
         }))
@@ -130,14 +131,19 @@ impl ApiState {
         Arc::clone(&self.streams).try_acquire_owned().map_err(|_| busy())
     }
 
-    pub(super) fn busy(&self, reason: String, retry_after_s: u32) -> ApiError {
+    fn busy(&self, reason: String, retry_after_s: u32) -> ApiError {
         self.parts.metrics.query_refused();
         ApiError::busy(reason, retry_after_s)
     }
 
-    /// Returns the memory of bodies and answers, in KiB.
-    pub(super) fn budget(&self) -> Arc<Semaphore> {
-        Arc::clone(&self.budget)
+    /// Returns a part of the memory that bodies and answers share, or 429 at once. A single larger answer takes all of it.
+    pub(super) fn memory_permit(&self, bytes: usize) -> Result<OwnedSemaphorePermit, ApiError> {
+        let kib = bytes.div_ceil(1024).min(self.parts.limits.held_bytes / 1024) as u32;
+        Arc::clone(&self.memory).try_acquire_many_owned(kib).map_err(|_| {
+            let reason = "other clients hold as much memory as they may, with bodies that they do not finish and answers that \
+                          they do not read: ask again";
+            self.busy(reason.to_owned(), 5)
+        })
     }
 
     /// Returns the permit to listen to events, or 429 at once.

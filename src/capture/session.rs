@@ -64,9 +64,9 @@ enum Phase {
 enum Unit {
     /// The one of before.
     Known,
-    /// It is open since a silence, and nothing has arrived yet.
-    Open,
-    /// Measurements have arrived since, and the unit was asked for its serial number.
+    /// Perhaps another one: the line was silent, and nothing has arrived since.
+    Unknown,
+    /// Perhaps another one: measurements have arrived since, and it was asked for its serial number.
     Asked,
 }
 
@@ -105,7 +105,7 @@ pub struct Session {
     /// The time from which an open doubt is examined, ns.
     next_doubt_ns: u64,
     foreign_since_ns: Option<u64>,
-    /// Whether it is open which unit sends after a silence.
+    /// Which unit sends, where the output is kept.
     unit: Unit,
     /// Whether a sample has arrived since streaming began.
     flowing: bool,

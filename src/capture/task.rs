@@ -379,7 +379,7 @@ impl Shell {
             state.blame_host(GapCause::HostStall, mono_ns + LATE_READ_NS);
         }
         decoder.push(bytes, &mut |event| match event {
-            Event::Measurement(measurement) if session.is_unit_open() && unrecognised.len() < HELD_MAX => {
+            Event::Measurement(measurement) if session.is_unit_unknown() && unrecognised.len() < HELD_MAX => {
                 session.await_unit(mono_ns, actions);
                 unrecognised.push((mono_ns, utc_ns, measurement.clone()));
             }
@@ -396,7 +396,7 @@ impl Shell {
             Event::DeviceError(error) => session.handle(mono_ns, Input::DeviceError(error), actions),
             // A partial frame received while the sensor is being identified was never part of the capture.
             Event::Rejected { cause, bytes }
-                if session.status().state == SensorState::Streaming || session.is_unit_open() =>
+                if session.status().state == SensorState::Streaming || session.is_unit_unknown() =>
             {
                 session.handle(mono_ns, Input::Rejected(bytes.len()), actions);
                 let count = if cause == DiscardCause::GarbageBytes { bytes.len() as u64 } else { 1 };
@@ -416,7 +416,7 @@ impl Shell {
 
     /// Takes the measurements of a unit that was not recognised when they arrived, if it is now or cannot be.
     fn recognised(&mut self) {
-        if !self.session.is_unit_open() {
+        if !self.session.is_unit_unknown() {
             self.take_held();
         }
     }

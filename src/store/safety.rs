@@ -177,6 +177,28 @@ fn a_healthy_database_of_many_pages_has_no_damage() {
     assert!(!report.has_damage(), "{report:?}");
 }
 
+/// A damaged header may claim pointer maps where there are tables.
+#[test]
+fn a_page_of_a_table_is_no_pointer_map_whatever_the_header_claims() {
+    let world = World::new();
+    let id = world.capturing();
+    world.send(id, whole());
+    world.store.flush_blocking().unwrap();
+    let before = world.reader().capture(id).unwrap();
+    let path = world.store.path().to_owned();
+    world.store.close().unwrap();
+    let foreign = rusqlite::Connection::open(&path).unwrap();
+    foreign.execute_batch("PRAGMA auto_vacuum = NONE; VACUUM; PRAGMA wal_checkpoint(TRUNCATE);").unwrap();
+    drop(foreign);
+    let mut bytes = std::fs::read(&path).unwrap();
+    assert_eq!(bytes[52..56], [0; 4]);
+    bytes[55] = 1;
+    std::fs::write(&path, bytes).unwrap();
+    let out = world.directory.path().join("out.db");
+    recover(&path, &out, false).unwrap();
+    assert_eq!(Reader::open(&out).unwrap().capture(id).unwrap(), before);
+}
+
 #[test]
 fn a_file_without_a_whole_page_is_damaged() {
     let directory = tempfile::tempdir().unwrap();

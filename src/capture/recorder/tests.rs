@@ -109,19 +109,19 @@ fn a_stopped_capture_ends_at_its_last_sample_and_discards_are_written_down() {
     assert_eq!(out.last(), Some(&Record::Ended { how: CaptureEnd::Stopped, utc_ns: 5 }));
 }
 
-#[test]
-fn a_resumed_capture_whose_sensor_never_returns_ends_with_a_gap() {
+/// Returns the recorder of a capture of ten seconds that has these samples, and the last of them.
+fn resumed_after(samples: u64) -> (Recorder, Sample) {
     let plan = Plan { id: 1, name: "night".into(), duration_ns: 10_000_000_000, start_at_utc_ns: None };
-    let last = sample(99);
+    let last = sample(samples - 1);
     let point = ResumePoint {
         segments: 1,
         epoch: 1,
-        samples: 100,
-        received: 100,
+        samples,
+        received: samples,
         discarded: BTreeMap::new(),
         missing: 0,
         gaps: 0,
-        elapsed_ns: 100 * PERIOD_NS,
+        elapsed_ns: samples * PERIOD_NS,
         last: Some(Position {
             device_time_ns: last.device_time_ns,
             sync_count: None,
@@ -133,7 +133,12 @@ fn a_resumed_capture_whose_sensor_never_returns_ends_with_a_gap() {
         baud: None,
         previous_output: BTreeMap::new(),
     };
-    let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
+    (Recorder::new(plan, Some(point), 0.0), last)
+}
+
+#[test]
+fn a_resumed_capture_whose_sensor_never_returns_ends_with_a_gap() {
+    let ((mut recorder, last), mut out) = (resumed_after(100), Vec::new());
     recorder.tick(0, last.host_utc_ns + 5_000_000_000, &mut out);
     assert!(!recorder.has_ended());
     recorder.tick(0, last.host_utc_ns + 60_000_000_000, &mut out);
@@ -143,29 +148,7 @@ fn a_resumed_capture_whose_sensor_never_returns_ends_with_a_gap() {
 
 #[test]
 fn a_resumed_capture_needs_only_what_is_left() {
-    let plan = Plan { id: 1, name: "night".into(), duration_ns: 10_000_000_000, start_at_utc_ns: None };
-    let last = sample(299);
-    let point = ResumePoint {
-        segments: 1,
-        epoch: 1,
-        samples: 300,
-        received: 300,
-        discarded: BTreeMap::new(),
-        missing: 0,
-        gaps: 0,
-        elapsed_ns: 300 * PERIOD_NS,
-        last: Some(Position {
-            device_time_ns: last.device_time_ns,
-            sync_count: None,
-            host_mono_ns: 0,
-            host_utc_ns: last.host_utc_ns,
-        }),
-        rate_hz: Some(40.0),
-        serial_number: None,
-        baud: None,
-        previous_output: BTreeMap::new(),
-    };
-    let (mut recorder, mut out) = (Recorder::new(plan, Some(point), 0.0), Vec::new());
+    let ((mut recorder, _), mut out) = (resumed_after(300), Vec::new());
     recorder.accept(40.0, Timebase::Device, &mut out);
     for tick in 320..500 {
         recorder.sample(sample(tick), &mut out);

@@ -11,7 +11,8 @@ const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
 /// A silence that a boot explains (about 1.25 s), ns; a doubt about the rate soon after it is about a reset.
 const BOOT_SILENCE_NS: u64 = 500_000_000;
 const AFTER_BOOT_NS: u64 = 10_000_000_000;
-/// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right.
+/// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right. An undecided doubt is
+/// raised each two seconds; all of these are answered.
 const DOUBT_EVERY_NS: u64 = 1_900_000_000;
 
 impl Session {

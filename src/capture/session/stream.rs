@@ -28,22 +28,22 @@ impl Session {
         self.phase == Phase::Streaming || self.status.state == SensorState::UnexpectedFormat
     }
 
-    /// Returns whether it is open which unit sends: its output is kept, the line was silent, and the unit has not stated its
+    /// Returns whether the unit that sends may be another one than before: its output is kept, the line was silent, and the unit has not stated its
     /// serial number yet. What arrives meanwhile belongs to a capture only if it is the unit of before.
-    pub fn is_unit_open(&self) -> bool {
-        let is_open = match self.unit {
+    pub fn is_unit_unknown(&self) -> bool {
+        let is_unknown = match self.unit {
             Unit::Known => false,
-            Unit::Open => true,
+            Unit::Unknown => true,
             // A unit that does not answer any more is taken for the same one.
             Unit::Asked => !self.script.is_done(),
         };
-        self.phase == Phase::Streaming && is_open
+        self.phase == Phase::Streaming && is_unknown
     }
 
     /// Asks the unit for its serial number when its first measurement arrives: a question during the silence may have gone to
     /// nobody.
     pub fn await_unit(&mut self, now_ns: u64, actions: &mut Vec<Action>) {
-        if self.unit == Unit::Open {
+        if self.unit == Unit::Unknown {
             self.unit = Unit::Asked;
             self.script.begin(now_ns, vec![Step::optional(Command::read(3))], actions);
         }
@@ -268,7 +268,7 @@ impl Session {
                 self.set_state(SensorState::Stalled, Some("the port is open, but nothing arrives".to_owned()));
             }
             if self.options.output == Output::Keep && self.status.serial_number.is_some() {
-                self.unit = Unit::Open;
+                self.unit = Unit::Unknown;
             }
             // A sensor that answers is alive; an output that was paused resumes.
             let mut steps = vec![Step::optional(Command::read(1)), Step::optional(Command::read(3))];

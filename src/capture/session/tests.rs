@@ -439,7 +439,7 @@ fn another_unit_behind_the_same_port_is_noticed_after_a_silence() {
 fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
     let ymr = ascii_kind(14).unwrap();
     let arrives = |world: &mut World| {
-        assert!(world.session.is_unit_open());
+        assert!(world.session.is_unit_unknown());
         let mut actions = Vec::new();
         world.session.await_unit(world.now_ns, &mut actions);
         world.perform(actions);
@@ -449,7 +449,7 @@ fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
             let mut world = World::new(Output::Keep);
             world.give(Input::Expect(Some("0100012345".to_owned())));
             world.pass(1_000_000_000);
-            assert!(world.measured(ymr) && !world.session.is_unit_open());
+            assert!(world.measured(ymr) && !world.session.is_unit_unknown());
             world.sensor.answers = false;
             world.pass(silence_ns);
             assert_eq!(world.state(), SensorState::Stalled);
@@ -457,15 +457,15 @@ fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
                 world.sensor.registers.insert(3, serial.to_owned());
                 world.sensor.answers = true;
                 arrives(&mut world);
-                assert!(!world.session.is_unit_open());
+                assert!(!world.session.is_unit_unknown());
                 assert_eq!(world.measured(ymr), serial == "0100012345");
             } else {
                 // What does not answer is the unit of before, after a while; the port stays open meanwhile.
                 arrives(&mut world);
                 world.pass(1_000_000_000);
-                assert!(world.session.is_unit_open());
+                assert!(world.session.is_unit_unknown());
                 world.pass(600_000_000);
-                assert!(!world.session.is_unit_open() && world.measured(ymr));
+                assert!(!world.session.is_unit_unknown() && world.measured(ymr));
             }
         }
     }
@@ -477,7 +477,7 @@ fn what_a_kept_unit_sends_after_a_silence_waits_for_its_serial_number() {
         world.measured(ymr);
     }
     world.pass(1_100_000_000);
-    assert!(!world.session.is_unit_open());
+    assert!(!world.session.is_unit_unknown());
 }
 
 /// A unit whose serial number was read before is asked for it again, also if it sends before it answers.

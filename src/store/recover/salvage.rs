@@ -67,10 +67,12 @@ impl Salvage {
         let owners = salvage.owners();
         let free = salvage.free_pages();
         for number in 1..=salvage.image.pages {
-            if free.contains(&number) || salvage.image.is_pointer_map(number) {
+            let owner = owners.get(&number).map(String::as_str);
+            // A damaged header may claim pointer maps: a page of a table is none.
+            let is_map = owner.is_none() && salvage.image.is_pointer_map(number);
+            if free.contains(&number) || is_map {
                 continue;
             }
-            let owner = owners.get(&number).map(String::as_str);
             match parse(&salvage.image, number) {
                 Some(page) => salvage.take(number, page, owner),
                 None if owner.is_some_and(|owner| owner != "index") => salvage.damaged_pages += 1,

@@ -24,11 +24,11 @@ pub mod load;
 pub mod rows;
 
 #[cfg(test)]
-mod odd_tests;
+mod damaged_tests;
+#[cfg(test)]
+mod remark_tests;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod told_tests;
 
 mod between;
 mod csv;

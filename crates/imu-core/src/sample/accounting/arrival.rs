@@ -125,7 +125,8 @@ impl Accountant {
         if before_ns.is_none() {
             self.arrival.host_trouble = self.host_trouble.map(|(cause, _)| cause);
         }
-        let silence_ns = RESET_SILENCE_NS + period_ns(self.rate_hz);
+        let period = period_ns(self.rate_hz);
+        let silence_ns = silence_of_a_reset(period, period);
         let is_silence = before_ns.is_none_or(|before_ns| now_ns.saturating_sub(before_ns) as f64 > silence_ns);
         // A first silence may be a boot. Later ones may be a low rate.
         if before_ns.is_none() || (is_silence && !self.arrival.was_silent) {
@@ -148,7 +149,7 @@ impl Accountant {
                 self.arrival.doubt_due_ns = now_ns + DOUBT_NS;
                 self.arrival.host_trouble = host_trouble;
                 if let (Timebase::SyncCounter, Some(last)) = (self.timebase, self.last) {
-                    self.arrival.next_mono_ns = last.host_mono_ns as f64 + period_ns(self.rate_hz);
+                    self.arrival.next_mono_ns = last.host_mono_ns as f64 + period;
                 }
             }
             self.arrival.held = late;
@@ -180,7 +181,7 @@ impl Accountant {
         let from = self.tail(STEADY_NS, STEADY_MIN)?;
         let held = &self.arrival.held[from..];
         // Samples of a higher rate make up for a boot, and are as early as the old rate for a moment.
-        let silence_ns = RESET_SILENCE_NS + period;
+        let silence_ns = silence_of_a_reset(period, period);
         let gap_ns = |pair: &[Sample]| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64;
         if held.windows(2).any(|pair| gap_ns(pair) > silence_ns) {
             return None;
