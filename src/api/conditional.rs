@@ -4,15 +4,16 @@ use crate::store::{ResultRow, SOFTWARE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-/// Returns the strong entity tag of a result: its id and the program that made it.
+/// Returns the weak entity tag of a result: its id and the program that made it. It is weak because an answer and its
+/// compressed form have the same tag (RFC 9110, section 8.8.3).
 pub(super) fn entity_tag(result: &ResultRow) -> String {
-    format!("\"{}-{}\"", result.id, plain(&result.software))
+    format!("W/\"{}-{}\"", result.id, plain(&result.software))
 }
 
-/// Returns the strong entity tag of a form that this program makes of a result: the result's tag, with the form and
-/// this program.
+/// Returns the weak entity tag of a form that this program makes of a result: the result's tag, with the form and this
+/// program.
 pub(super) fn entity_tag_of_form(result: &ResultRow, form: &str) -> String {
-    format!("\"{}-{}-{}-{}\"", result.id, plain(&result.software), plain(form), plain(SOFTWARE))
+    format!("W/\"{}-{}-{}-{}\"", result.id, plain(&result.software), plain(form), plain(SOFTWARE))
 }
 
 /// Returns the text without characters that a tag must not have.
@@ -22,9 +23,12 @@ pub(super) fn plain(text: &str) -> String {
 
 /// Returns whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).
 pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
-    headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|value| value.to_str().ok()).any(|value| {
-        value.split(',').map(str::trim).any(|known| known == "*" || known.strip_prefix("W/").unwrap_or(known) == tag)
-    })
+    let opaque = |tag: &str| tag.strip_prefix("W/").unwrap_or(tag).to_owned();
+    headers
+        .get_all(header::IF_NONE_MATCH)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .any(|value| value.split(',').map(str::trim).any(|known| known == "*" || opaque(known) == opaque(tag)))
 }
 
 /// Returns `body` with its tag, or 304 without it if the client has the tag.
@@ -35,6 +39,10 @@ pub(super) fn answer(headers: &HeaderMap, tag: &str, body: impl IntoResponse) ->
         response.headers_mut().insert(header::ETAG, tag);
     }
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    if response.status() == StatusCode::NOT_MODIFIED {
+        // As the whole answer would have it (RFC 9110, section 15.4.5).
+        response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
+    }
     response
 }
 
@@ -52,6 +60,8 @@ mod tests {
             let response = answer(&asked(known), "\"1-x\"", "body");
             assert_eq!(response.status(), StatusCode::NOT_MODIFIED, "{known:?}");
             assert_eq!(response.headers()[header::ETAG], "\"1-x\"");
+            assert_eq!(response.headers()[header::VARY], "accept-encoding");
+            assert_eq!(answer(&asked(known), "W/\"1-x\"", "body").status(), StatusCode::NOT_MODIFIED, "{known:?}");
         }
     }
 

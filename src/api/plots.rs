@@ -83,7 +83,7 @@ pub(super) async fn plot(
     }
     // An analysis may be repeated; its picture is then a different one.
     let tag = format!(
-        "\"{id}-{}-{}-{}-{}\"",
+        "W/\"{id}-{}-{}-{}-{}\"",
         conditional::plain(&file),
         // Another database may have captures with the same ids and as many samples.
         conditional::plain(&format!("{} {}", row.started_at.map_or(0, |at| at.0), row.samples)),

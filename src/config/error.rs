@@ -35,6 +35,18 @@ fn token_hint(source: &std::io::Error) -> &'static str {
     if source.kind() == std::io::ErrorKind::PermissionDenied { JOIN_GROUP } else { "" }
 }
 
+/// The maximum number of characters of a message that are copied from the file.
+const COPIED_CHARS: usize = 300;
+
+/// Returns the beginning of a text that comes from the file.
+fn short(text: &str) -> String {
+    let mut beginning: String = text.chars().take(COPIED_CHARS).collect();
+    if beginning.len() < text.len() {
+        beginning.push('…');
+    }
+    beginning
+}
+
 /// The remedy for a user who may not read the token that the package created.
 pub const JOIN_GROUP: &str = "; the package's token is for the group vn100d: add yourself to it (`sudo usermod -aG vn100d \
                               $USER`) and log in again";
@@ -51,7 +63,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The text is not TOML.
-    #[error("{file}:{line}: this is not TOML: {problem}", file = file.display())]
+    #[error("{file}:{line}: this is not TOML: {}", short(problem), file = file.display())]
     Syntax {
         /// The file.
         file: PathBuf,
@@ -61,7 +73,7 @@ pub enum ConfigError {
         problem: String,
     },
     /// A key that does not exist.
-    #[error("{place}: there is no key `{key}`: allowed here are {}", allowed.join(", "))]
+    #[error("{place}: there is no key `{}`: allowed here are {}", short(key), allowed.join(", "))]
     UnknownKey {
         /// The place of the key.
         place: Place,
@@ -71,7 +83,7 @@ pub enum ConfigError {
         allowed: Vec<String>,
     },
     /// An invalid value of a key.
-    #[error("{place}: `{key}` is {found}: {allowed}")]
+    #[error("{place}: `{}` is {}: {}", short(key), short(found), short(allowed))]
     Value {
         /// The place of the value.
         place: Place,

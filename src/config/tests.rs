@@ -279,6 +279,20 @@ fn only_a_small_regular_file_is_read() {
 }
 
 #[test]
+fn an_error_has_only_the_beginning_of_a_long_value() {
+    let long = "x".repeat(500_000);
+    for text in [
+        format!("[sensor]\noutput = \"{long}\""),
+        format!("[sensor]\nrate-hz = \"{long}\""),
+        format!("[sensor]\n{long} = 1"),
+        format!("[sensor]\nrate-hz = 1{long}"),
+    ] {
+        let message = refused(&text);
+        assert!(message.starts_with("x.toml:2: ") && message.len() < 2000, "{} characters", message.len());
+    }
+}
+
+#[test]
 fn the_place_of_a_token_that_is_too_short_is_its_file() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");

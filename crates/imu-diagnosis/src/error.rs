@@ -20,7 +20,7 @@ pub enum DiagnosisError {
         expected_hz: f64,
     },
     /// Too few samples.
-    #[error("the recording has {found} samples; at least {least} are needed ({least_s} s at its rate)")]
+    #[error("the recording has {found} samples; at least {least} are needed ({least_s:.1} s at its rate)")]
     TooShort {
         /// The number of samples in the recording.
         found: usize,
