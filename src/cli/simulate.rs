@@ -8,12 +8,14 @@ use super::{Context, Outcome, failed, print_json, usage};
 use crate::clock::{Clock as _, SystemClock};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
-use imu_core::sample::Channel;
+use imu_core::sample::{CaptureConfiguration, Channel, SensorDescription};
 use imu_model::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
 use imu_model::motion::{Course, Kind, Site, Temperatures, gravity};
 use imu_model::simulator::records::Records;
 use imu_model::simulator::{Block, Motion, SensorModel, Simulator};
 use indicatif::ProgressBar;
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Write};
 use std::path::Path;
@@ -347,6 +349,16 @@ fn csv_rows(to: impl Write, run: &mut Run<'_>) -> anyhow::Result<Made> {
     Ok(made)
 }
 
+/// The configuration of a simulated capture, as the database holds it.
+#[derive(Serialize)]
+struct Simulation<'a> {
+    sensor_model: &'a SensorModel,
+    seed: u64,
+    motion: Option<&'a str>,
+    temperature: Option<&'a str>,
+    software: &'a str,
+}
+
 fn to_database(
     context: &Context,
     args: &SimulateArgs,
@@ -357,18 +369,18 @@ fn to_database(
     let store = Store::open(&context.database()?, StoreOptions::default())
         .context("simulate with --out FILE and import that where a daemon has the database")?;
     let utc_ns = SystemClock.utc_ns();
-    let configuration = serde_json::json!({
-        "sensor_model": model,
-        "seed": args.seed,
-        "motion": args.motion,
-        "temperature": args.temperature,
-        "software": SOFTWARE,
-    });
+    let configuration = Simulation {
+        sensor_model: model,
+        seed: args.seed,
+        motion: args.motion.as_deref(),
+        temperature: args.temperature.as_deref(),
+        software: SOFTWARE,
+    };
     let capture = NewCapture {
         name: Some(name.to_owned()),
         started_utc_ns: Some(utc_ns),
-        sensor: Some(serde_json::json!({ "model": model.name }).into()),
-        configuration: Some(configuration.into()),
+        sensor: Some(SensorDescription::of(&BTreeMap::from([("model", &model.name)]))),
+        configuration: Some(CaptureConfiguration::of(&configuration)),
         ..NewCapture::new("simulator", CaptureState::Simulated)
     };
     let mut import = store.begin_import(capture, None)?;

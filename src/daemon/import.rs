@@ -6,9 +6,11 @@ use crate::jobs::{self, Jobs, SamplingError};
 use crate::store::{CaptureState, ChannelRow, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
 use imu_core::sample::{CaptureConfiguration, StatedSampling};
 use imu_files::recording::{
-    ColumnMap, ColumnsError, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording,
-    RecordingAccountant, RecordingError, RecordingInfo, Rejected, detect, open_regular, unmerged_log,
+    ColumnMap, ColumnsError, Conversion, DefinitionError, Findings, Input, KeepOn, Kind, MessageDefinition, Options,
+    Recording, RecordingAccountant, RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular,
+    unmerged_log,
 };
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -381,35 +383,60 @@ fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
 }
 
 /// The user's statements about a recording: the sampling, pairs of columns, names of message types.
+#[derive(Serialize)]
 struct Statements {
     sampling: Option<StatedSampling>,
     columns: Vec<String>,
+    #[serde(rename = "message_definitions")]
     definitions: Vec<String>,
+}
+
+/// The configuration of an imported capture, as the database holds it.
+#[derive(Serialize)]
+struct ImportedRecording<'a> {
+    file: String,
+    kind: Kind,
+    #[serde(flatten)]
+    statements: &'a Statements,
+    stamps: Stamps,
+    rate_hz: f64,
+    ignored_columns: &'a [String],
+    conversions: &'a [Conversion],
+    stamp_choice: Option<&'a StampChoice>,
+    stamp_grid: Option<GridOfStamps>,
+    findings: &'a Findings,
+    remarks: Vec<String>,
+}
+
+/// The grid on which a recording's stamps lie.
+#[derive(Serialize)]
+struct GridOfStamps {
+    period_s: f64,
+    rounding_s: f64,
+    jitter_s: f64,
+    losses_resolved: bool,
 }
 
 /// Returns the capture's configuration.
 fn configuration(info: &RecordingInfo, statements: &Statements) -> CaptureConfiguration {
-    let document = serde_json::json!({
-        "file": info.file.display().to_string(),
-        "kind": info.kind,
-        "sampling": statements.sampling,
-        "columns": statements.columns,
-        "message_definitions": statements.definitions,
-        "stamps": info.stamps,
-        "rate_hz": info.rate_hz,
-        "ignored_columns": info.ignored_columns,
-        "conversions": info.conversions,
-        "stamp_choice": info.stamp_choice,
-        "stamp_grid": info.stamp_grid.as_ref().map(|grid| serde_json::json!({
-            "period_s": 1e-9 * grid.period_ns,
-            "rounding_s": 1e-9 * grid.rounding_ns as f64,
-            "jitter_s": 1e-9 * grid.jitter_ns,
-            "losses_resolved": grid.resolved,
-        })),
-        "findings": info.findings,
-        "remarks": info.remarks(),
-    });
-    document.into()
+    CaptureConfiguration::of(&ImportedRecording {
+        file: info.file.display().to_string(),
+        kind: info.kind,
+        statements,
+        stamps: info.stamps,
+        rate_hz: info.rate_hz,
+        ignored_columns: &info.ignored_columns,
+        conversions: &info.conversions,
+        stamp_choice: info.stamp_choice.as_ref(),
+        stamp_grid: info.stamp_grid.as_ref().map(|grid| GridOfStamps {
+            period_s: 1e-9 * grid.period_ns,
+            rounding_s: 1e-9 * grid.rounding_ns as f64,
+            jitter_s: 1e-9 * grid.jitter_ns,
+            losses_resolved: grid.resolved,
+        }),
+        findings: &info.findings,
+        remarks: info.remarks(),
+    })
 }
 
 /// A step that is coarser by no more than this is the same.

@@ -43,18 +43,20 @@ pub struct ConnectedSensor {
 impl ConnectedSensor {
     /// Returns the description that identifies the sensor.
     pub fn sensor(&self) -> SensorDescription {
-        SensorDescription(json!({
-            "model": self.model,
-            "serial_number": self.serial_number,
-            "firmware": self.firmware,
-            "hardware_revision": self.hardware_revision,
-        }))
+        #[derive(Serialize)]
+        struct Identity<'a> {
+            model: &'a Option<String>,
+            serial_number: &'a Option<String>,
+            firmware: &'a Option<String>,
+            hardware_revision: &'a Option<String>,
+        }
+        let Self { model, serial_number, firmware, hardware_revision, .. } = self;
+        SensorDescription::of(&Identity { model, serial_number, firmware, hardware_revision })
     }
 
     /// Returns all data as the configuration of a capture.
     pub fn configuration(&self) -> CaptureConfiguration {
-        // Numbers and texts can always be written.
-        CaptureConfiguration(serde_json::to_value(self).unwrap_or_default())
+        CaptureConfiguration::of(self)
     }
 }
 
@@ -178,6 +180,11 @@ impl CaptureConfiguration {
 macro_rules! document {
     ($($name:ident),*) => {$(
         impl $name {
+            /// Returns the document with the keys of this data. A map whose keys are no texts is an empty document.
+            pub fn of(data: &impl Serialize) -> Self {
+                serde_json::to_value(data).map_or_else(|_| Self::default(), Self)
+            }
+
             /// Returns the keys with their values.
             pub fn entries(&self) -> impl Iterator<Item = (&str, &Value)> {
                 self.0.as_object().into_iter().flatten().map(|(key, value)| (key.as_str(), value))
