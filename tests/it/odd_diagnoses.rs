@@ -146,7 +146,7 @@ fn tear(recording: &mut Recording, random: &mut ChaCha8Rng) -> &'static str {
             "late stamps"
         }
         _ => {
-            cut(recording, random.random_range(40..=length));
+            cut(recording, random.random_range(length * 2 / 5..=length));
             "short"
         }
     }
@@ -206,7 +206,8 @@ fn diagnose_case(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     let mut done = Vec::new();
     if rows.is_none() {
         let length = recording.len() as f64;
-        cut(&mut recording, length.powf(random.random_range(0.55..1.0)) as usize);
+        // A diagnosis needs 1,000 samples: few records have less.
+        cut(&mut recording, length.powf(random.random_range(0.74..1.0)) as usize);
     } else {
         done.push("moved");
     }
