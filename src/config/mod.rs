@@ -26,7 +26,6 @@ pub use values::{
 use source::Source;
 use std::io::Read as _;
 use std::net::SocketAddr;
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 
 /// The values of the command line that override the file.
@@ -113,13 +112,9 @@ fn finish(source: &Source<'_>, overrides: &Overrides) -> Result<Config, ConfigEr
 /// The maximum size of a configuration or a token's file, in bytes.
 const FILE_BYTES: u64 = 1 << 20;
 
-/// Reads a small file. A pipe may never end and a device has no end, so that only a regular file is read. It is opened
-/// without waiting, for some regular files (`/proc/kmsg`) wait for their data too.
+/// Reads a small file. A pipe may never end and a device has no end, so that only a regular file is read.
 fn text_in(file: &Path) -> std::io::Result<String> {
-    let mut options = std::fs::OpenOptions::new();
-    let flags = rustix::fs::OFlags::NONBLOCK.bits() as i32;
-    let file = options.read(true).custom_flags(flags).open(file)?;
-    let metadata = file.metadata()?;
+    let metadata = std::fs::metadata(file)?;
     let refuse = |reason| Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, reason));
     if !metadata.is_file() {
         return refuse("expected a regular file");
@@ -129,7 +124,7 @@ fn text_in(file: &Path) -> std::io::Result<String> {
     }
     let mut text = String::new();
     // It may grow meanwhile.
-    file.take(FILE_BYTES).read_to_string(&mut text)?;
+    std::fs::File::open(file)?.take(FILE_BYTES).read_to_string(&mut text)?;
     Ok(text)
 }
 
