@@ -35,16 +35,17 @@ fn token_hint(source: &std::io::Error) -> &'static str {
     if source.kind() == std::io::ErrorKind::PermissionDenied { JOIN_GROUP } else { "" }
 }
 
-/// The maximum number of characters of a message that are copied from the file.
-const COPIED_CHARS: usize = 300;
+/// The maximum number of characters of each end of a text from the file that a message has.
+const END_CHARS: usize = 300;
 
-/// Returns the beginning of a text that comes from the file.
+/// Returns a text that comes from the file without the middle of a long one. Its end may be what a parser expected.
 fn short(text: &str) -> String {
-    let mut beginning: String = text.chars().take(COPIED_CHARS).collect();
-    if beginning.len() < text.len() {
-        beginning.push('…');
+    let count = text.chars().count();
+    if count <= 2 * END_CHARS {
+        return text.to_owned();
     }
-    beginning
+    let (head, tail) = (text.chars().take(END_CHARS), text.chars().skip(count - END_CHARS));
+    head.chain(['…']).chain(tail).collect()
 }
 
 /// The remedy for a user who may not read the token that the package created.

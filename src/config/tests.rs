@@ -279,16 +279,21 @@ fn only_a_small_regular_file_is_read() {
 }
 
 #[test]
-fn an_error_has_only_the_beginning_of_a_long_value() {
-    let long = "x".repeat(500_000);
-    for text in [
-        format!("[sensor]\noutput = \"{long}\""),
-        format!("[sensor]\nrate-hz = \"{long}\""),
-        format!("[sensor]\n{long} = 1"),
-        format!("[sensor]\nrate-hz = 1{long}"),
-    ] {
-        let message = refused(&text);
-        assert!(message.starts_with("x.toml:2: ") && message.len() < 2000, "{} characters", message.len());
+fn an_error_has_only_the_ends_of_a_long_value_and_states_what_is_allowed() {
+    for length in [200, 500_000] {
+        let long = "x".repeat(length);
+        for (text, allowed) in [
+            (format!("[sensor]\noutput = \"{long}\""), "expected"),
+            (format!("[sensor]\nrate-hz = \"{long}\""), "expected"),
+            (format!("[notify]\nevents = [\"{long}\"]"), "expected one of"),
+            (format!("[sensor]\n{long} = 1"), "allowed here are"),
+            (format!("[sensor]\nrate-hz = 1{long}"), "this is not TOML"),
+        ] {
+            let message = refused(&text);
+            assert!(message.starts_with("x.toml:2: "), "{message:.300}");
+            assert!(message.contains(allowed), "{length}: {message}");
+            assert!(message.len() < 2500, "{} bytes", message.len());
+        }
     }
 }
 
