@@ -23,7 +23,9 @@ pub(super) fn plain(text: &str) -> String {
 
 /// Returns whether `If-None-Match` names this tag (RFC 9110, section 13.1.2: weak comparison).
 pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
-    let opaque = |tag: &str| tag.strip_prefix("W/").unwrap_or(tag).to_owned();
+    fn opaque(tag: &str) -> &str {
+        tag.strip_prefix("W/").unwrap_or(tag)
+    }
     headers
         .get_all(header::IF_NONE_MATCH)
         .iter()
@@ -39,10 +41,8 @@ pub(super) fn answer(headers: &HeaderMap, tag: &str, body: impl IntoResponse) ->
         response.headers_mut().insert(header::ETAG, tag);
     }
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-cache"));
-    if response.status() == StatusCode::NOT_MODIFIED {
-        // As the whole answer would have it (RFC 9110, section 15.4.5).
-        response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
-    }
+    // 304 has the field that the whole answer has (RFC 9110, section 15.4.5), whether that one is compressed or not.
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept-encoding"));
     response
 }
 

@@ -244,6 +244,7 @@ fn what_is_made_of_noise_parameters_has_a_tag_and_none_while_the_capture_runs() 
         assert!(tag.len() > 4 && tag.starts_with("W/\"") && tag.ends_with('"'), "{form}: {tag}");
         let again = world.get_with(&path, "if-none-match", &tag);
         assert_eq!((again.status, again.text.as_str(), again.header("etag")), (304, "", tag.as_str()), "{form}");
+        assert_eq!((first.header("vary"), again.header("vary")), ("accept-encoding", "accept-encoding"), "{form}");
         tags.insert(tag);
     }
     assert_eq!(tags.len(), forms.len(), "a tag names one form: {tags:?}");
