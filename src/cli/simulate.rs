@@ -415,3 +415,19 @@ fn tell(context: &Context, args: &SimulateArgs, model: &SensorModel, rate_hz: f6
     println!("{place}: {} samples of `{}` at {rate_hz} Hz, seed {}{lost}", made.samples, model.name, args.seed);
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As databases of earlier versions hold it.
+    #[test]
+    fn the_configuration_of_a_simulation_keeps_its_keys() {
+        let model = load_model(None).unwrap();
+        let simulation =
+            Simulation { sensor_model: &model, seed: 3, motion: None, temperature: Some("25"), software: SOFTWARE };
+        let configuration = CaptureConfiguration::of(&simulation);
+        let keys: Vec<_> = configuration.entries().map(|(key, _)| key).collect();
+        assert_eq!(keys, ["motion", "seed", "sensor_model", "software", "temperature"]);
+    }
+}

@@ -180,7 +180,7 @@ impl CaptureConfiguration {
 macro_rules! document {
     ($($name:ident),*) => {$(
         impl $name {
-            /// Returns the document with the keys of this data. A map whose keys are no texts is an empty document.
+            /// Returns the document with the keys of this data. Data that JSON cannot express gives an empty document.
             pub fn of(data: &impl Serialize) -> Self {
                 serde_json::to_value(data).map_or_else(|_| Self::default(), Self)
             }
