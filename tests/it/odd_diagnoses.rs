@@ -206,7 +206,7 @@ fn diagnose_case(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     let mut done = Vec::new();
     if rows.is_none() {
         let length = recording.len() as f64;
-        // A diagnosis needs 1,000 samples: few records have less.
+        // A diagnosis needs 1,000 samples: few records have fewer.
         cut(&mut recording, length.powf(random.random_range(0.74..1.0)) as usize);
     } else {
         done.push("moved");
