@@ -4,24 +4,38 @@ use super::configure::COUNT_REGISTERS;
 use super::{
     Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, RecorderAction, SensorState, Session, Step,
 };
+use imu_core::sample::accounting::{DOUBT_AGAIN_NS, silence_of_a_reset};
 use imu_core::units::period_ns;
 
 /// The registers that select baud rate, message, rate and binary output, read again on a doubt, with the serial number.
 const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
-/// A silence that a boot explains (about 1.25 s), ns; a doubt about the rate soon after it is about a reset.
-const BOOT_SILENCE_NS: u64 = 500_000_000;
+/// A doubt about the rate this soon after a silence that a reset explains is about that reset, ns.
 const AFTER_BOOT_NS: u64 = 10_000_000_000;
 /// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right. An undecided doubt is
-/// raised each two seconds; all of these are answered.
-const DOUBT_EVERY_NS: u64 = 1_900_000_000;
+/// raised a little less often; all of these are answered.
+const DOUBT_EVERY_NS: u64 = DOUBT_AGAIN_NS / 20 * 19;
 
 impl Session {
-    /// Records a sample that arrives after a silence.
+    /// Keeps the longest silence of the last seconds: at a slow rate, a boot's silence precedes those between two samples.
     pub(super) fn note_silence(&mut self, now_ns: u64) {
-        let periods_ns = self.accepted.map_or(0.0, |(_, rate_hz)| 5.0 * period_ns(rate_hz)) as u64;
-        if self.flowing && now_ns.saturating_sub(self.last_sample_ns) > BOOT_SILENCE_NS.max(periods_ns) {
-            self.resumed_ns = Some(now_ns);
+        let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
+        let longer = self.recent_silence(now_ns).is_some_and(|longest_ns| longest_ns >= silence_ns);
+        if self.flowing && !longer {
+            self.resumed = Some((now_ns, silence_ns));
         }
+    }
+
+    /// Returns the longest silence that ended in the last seconds, ns.
+    fn recent_silence(&self, now_ns: u64) -> Option<u64> {
+        self.resumed.filter(|(at_ns, _)| now_ns - at_ns < AFTER_BOOT_NS).map(|(_, silence_ns)| silence_ns)
+    }
+
+    /// Returns whether the sensor was reset before it began to send at this rate. The accounting of its samples counts a boot by
+    /// the same rule.
+    fn was_reset(&self, now_ns: u64, rate_hz: Option<f64>) -> bool {
+        let old_period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
+        let silence = silence_of_a_reset(old_period, rate_hz.map_or(0.0, period_ns));
+        self.recent_silence(now_ns).is_some_and(|silence_ns| silence_ns as f64 > silence)
     }
 
     /// Handles samples without time that do not arrive at the rate: the registers are read again.
@@ -63,7 +77,7 @@ impl Session {
         }
         let now_hz = sends.filter(|(now, _)| *now == kind).map(|(_, now_hz)| now_hz);
         actions.extend(now_hz.map(|rate_hz| RecorderAction::RateKnown(rate_hz).into()));
-        let was_reset = self.resumed_ns.is_some_and(|at_ns| now_ns - at_ns < AFTER_BOOT_NS);
+        let was_reset = self.was_reset(now_ns, sends.map(|(_, now_hz)| now_hz));
         let reset = if was_reset { " after a silence, as if it had been reset" } else { "" };
         let sent = sends.map_or("nothing".to_owned(), |(now, now_hz)| format!("{now} at {now_hz} Hz"));
         let message = format!("the sensor sends {sent} instead of {kind} at {rate_hz} Hz{reset}");

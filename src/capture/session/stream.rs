@@ -207,7 +207,7 @@ impl Session {
         self.unit = Unit::Known;
         self.last_sample_ns = now_ns;
         self.rejected_since_sample = 0;
-        (self.resumed_ns, self.doubt) = (None, None);
+        (self.resumed, self.doubt) = (None, None);
         self.foreign_since_ns = None;
         self.accept(kind, rate_hz, actions);
         let unit = self.status.serial_number.as_deref().unwrap_or("unknown");

@@ -19,6 +19,8 @@ mod rate_tests;
 mod tests;
 mod ticks;
 
+pub use arrival::{DOUBT_AGAIN_NS, silence_of_a_reset};
+
 use arrival::Arrival;
 use ticks::Trial;
 

@@ -29,10 +29,11 @@ const RATE_MIN: usize = 8;
 const RATE_LATE: f64 = 0.1;
 /// Rates that differ by less are equal, and a measured rate this close to one of the sensor's is that rate.
 const RATE_NEAR: f64 = 0.04;
-/// Samples that are held for longer than this put the rate in doubt, ns; and again after the second time, since the rate may
-/// change after the sensor has answered.
+/// Samples that are held for longer than this put the rate in doubt, ns.
 const DOUBT_NS: u64 = 600_000_000;
-const DOUBT_AGAIN_NS: u64 = 2_000_000_000;
+/// The time after which a doubt about the rate that is not decided is raised again, ns: the rate may change after the sensor has
+/// answered.
+pub const DOUBT_AGAIN_NS: u64 = 2_000_000_000;
 /// The longest time for which samples are held, ns, and the maximum number of held samples.
 const HELD_NS: f64 = 6e9;
 const HELD_MAX: usize = 16_384;
@@ -374,9 +375,9 @@ impl Accountant {
     }
 }
 
-/// Returns the time between two samples of these periods above which the sensor was reset in between, ns. Without a reset, a
-/// sample follows within the longer period.
-fn silence_of_a_reset(old_period: f64, period: f64) -> f64 {
+/// Returns the time between two samples of these periods (ns) above which the sensor was reset in between, ns. Without a reset,
+/// a sample follows within the longer period.
+pub fn silence_of_a_reset(old_period: f64, period: f64) -> f64 {
     RESET_SILENCE_NS + old_period.max(period)
 }
 
