@@ -37,7 +37,7 @@ fn printed(output: &Output) -> String {
 }
 
 #[test]
-fn systemd_finds_nothing_to_say_about_the_units() {
+fn systemd_reports_nothing_about_the_units() {
     let directory = tempfile::tempdir().unwrap();
     for (name, shipped) in UNITS {
         let unit = unit_with_the_built_binary(directory.path(), name, shipped).unwrap();

@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_of_a_recording_is_checked_before_its_body_comes() {
+    fn what_is_stated_about_a_recording_is_checked_before_its_body_comes() {
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/csv"));
         let asked = |columns: Option<String>, definitions: Option<String>| {

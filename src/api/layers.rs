@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_page_of_another_site_is_told_from_our_own_and_from_curl() {
+    fn a_page_of_another_site_is_distinguished_from_our_own_and_from_curl() {
         let foreign = |origin: Option<&str>| {
             let mut pairs = vec![(header::HOST, "127.0.0.1:8100")];
             pairs.extend(origin.map(|origin| (header::ORIGIN, origin)));

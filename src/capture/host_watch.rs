@@ -121,19 +121,19 @@ mod tests {
     }
 
     #[test]
-    fn times_before_each_step_of_an_unset_clock_are_told_from_those_after_it() {
+    fn times_before_each_step_of_an_unset_clock_are_distinguished_from_those_after_it() {
         let (set, in_2010) = (UTC_UNSET_BEFORE_NS + 5, 1_262_304_000_000_000_000);
         assert_eq!(unset_before(set - 60, set), Some(UTC_UNSET_BEFORE_NS), "1970, then NTP");
         assert_eq!(unset_before(in_2010 - 60, in_2010), Some(in_2010 / 2 + 30), "1970, then 2010 by hand");
         assert_eq!(unset_before(-3_600_000_000_000, in_2010), None, "set back");
         assert!(set_back_unset(-3_600_000_000_000, in_2010) && !set_back_unset(-3_600_000_000_000, set));
-        assert_eq!(unset_before(20_000_000, in_2010), None, "no row tells which side it is on");
+        assert_eq!(unset_before(20_000_000, in_2010), None, "no row shows which side it is on");
         assert!(!set_back_unset(-20_000_000, in_2010));
         assert_eq!(unset_before(2_000_000_000, set + 10_000_000_000), None, "a clock that was right");
     }
 
     #[test]
-    fn a_step_of_civil_time_is_told_with_its_size_and_nothing_else_is() {
+    fn a_step_of_civil_time_is_reported_with_its_size_and_nothing_else_is() {
         let clock = ManualClock::new(1_800_000_000_000_000_000);
         let mut watch = HostWatch::default();
         assert!(watch.turn(reading(&clock), TICK_NS).is_empty());
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_while_nobody_watched_is_told_and_a_slew_is_none() {
+    fn a_step_while_away_is_reported_and_a_slew_is_no_step() {
         let (second, night) = (1_000_000_000_u64, 28_800_000_000_000_u64);
         let before = (50 * second, 1_800_000_000_000_000_000_i64);
         let later = |by_ns: i64| (before.0 + night, before.1 + night as i64 + by_ns);

@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_port_and_a_file_that_is_none_are_told_apart() {
+    fn a_missing_port_and_a_file_that_is_no_port_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         assert!(matches!(open(&folder.path().join("none"), 115_200), Err(OpenError::Gone { .. })));
     }

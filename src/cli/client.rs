@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_there_is_told_from_somebody_else() {
+    fn an_absent_daemon_is_distinguished_from_a_foreign_server() {
         // A port that was free a moment ago.
         let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let base_url = format!("http://{}", listener.local_addr().unwrap());
@@ -357,7 +357,7 @@ mod tests {
 
     /// Once a connection was accepted, a daemon is there, even if no byte of the body was sent or the answer was cut.
     #[test]
-    fn a_connection_that_ends_is_told_from_one_that_is_never_made() {
+    fn a_connection_that_ends_is_distinguished_from_one_that_is_never_made() {
         let send = |base_url: &str| send(base_url, "/v1/imports", &[], "", 10, &[7_u8; 10][..]).unwrap_err();
         let error = send(&answering(""));
         assert!(matches!(error, ClientError::BrokenOff { sent_bytes: 0, length_bytes: 10, .. }), "{error}");
@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_becomes_shorter_while_it_is_sent_is_said_to_be() {
+    fn a_file_that_becomes_shorter_while_it_is_sent_is_reported_as_such() {
         let base_url = breaking_off(0, "");
         let error = send(&base_url, "/v1/imports", &[], "", 1000, &[7_u8; 10][..]).unwrap_err();
         assert!(matches!(error, ClientError::Body(_)), "{error}");
@@ -381,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn a_problem_is_told_with_its_detail() {
+    fn a_problem_is_reported_with_its_detail() {
         let base_url = answering(
             "HTTP/1.1 503 Service Unavailable\r\nContent-Length: 21\r\nConnection: close\r\n\r\n{\"detail\":\"too many\"}",
         );

@@ -127,8 +127,8 @@ fn listen(args: &DemoArgs) -> anyhow::Result<SocketAddr> {
 /// Follows the capture, prints its noise parameters as `curl` would get them, and waits for Ctrl-C.
 async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationToken) -> anyhow::Result<Outcome> {
     let base = format!("http://{}", handle.address);
-    say(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
-    say(&format!("Open {base}/ in a browser to see it move."))?;
+    print_line(&format!("An emulated VN-100 sends from {port}; the daemon records it and answers at {base}."))?;
+    print_line(&format!("Open {base}/ in a browser to see it move."))?;
     let begun = Instant::now();
     let bar = bar("{bar:40} {percent} %  {msg}", args.duration.as_secs());
     let mut status = handle.status.clone();
@@ -152,25 +152,27 @@ async fn show(args: &DemoArgs, port: &str, handle: Handle, stop: &CancellationTo
     let took = begun.elapsed();
     let samples = noise["samples"].as_u64().unwrap_or(0);
     let missing = noise["missing"].as_u64().unwrap_or(0);
-    say(&format!(
+    print_line(&format!(
         "{} of sensor time in {:.0} s: {samples} samples, {missing} missing. What the sensor's model says, and what was found:\n",
         format_duration(args.duration),
         took.as_secs_f64(),
     ))?;
-    say(&super::noise::comparison(&noise, &default_model()))?;
-    say(&format!(
+    print_line(&super::noise::comparison(&noise, &default_model()))?;
+    print_line(&format!(
         "\nThe emulated accelerometer also hums at {} Hz with {} m/s², which that model does not say. A diagnosis against the model:\n",
         HUM.frequency_hz, HUM.amplitude
     ))?;
     tokio::select! {
-        diagnosis = diagnosed(base.clone()) => say(&diagnosis?)?,
+        diagnosis = diagnosed(base.clone()) => print_line(&diagnosis?)?,
         () = stop.cancelled() => return Ok(Outcome::Done),
     }
     let tries = ["status", "captures/latest", "captures/latest/noise", "captures/latest/allan", "diagnoses/latest"];
     let tries: String = tries.iter().map(|path| format!("\n  curl {base}/v1/{path}")).collect();
-    say(&format!("\nTry:{tries}\nand in a browser {base}/, {base}/captures/latest and {base}/diagnoses/latest"))?;
+    print_line(&format!(
+        "\nTry:{tries}\nand in a browser {base}/, {base}/captures/latest and {base}/diagnoses/latest"
+    ))?;
     if !args.once {
-        say("\nServing until Ctrl-C.")?;
+        print_line("\nServing until Ctrl-C.")?;
         stop.cancelled().await;
     }
     Ok(if missing > 0 { Outcome::WithLoss } else { Outcome::Done })
@@ -245,7 +247,7 @@ async fn finished(url: String) -> anyhow::Result<serde_json::Value> {
     .await?
 }
 
-fn say(text: &str) -> std::io::Result<()> {
+fn print_line(text: &str) -> std::io::Result<()> {
     let mut stdout = std::io::stdout();
     writeln!(stdout, "{text}")?;
     stdout.flush()

@@ -50,7 +50,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     if let Some(path) = &args.reference {
         outcome.diagnosis.inputs.insert("reference".into(), path.display().to_string());
     }
-    gridded.tell(&mut outcome.diagnosis);
+    gridded.adjust(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
     if let Some(output) = augmented {
         output.put((serde_json::to_string_pretty(&outcome.augmented)? + "\n").as_bytes())?;

@@ -80,7 +80,7 @@ fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
     if context.json {
         print_json(&report)?;
     } else {
-        tell(&report)?;
+        print_summary(&report)?;
     }
     Ok(outcome)
 }
@@ -129,7 +129,7 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
             outcome = Outcome::WithLoss;
         }
         if !context.json {
-            tell(&report)?;
+            print_summary(&report)?;
         }
         reports.push(report);
     }
@@ -290,7 +290,7 @@ impl<W: Write> Write for Counted<'_, W> {
     }
 }
 
-fn tell(report: &Report) -> std::io::Result<()> {
+fn print_summary(report: &Report) -> std::io::Result<()> {
     let Report { file, format, samples, missing, gaps, channels, bytes, .. } = report;
     let channels = channels.len();
     let mut stdout = std::io::stdout().lock();

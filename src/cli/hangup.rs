@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mask_says_whether_the_signal_was_ignored() {
+    fn the_mask_shows_whether_the_signal_was_ignored() {
         // SIGPIPE alone, as Rust's runtime has it; with SIGHUP, as nohup; neither.
         assert!(!ignores_hangup("Name:\tvn100d\nSigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n"));
         assert!(ignores_hangup("SigIgn:\t0000000000001001\n"));

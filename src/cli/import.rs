@@ -52,7 +52,7 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         if context.json {
             answers.push(report);
         } else {
-            tell(&report)?;
+            print_summary(&report)?;
         }
     }
     if let Writer::Own(store) = &writer {
@@ -97,7 +97,7 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
     } else {
         match Store::open(&database, StoreOptions::default()) {
             Ok(store) => return Ok(Writer::Own(store)),
-            Err(error) if is_somebody_elses(&error) => Some(error),
+            Err(error) if is_held_by_another(&error) => Some(error),
             Err(error) => return Err(error.into()),
         }
     };
@@ -126,7 +126,7 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
 }
 
 /// Returns whether another process, or another user, has the database.
-fn is_somebody_elses(error: &StoreError) -> bool {
+fn is_held_by_another(error: &StoreError) -> bool {
     match error {
         StoreError::Locked { .. } => true,
         StoreError::Create { source, .. } => source.kind() == std::io::ErrorKind::PermissionDenied,
@@ -196,7 +196,7 @@ fn send(
     serde_json::from_value(answer).context("what the daemon answered is no import's report")
 }
 
-fn tell(report: &ImportReport) -> std::io::Result<()> {
+fn print_summary(report: &ImportReport) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     // Four decimals: further ones are the recording's jitter.
     let rate_hz = format!("{:.4}", report.rate_hz);
@@ -236,7 +236,7 @@ mod tests {
 
     /// A daemon that is not there needs no token: the database decides whether an import is possible.
     #[test]
-    fn a_token_that_cannot_be_read_keeps_nobody_while_no_daemon_is_there() {
+    fn a_token_that_cannot_be_read_blocks_no_import_while_no_daemon_is_there() {
         let folder = tempfile::tempdir().unwrap();
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let address = free.local_addr().unwrap();

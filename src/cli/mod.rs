@@ -396,7 +396,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_token_goes_to_nobody_who_was_only_named() {
+    fn the_token_goes_to_no_daemon_that_was_only_named() {
         let at = |text: &str| text.parse::<SocketAddr>().unwrap();
         let configured = at("192.0.2.7:8100");
         for (named, named_too, may) in [
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_one_line_and_says_no_cause_twice() {
+    fn an_error_is_one_line_and_states_no_cause_twice() {
         let io = || std::io::Error::from_raw_os_error(5);
         let error = StoreError::Create { path: "/data/vn100d.db.lock".into(), source: io() };
         let line = sentence(&anyhow::Error::from(error));

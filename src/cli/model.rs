@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_and_provenance_are_told_as_a_person_reads_them() {
+    fn numbers_and_provenance_are_shown_as_a_person_reads_them() {
         for (value, text) in [
             (json!(0), "0"),
             (json!(13.375), "13.375"),

@@ -333,7 +333,7 @@ mod tests {
 
     /// A turn of 20 s at 10 °/s does not change the parameters; a record that never rests has none.
     #[test]
-    fn what_moved_is_left_out_and_what_never_rested_says_so() {
+    fn what_moved_is_left_out_and_what_never_rested_is_reported() {
         let directory = tempfile::tempdir().unwrap();
         let turned = |i: usize| if (1200..2000).contains(&i) { 0.17 + 0.05 * (i as f64 * 0.1).sin() } else { 0.0 };
         let found = report(opened(recording(directory.path(), |i, value| value + turned(i))));
@@ -414,7 +414,7 @@ mod tests {
     /// The usual questions about a record: B beside the lowest deviation, how long to record, why the curve does not
     /// rise.
     #[test]
-    fn the_table_says_how_long_to_record_and_why_no_walk_is_seen() {
+    fn the_table_shows_how_long_to_record_and_why_no_walk_is_seen() {
         let directory = tempfile::tempdir().unwrap();
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
         let rendered = |report: &NoiseReport| {
@@ -523,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn a_filter_that_is_told_or_found_leaves_the_density_as_it_is() {
+    fn a_filter_that_is_stated_or_found_leaves_the_density_as_it_is() {
         let directory = tempfile::tempdir().unwrap();
         let path = means_of_four(directory.path());
         let density = 1e-3 / 800f64.sqrt();

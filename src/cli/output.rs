@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_comes_into_being_whole_and_only_where_none_is_or_force_is_said() {
+    fn a_file_is_created_whole_and_only_if_none_exists_or_with_force() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         let write = |force, text: &str| {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_not_there_is_told_by_the_name_that_was_given() {
+    fn a_folder_that_is_not_there_is_reported_by_the_name_that_was_given() {
         let refused = Output::create(Path::new("/nowhere/out.csv"), false, &[]).unwrap_err();
         assert_eq!(
             format!("{refused:#}"),

@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_name_of_the_file_tells_what_is_written() {
+    fn the_name_of_the_file_determines_what_is_written() {
         assert_eq!(form(Path::new("a.svg")).unwrap(), Form::Svg);
         assert_eq!(form(Path::new("/tmp/a.b.PNG")).unwrap(), Form::Png);
         for wrong in ["a", "a.pdf", ".svg", "svg"] {

@@ -101,7 +101,7 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     run.bar.finish_and_clear();
     // The samples are there; their reference would be of no use without them.
     motion_out.map_or(Ok(()), Output::keep)?;
-    tell(context, args, &model, rate_hz, &made)?;
+    print_summary(context, args, &model, rate_hz, &made)?;
     Ok(Outcome::Done)
 }
 
@@ -396,7 +396,13 @@ fn to_database(
     Ok(Made { samples: received, missing, capture: Some(id) })
 }
 
-fn tell(context: &Context, args: &SimulateArgs, model: &SensorModel, rate_hz: f64, made: &Made) -> anyhow::Result<()> {
+fn print_summary(
+    context: &Context,
+    args: &SimulateArgs,
+    model: &SensorModel,
+    rate_hz: f64,
+    made: &Made,
+) -> anyhow::Result<()> {
     let to_stdout = args.out.as_deref().is_some_and(|path| path == Path::new("-"));
     if to_stdout {
         return Ok(());

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_running_capture_is_told_with_its_counts() {
+    fn a_running_capture_is_shown_with_its_counts() {
         let mut status = Status::default();
         status.sensor.state = SensorState::Stalled;
         status.sensor.hint = Some("the cable".to_owned());

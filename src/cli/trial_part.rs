@@ -90,7 +90,7 @@ fn diagnosed(context: &Context, parcel: &Parcel) -> anyhow::Result<(Diagnosis, S
     let together = analysis::open(context, &[file.display().to_string()], None)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let mut outcome = imu_diagnosis::diagnose(&gridded.recording, &parcel.model, &options)?;
-    gridded.tell(&mut outcome.diagnosis);
+    gridded.adjust(&mut outcome.diagnosis);
     Ok((outcome.diagnosis, outcome.augmented))
 }
 

@@ -339,7 +339,7 @@ fn a_capture_goes_on_at_the_baud_rate_that_worked_last() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
     #[test]
-    fn both_identities_hold_whatever_happens_and_say_what_the_sensor_knows(steps in proptest::collection::vec(step(), 1..40)) {
+    fn both_identities_hold_whatever_happens_and_fit_what_the_sensor_knows(steps in proptest::collection::vec(step(), 1..40)) {
         play(&steps);
     }
 }

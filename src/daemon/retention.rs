@@ -71,7 +71,7 @@ impl Retention {
                     let found = verdict.distrust.filter(|_| !self.limits.is_unlimited());
                     let distrust = found.map(|distrust| clock_distrust(distrust, now.utc_ns));
                     if found != logged {
-                        say(distrust.as_ref(), now.utc_ns);
+                        log_distrust(distrust.as_ref(), now.utc_ns);
                         logged = found;
                     }
                     let planned_total = planned.len() as u64;
@@ -178,7 +178,7 @@ fn clock_distrust(distrust: Distrust, now_utc_ns: i64) -> ClockDistrust {
 }
 
 /// Logs that the clock is distrusted, or that it is trusted again.
-fn say(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
+fn log_distrust(distrust: Option<&ClockDistrust>, now_utc_ns: i64) {
     match distrust {
         None => {
             tracing::info!(now = rfc3339(now_utc_ns), "the clock is believed again: ages count, from a new notice on")

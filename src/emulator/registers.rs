@@ -501,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn the_link_carries_what_the_arithmetic_says() {
+    fn the_link_carries_what_the_arithmetic_allows() {
         // VNYMR 122 bytes: 50 Hz is 53 % of 115200 baud, 100 Hz is 106 %
         let mut file = file();
         assert_eq!(file.write(7, "50"), Ok(()));
@@ -532,7 +532,7 @@ mod tests {
     }
 
     #[test]
-    fn flash_is_written_only_when_told() {
+    fn flash_is_written_only_on_command() {
         let mut file = file();
         file.write(7, "20").unwrap();
         assert_eq!(file.flash_writes(), 0);

@@ -210,7 +210,7 @@ fn several_outputs_share_the_line_each_at_its_rate() {
 }
 
 #[test]
-fn every_message_it_can_be_told_to_send_is_decoded() {
+fn every_message_it_can_be_configured_to_send_is_decoded() {
     for ascii in vn100_proto::AsciiType::ALL {
         let options = SensorOptions { firmware: "3.0.0.0".to_owned(), ..SensorOptions::default() };
         let mut sensor = VirtualSensor::new(&options);

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn at_the_same_rate_everything_is_heard() {
+    fn at_the_same_rate_everything_is_received() {
         assert_eq!(received(b"$VNRRG,01*72\r\n", 115_200, 115_200), b"$VNRRG,01*72\r\n");
         // 2 % is within a receiver's tolerance
         assert_eq!(received(b"$VNRRG,01*72\r\n", 117_000, 115_200), b"$VNRRG,01*72\r\n");

@@ -260,7 +260,7 @@ fn document_of(
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
     let reference = parameters.reference.as_ref().map(|given| reference_of(reader, given, &gridded)).transpose()?;
     let mut outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
-    gridded.tell(&mut outcome.diagnosis);
+    gridded.adjust(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
     let Gridded { recording, from_s, .. } = gridded;
     let drawings = Drawings::new(&recording, from_s, &sim, &outcome);

@@ -24,7 +24,7 @@ pub struct Gridded {
 
 impl Gridded {
     /// Adjusts a diagnosis of this part: its times become the plan's.
-    pub fn tell(&self, diagnosis: &mut Diagnosis) {
+    pub fn adjust(&self, diagnosis: &mut Diagnosis) {
         if self.left_out > 0 {
             let why = if self.full {
                 "as many as the daemon has room for (`vn100d diagnose` takes all)"

@@ -12,7 +12,7 @@ use crate::store::Reader;
 use imu_core::sample::Channel;
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
-use imu_noise::stillness::{Stillness, TELLING};
+use imu_noise::stillness::{MOTION_CHANNELS, Stillness};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -324,7 +324,7 @@ impl Pyramids {
         // Gaps take no place: samples in motion before and after a gap are equally motion.
         pyramid.stillness.push(
             pyramid.samples,
-            TELLING.map(|channel| {
+            MOTION_CHANNELS.map(|channel| {
                 let at = Channel::ANALYSED.iter().position(|own| *own == channel);
                 at.and_then(|at| columns.get(at)).copied().unwrap_or_default()
             }),

@@ -11,7 +11,7 @@ use super::runner::CHUNK;
 use super::{JobError, Plan, SampleSource};
 use crate::store::Missing;
 use imu_noise::robust::BLOCK;
-use imu_noise::stillness::{Stillness, TELLING};
+use imu_noise::stillness::{MOTION_CHANNELS, Stillness};
 use std::ops::Range;
 
 /// A plan without the samples in motion, and the plan's samples if there is room for all.
@@ -33,8 +33,8 @@ pub(super) fn at_rest(
 ) -> Result<AtRest, JobError> {
     let mut held = if hold { Held::for_plan(&plan) } else { None };
     let mut channels = held.as_ref().map(|held| held.channels().to_vec()).unwrap_or_default();
-    channels.extend(TELLING.iter().filter(|channel| !held.as_ref().is_some_and(|held| held.has(**channel))));
-    let at = TELLING.map(|channel| channels.iter().position(|own| *own == channel));
+    channels.extend(MOTION_CHANNELS.iter().filter(|channel| !held.as_ref().is_some_and(|held| held.has(**channel))));
+    let at = MOTION_CHANNELS.map(|channel| channels.iter().position(|own| *own == channel));
     let long = plan.end_seq > BLOCK;
     let (mut moving, mut judged, mut beyond) = (Vec::new(), false, [(0, 0); 6]);
     for slice in plan.slices.clone() {
@@ -74,7 +74,7 @@ pub(super) fn at_rest(
         }));
     }
     plan.raw_counts =
-        TELLING.into_iter().zip(beyond).find_map(|(channel, (count, of))| RawCounts::of(channel, count, of));
+        MOTION_CHANNELS.into_iter().zip(beyond).find_map(|(channel, (count, of))| RawCounts::of(channel, count, of));
     if judged {
         plan.leave_out(moving.into_iter().filter(|range: &Range<u64>| !range.is_empty()).collect());
     }

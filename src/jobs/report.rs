@@ -14,7 +14,7 @@ use imu_noise::allan::{AllanCurve, AllanReport, AllanSums, Estimator};
 use imu_noise::fit::{Flag, fit_as_sampled};
 use imu_noise::robust::All;
 use imu_noise::statistics::Statistics;
-use imu_noise::stillness::TELLING;
+use imu_noise::stillness::MOTION_CHANNELS;
 use imu_noise::whittle::{DstSums, Sampling};
 use imu_noise::{Contribution, NoiseParameters, NoiseReport, hold_against};
 use serde::{Deserialize, Serialize};
@@ -209,7 +209,7 @@ pub(super) fn noise(
         let counted = sums.iter().find(|(own, _)| *own == channel);
         let beyond = counted.map_or((0, 0), |(_, sums)| (sums.out_of_range(), sums.out_of_range() + sums.samples()));
         // In that case the units of the other channels are unknown, and so is whether the sensor was at rest.
-        let of_all = plan.raw_counts.filter(|_| TELLING.contains(&channel) || !plan.has_rest());
+        let of_all = plan.raw_counts.filter(|_| MOTION_CHANNELS.contains(&channel) || !plan.has_rest());
         if let Some(raw) = of_all.or_else(|| RawCounts::of(channel, beyond.0, beyond.1)) {
             parameters.refuse(raw.to_string());
         } else if let Some(flag) = parameters.flags.iter().find(|flag| flag.kind == "not_at_rest") {

@@ -109,7 +109,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn what_is_said_has_to_fit_the_samples_and_what_is_known_with_both_numbers() {
+    fn a_stated_sampling_must_fit_the_samples_and_what_is_known_or_both_numbers_are_reported() {
         let register = of_configuration(&json!({"filter_window": {"mag": 0, "accel": 4, "gyro": 4}}).into());
         let means = |filter_window, internal_rate_hz| StatedSampling { filter_window, internal_rate_hz };
         let refused =
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_import_was_said_to_be_is_read_from_its_configuration() {
+    fn the_sampling_stated_at_an_import_is_read_from_its_configuration() {
         let kept = serde_json::to_value(StatedSampling { filter_window: 5, internal_rate_hz: None }.kept()).unwrap();
         let found = of_configuration(&json!({ "sampling": kept }).into());
         assert_eq!((found.len(), found[&Triad::Accel].window, found[&Triad::Accel].internal_rate_hz), (2, 5, 800.0));

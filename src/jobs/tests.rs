@@ -597,7 +597,7 @@ fn while_a_capture_runs_a_sensor_that_moved_has_no_usable_parameters() {
 }
 
 #[test]
-fn noise_parameters_and_statistics_say_what_they_are_made_of() {
+fn noise_parameters_and_statistics_report_what_they_are_made_of() {
     let world = World::new();
     let job = world.queue(JobKind::Noise, serde_json::Value::Null);
     let noise: imu_noise::NoiseReport = serde_json::from_str(&world.work(job, 1000, [usize::MAX])).unwrap();

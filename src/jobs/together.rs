@@ -173,7 +173,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_differs_is_named_and_what_is_not_told_is_no_difference() {
+    fn what_differs_is_named_and_what_is_not_stated_is_no_difference() {
         let plain = Setting::of_rate("a", 40.0);
         let full = Setting {
             name: "b".to_owned(),

@@ -142,7 +142,7 @@ impl Notifier {
         loop {
             let now_ns = clock.mono_ns();
             let due = coalescer.due(now_ns);
-            self.tell(due);
+            self.dispatch(due);
             let wait = coalescer.deadline_ns().map_or(Duration::from_secs(3600), |deadline_ns| {
                 clock.real(Duration::from_nanos(deadline_ns.saturating_sub(now_ns)))
             });
@@ -165,18 +165,18 @@ impl Notifier {
                 if self.options.events.contains(&notice.event)
                     && let Some(notice) = coalescer.offer(clock.mono_ns(), notice)
                 {
-                    self.tell(vec![notice]);
+                    self.dispatch(vec![notice]);
                 }
             }
         }
         let held = coalescer.due(u64::MAX);
-        self.tell(held);
+        self.dispatch(held);
         let workers = std::mem::take(&mut self.workers);
         // Waiting for the threads blocks, so it is done on a thread for blocking work.
         let _ = tokio::task::spawn_blocking(move || Worker::stop(workers)).await;
     }
 
-    fn tell(&self, notices: Vec<Notice>) {
+    fn dispatch(&self, notices: Vec<Notice>) {
         for notice in notices {
             tracing::info!(event = notice.event.name(), message = notice.message());
             let message = Arc::new(notice.rendered(&self.options.sender));

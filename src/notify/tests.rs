@@ -175,7 +175,7 @@ fn captures_that_complete_never_stand_for_one_another() {
 }
 
 #[test]
-fn a_message_says_the_same_as_json_and_in_the_environment() {
+fn a_message_has_the_same_content_as_json_and_in_the_environment() {
     let mut watcher = watcher();
     watcher.observe(0, 0, &status(SensorState::Streaming, true));
     let notice = watcher.sign(5, Sign::Gap(7, gap(400))).remove(0);
@@ -290,7 +290,7 @@ fn an_answer_that_will_not_change_is_not_asked_for_again() {
 }
 
 #[test]
-fn nobody_there_is_given_up_after_the_attempts_and_what_does_not_fit_is_dropped() {
+fn an_absent_receiver_is_given_up_after_the_attempts_and_what_does_not_fit_is_dropped() {
     // A port that was free a moment ago: refused at once.
     let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let receiver = Receiver::Url { url: format!("http://{address}/secret"), shown: format!("http://{address}") };
@@ -307,7 +307,7 @@ fn nobody_there_is_given_up_after_the_attempts_and_what_does_not_fit_is_dropped(
     for _ in 0..QUEUE + 50 {
         worker.put(message());
     }
-    assert!(begun.elapsed() < Duration::from_secs(1), "whoever tells never waits");
+    assert!(begun.elapsed() < Duration::from_secs(1), "the sender never waits");
     let status = figures(&worker);
     assert!((49..=50).contains(&status.dropped), "{status:?}");
     assert_eq!(status.queued + status.dropped, QUEUE as u64 + 50);
@@ -330,7 +330,7 @@ fn a_program_gets_the_event_in_its_environment_and_on_its_input() {
 }
 
 #[test]
-fn a_program_that_fails_or_is_missing_says_so() {
+fn a_program_that_fails_or_is_missing_is_reported() {
     let run = |command: &[&str]| {
         let receiver = Receiver::Command(command.iter().map(|&word| word.to_owned()).collect());
         receiver.attempt(&message(), Duration::from_secs(20), || true).unwrap_err()
@@ -440,7 +440,7 @@ fn a_thousand_deletions_are_one_short_message_that_counts_them() {
 }
 
 #[test]
-fn every_night_that_was_skipped_is_told_by_itself_with_its_reason() {
+fn every_skipped_night_is_reported_separately_with_its_reason() {
     let mut coalescer = Coalescer::new(Duration::from_secs(60));
     for name in ["nightly-2026-11-21", "nightly-2026-11-22"] {
         let reason = "capture 7 runs or waits: stop it, or let it end".to_owned();

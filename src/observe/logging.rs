@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_that_is_none_is_refused() {
+    fn an_invalid_level_is_refused() {
         let style = LogStyle::of(false, false, false, false);
         assert!(matches!(init("loud,=", style), Err(LoggingError::Level { .. })));
     }

@@ -357,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_that_runs_is_told_with_what_is_missing_and_why() {
+    fn a_running_capture_is_shown_with_what_is_missing_and_why() {
         let page = shown(&status(SensorState::Streaming, running()), Some(&stored()));
         for expected in [
             "<h1 class=\"good\" aria-live=\"polite\">Recording &lt;script&gt;.</h1>",

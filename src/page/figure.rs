@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intervals_are_told_apart() {
+    fn intervals_are_shown_with_distinguishable_ends() {
         assert_eq!(with_interval(11.399_999_8, [11.399_998_9, 11.400_000_7]), "11.3999998 (11.3999989 to 11.4000007)");
         assert_eq!(with_interval(1.9557e-3, [1.8976e-3, 2.0137e-3]), "0.001956 (0.001898 to 0.002014)");
         assert_eq!(with_interval(2.0, [2.0, 2.0]), "2 (2 to 2)");

@@ -31,7 +31,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_job_that_runs_asks_again_and_one_that_failed_says_why() {
+    fn the_page_of_a_running_job_refreshes_and_that_of_a_failed_one_shows_the_reason() {
         let runs = waiting("diagnosis 7", "running", 0.42, None);
         assert!(runs.contains("42 % done") && runs.contains("http-equiv=\"refresh\""), "{runs}");
         let failed = waiting("diagnosis 7", "failed", 0.0, Some("no <gyro_x>"));

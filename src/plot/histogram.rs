@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn many_bins_become_few_bars_and_none_is_no_picture() {
+    fn many_bins_become_few_bars_and_no_bins_give_no_picture() {
         let edges: Vec<f64> = (0..=1000).map(f64::from).collect();
         let bars = of(&edges, &[1; 1000]).matches("class=\"bar\"").count();
         assert!((100..=BARS).contains(&bars), "{bars}");

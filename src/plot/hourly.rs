@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_block_is_a_curve_and_the_verdict_is_told() {
+    fn each_block_is_a_curve_and_the_verdict_is_shown() {
         let block =
             |level: f64| DynamicBlock { from_s: 0.0, to_s: 1.0, deviation: vec![Some(level), Some(level / 2.0), None] };
         let of = DynamicAllan {

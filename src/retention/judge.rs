@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_shows_an_implausible_date_tells_no_ages() {
+    fn a_clock_that_shows_an_implausible_date_determines_no_ages() {
         let at = |utc_ns, newest: Option<i64>, synchronised| {
             let captures: Vec<Candidate> = newest.into_iter().map(|newest| capture(1, newest)).collect();
             World { synchronised, ..World::at(utc_ns) }.distrust(&captures)
@@ -292,7 +292,7 @@ mod tests {
 
     /// The end of the distrust counts as a step: deletions announced before the wrong date are announced again.
     #[test]
-    fn what_was_announced_before_an_implausible_date_is_announced_anew_after_it() {
+    fn what_was_announced_before_an_implausible_date_is_announced_again_after_it() {
         let limits = Limits {
             keep: Some(Duration::from_secs(30 * 86_400)),
             keep_bytes: None,

@@ -52,7 +52,7 @@ fn size_takes_the_oldest_and_no_more_than_needed() {
 }
 
 #[test]
-fn a_clock_that_cannot_be_trusted_begins_the_notice_anew() {
+fn a_clock_that_cannot_be_trusted_restarts_the_notice() {
     let announcement = Announcement { made_utc_ns: NOW - DAY, delete_at_utc_ns: NOW };
     let announced = [Candidate { announced: Some(announcement), ..capture(1, 31, 10) }];
     let at = |now, stepped| plan(&announced, now, stepped, &limits(Some(30), None))[0];

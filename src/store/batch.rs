@@ -188,7 +188,7 @@ mod tests {
 
     /// Programs that check a database by other means rely on this layout (docs/data-model.md).
     #[test]
-    fn a_row_has_the_bytes_that_the_documentation_says() {
+    fn a_row_has_the_bytes_that_the_documentation_states() {
         let mut row = StoredRow { seq: 1, segment_id: 2, host_mono_ns: 3, host_utc_ns: 4, ..StoredRow::default() };
         row.values[0] = Some(-0.0);
         row.values[13] = Some(1.5);

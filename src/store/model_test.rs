@@ -462,14 +462,14 @@ fn a_store_that_is_broken_fails_its_model() {
 }
 
 #[test]
-fn the_store_is_at_any_crash_what_its_model_says() {
+fn the_store_matches_its_model_at_any_crash() {
     const INSIDE: &str = "VN100D_MODEL_INSIDE";
     if std::env::var_os(INSIDE).is_none() {
         // A write beyond the limit returns an error only if the signal that comes with it is ignored.
         let inside = std::process::Command::new("sh")
             .args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""])
             .arg(std::env::current_exe().unwrap())
-            .args(["--exact", "--nocapture", "store::model_test::the_store_is_at_any_crash_what_its_model_says"])
+            .args(["--exact", "--nocapture", "store::model_test::the_store_matches_its_model_at_any_crash"])
             .env(INSIDE, "1")
             .output()
             .unwrap();

@@ -378,7 +378,7 @@ fn a_commit_that_meets_damage_is_not_tried_again() {
 
 /// If its failures counted among those of commits, they would end the process or make the state flip with every commit.
 #[test]
-fn a_correction_that_fails_says_nothing_of_the_commits_beside_it() {
+fn a_correction_that_fails_does_not_count_as_a_failed_commit() {
     let world = World::new();
     let id = world.capturing();
     let path = world.store.path().to_owned();

@@ -407,7 +407,7 @@ fn a_file_of_another_program_is_refused_and_left_untouched() {
 }
 
 #[test]
-fn what_is_not_there_is_said_so() {
+fn a_missing_database_or_folder_is_reported_as_such() {
     let directory = tempfile::tempdir().unwrap();
     let error = Reader::open(&directory.path().join("none.db")).unwrap_err();
     assert!(matches!(error, StoreError::NoDatabase { .. }));
@@ -574,7 +574,7 @@ fn the_same_recording_imported_twice_is_one_capture() {
 }
 
 #[test]
-fn a_name_that_was_only_liked_gives_way_and_one_that_was_told_does_not() {
+fn a_name_that_was_only_liked_gives_way_and_one_that_was_given_does_not() {
     let world = World::new();
     let begin = |name: Option<&str>, liked: Option<&str>| {
         let (name, liked_name) = (name.map(str::to_owned), liked.map(str::to_owned));

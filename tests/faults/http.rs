@@ -107,7 +107,7 @@ fn nothing_missing(world: &World) {
 
 /// Row E1.
 #[test]
-fn a_thousand_half_heads_are_closed_in_time_and_harm_nobody() {
+fn a_thousand_half_heads_are_closed_in_time_and_do_no_harm() {
     let world = World::new();
     let (_sensor, daemon) = capturing(&world);
     let head = b"GET /v1/status HTTP/1.1\r\nHost: localhost\r\nX-Slow: ";
@@ -128,7 +128,7 @@ fn a_thousand_half_heads_are_closed_in_time_and_harm_nobody() {
 
 /// Row E2.
 #[test]
-fn a_thousand_idle_connections_and_200_requests_a_second_harm_nobody() {
+fn a_thousand_idle_connections_and_200_requests_a_second_do_no_harm() {
     let world = World::new();
     let (_sensor, daemon) = capturing(&world);
     let request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";

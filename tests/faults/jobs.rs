@@ -262,7 +262,7 @@ fn a_job_killed_after_any_chunk_comes_to_the_same_bytes() {
 
 /// Row F3.
 #[test]
-fn a_job_over_a_running_capture_takes_in_what_was_there_and_says_so() {
+fn a_job_over_a_running_capture_takes_in_what_was_there_and_states_it() {
     let world = World::new();
     let _sensor = world.emulate(&[]);
     let daemon = world.daemon("[sensor]\nrate-hz = 160\n", &["--capture", "60s"]);
@@ -497,7 +497,7 @@ fn the_largest_reference_costs_the_daemon_little_memory_and_is_kept_once() {
 
 /// Row F5.
 #[test]
-fn a_result_of_older_software_is_marked_kept_and_made_anew_on_request() {
+fn a_result_of_older_software_is_marked_kept_and_made_again_on_request() {
     let world = World::new();
     let capture = fill(&world, "desk", &[Channel::GyroX], &plain(4000), noise);
     let few = fill(&world, "few", &[Channel::GyroX], &plain(3), noise);

@@ -78,7 +78,7 @@ fn is_measured(gap: &Gap, away_s: f64, resumed_s: f64) {
 fn after_an_unplug_the_same_capture_goes_on_within_three_seconds_and_the_gap_is_exact() {
     let mut run = Streaming::begin("", &[]);
     let away = tools::scaled(3, 10);
-    run.sensor.say(&format!("unplug {away}s"));
+    run.sensor.send_line(&format!("unplug {away}s"));
     run.until_state("absent", Duration::from_secs(2));
     run.until_event("back", 1, Duration::from_secs(15));
     run.world.until_more_samples(40, &run.daemon);
@@ -107,7 +107,7 @@ fn a_sensor_that_returns_under_another_name_is_found_and_status_shows_the_name()
     let mut daemon = world.daemon_on(pattern.to_str().unwrap(), "", &["--capture", "5h"]);
     world.until_more_samples(20, &daemon);
     assert_eq!(world.get("/v1/status")["sensor"]["port"], first.to_str().unwrap());
-    sensor.say("unplug 2s");
+    sensor.send_line("unplug 2s");
     let gone = || (world.get("/v1/status")["sensor"]["state"] == "absent").then_some(());
     world.until("it is gone", Duration::from_secs(2), gone, &daemon);
     std::fs::remove_file(&first).unwrap();
@@ -136,7 +136,7 @@ fn behind_an_unchanged_link_the_status_shows_the_new_device() {
     };
     let link = run.world.port().to_str().unwrap().to_owned();
     assert_eq!(shown(&run), (link.clone(), run.sensor.first_line.clone()));
-    run.sensor.say("unplug 2s");
+    run.sensor.send_line("unplug 2s");
     run.until_state("absent", Duration::from_secs(2));
     run.until_event("back", 1, Duration::from_secs(15));
     run.world.until_more_samples(40, &run.daemon);
@@ -157,7 +157,7 @@ fn a_flapping_plug_leaks_nothing_and_costs_little() {
     let before = Held::of(run.daemon.id());
     let begun = Instant::now();
     for time in 1..=times {
-        run.sensor.say(&format!("unplug {half_ms}ms"));
+        run.sensor.send_line(&format!("unplug {half_ms}ms"));
         run.until_event("back", time, Duration::from_secs(10));
         std::thread::sleep(Duration::from_millis(half_ms));
     }
@@ -183,7 +183,7 @@ fn a_flapping_plug_leaks_nothing_and_costs_little() {
 fn a_line_that_hung_up_is_absent_and_costs_nothing() {
     let seconds = tools::scaled(5, 60);
     let mut run = Streaming::begin("", &[]);
-    run.sensor.say(&format!("eof {}s", seconds + 2));
+    run.sensor.send_line(&format!("eof {}s", seconds + 2));
     run.until_state("absent", Duration::from_secs(2));
     assert!(run.world.port().is_symlink(), "the link stays");
     let before = Held::of(run.daemon.id());
@@ -204,7 +204,7 @@ fn a_line_that_hung_up_is_absent_and_costs_nothing() {
 fn a_silent_sensor_is_stalled_within_a_second_and_streams_within_three_when_it_speaks_again() {
     let seconds = tools::scaled(8, 30);
     let mut run = Streaming::begin("", &[]);
-    run.sensor.say(&format!("silence {seconds}s"));
+    run.sensor.send_line(&format!("silence {seconds}s"));
     let stalled = run.until_state("stalled", Duration::from_secs(4)).as_secs_f64();
     run.world.until_more_samples(20, &run.daemon);
     assert_eq!(lines_with(&run.daemon.log(), &["the sensor is silent"]), 1, "{}", run.daemon.log());
@@ -226,7 +226,7 @@ fn a_silent_sensor_is_stalled_within_a_second_and_streams_within_three_when_it_s
 fn garbage_between_frames_costs_no_frame_and_is_counted_to_the_byte() {
     let bytes = tools::scaled(40_000_u64, 400_000);
     let mut run = Streaming::begin("", &["--baud", "921600"]);
-    run.sensor.say(&format!("garbage {bytes}"));
+    run.sensor.send_line(&format!("garbage {bytes}"));
     run.world.until_more_samples(bytes / 512 + 40, &run.daemon);
     let found = run.audit();
     let frames = (bytes / 512 + 1) as usize;
@@ -246,7 +246,7 @@ fn each_garbled_frame_is_one_missing_sample_and_its_neighbours_stand() {
     let bad = tools::scaled(12, 200);
     let mut run = Streaming::begin("", &[]);
     for _ in 0..bad {
-        run.sensor.say("checksum 1");
+        run.sensor.send_line("checksum 1");
         run.world.until_more_samples(3, &run.daemon);
     }
     run.world.until_more_samples(10, &run.daemon);
@@ -260,9 +260,9 @@ fn each_garbled_frame_is_one_missing_sample_and_its_neighbours_stand() {
 
 /// Row B13: the baud rate changes while the sensor streams.
 #[test]
-fn a_sensor_at_another_baud_rate_is_said_within_three_seconds_and_found() {
+fn a_sensor_at_another_baud_rate_is_reported_within_three_seconds_and_found() {
     let mut run = Streaming::begin("", &["--strict-baud"]);
-    run.sensor.say("baud 230400");
+    run.sensor.send_line("baud 230400");
     let reported_s = run.until_state("no_valid_frames", Duration::from_secs(6)).as_secs_f64();
     let begun = Instant::now();
     run.world.until_more_samples(20, &run.daemon);
@@ -270,7 +270,7 @@ fn a_sensor_at_another_baud_rate_is_said_within_three_seconds_and_found() {
     let status = run.world.get("/v1/status");
     assert_eq!(status["sensor"]["baud"], 230_400);
     let found = run.audit();
-    println!("B13: said after {reported_s:.2} s, streams {streams:.2} s later, {} missing", found.missing);
+    println!("B13: reported after {reported_s:.2} s, streams {streams:.2} s later, {} missing", found.missing);
     assert!(reported_s <= 3.0, "{reported_s} s");
     assert_eq!(found.causes(), ["checksum"]);
 }
@@ -298,7 +298,7 @@ fn a_baud_rate_that_is_not_to_be_tried_gives_a_hint_and_no_load() {
 
 /// Row B16.
 #[test]
-fn a_port_that_may_not_be_opened_is_said_with_the_remedy_and_tried_again() {
+fn a_port_that_may_not_be_opened_is_reported_with_the_remedy_and_tried_again() {
     if !tools::root("another user is needed to be refused") || !tools::have("setpriv", "it becomes another user") {
         return;
     }
@@ -336,10 +336,10 @@ fn a_port_that_may_not_be_opened_is_said_with_the_remedy_and_tried_again() {
 
 /// The capture belongs to one sensor (issue: another unit is refused and reported).
 #[test]
-fn another_unit_is_refused_and_said_and_the_right_one_goes_on() {
+fn another_unit_is_refused_and_reported_and_the_right_one_goes_on() {
     let mut run = Streaming::begin("", &[]);
-    run.sensor.say("unit 0100099999");
-    run.sensor.say("unplug 1s");
+    run.sensor.send_line("unit 0100099999");
+    run.sensor.send_line("unplug 1s");
     let wrong = || Some(run.world.get("/v1/status")).filter(|status| status["sensor"]["state"] == "wrong_unit");
     let status: Value = run.world.until("it is refused", Duration::from_secs(15), wrong, &run.daemon);
     let hint = status["sensor"]["hint"].as_str().unwrap();
@@ -348,8 +348,8 @@ fn another_unit_is_refused_and_said_and_the_right_one_goes_on() {
     std::thread::sleep(Duration::from_secs(3));
     assert_eq!(run.world.get("/v1/status")["capture"]["samples"].as_u64(), samples, "none of its samples is taken");
     assert_eq!(lines_with(&run.daemon.log(), &["the capture belongs to"]), 1, "{}", run.daemon.log());
-    run.sensor.say("unit 0100012345");
-    run.sensor.say("unplug 1s");
+    run.sensor.send_line("unit 0100012345");
+    run.sensor.send_line("unplug 1s");
     run.world.until_more_samples(20, &run.daemon);
     let found = run.audit();
     let resumed = found.resumed_after_s("back");

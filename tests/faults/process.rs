@@ -41,7 +41,7 @@ fn fast_sensor(world: &World) -> (Process, PathBuf) {
 
 /// Row A1.
 #[test]
-fn after_each_kill_nothing_that_was_said_to_be_safe_is_lost_and_the_capture_goes_on_within_five_seconds() {
+fn after_each_kill_nothing_reported_safe_is_lost_and_the_capture_goes_on_within_five_seconds() {
     let kills = tools::scaled(20, 200);
     let world = World::new();
     let (_sensor, log) = fast_sensor(&world);
@@ -180,7 +180,7 @@ impl Drop for Mounted {
 /// Row A3, while the disk is full: the program reports the data that it could not write, with an exit code other than
 /// 0.
 #[test]
-fn a_termination_while_the_disk_is_full_ends_in_time_and_says_what_is_lost() {
+fn a_termination_while_the_disk_is_full_ends_in_time_and_reports_what_is_lost() {
     if !tools::root("a file system of its own is mounted") {
         return;
     }
@@ -430,7 +430,7 @@ fn a_job_that_panics_three_times_is_failed_and_the_daemon_goes_on() {
 
 /// Row A7: the writer hangs in an fsync that takes a minute.
 #[test]
-fn a_writer_that_hangs_is_said_and_the_watchdog_is_not_fed() {
+fn a_writer_that_hangs_is_reported_and_the_watchdog_is_not_fed() {
     if !tools::have("strace", "it makes fsync slow") {
         return;
     }
@@ -504,7 +504,7 @@ fn a_second_daemon_on_the_same_database_ends_at_once_and_names_the_first() {
 
 /// Row A9.
 #[test]
-fn a_port_that_another_program_holds_is_said_with_its_name_and_taken_when_it_is_free() {
+fn a_port_that_another_program_holds_is_reported_with_its_name_and_taken_when_it_is_free() {
     if !tools::have("flock", "it holds the port") {
         return;
     }
@@ -567,7 +567,7 @@ fn a_capture_that_goes_on_tries_the_baud_rate_first_that_worked() {
 
 /// Status, events and notifications show one name, which is the database's.
 #[test]
-fn a_capture_that_nobody_named_has_one_name_everywhere() {
+fn a_capture_without_a_given_name_has_one_name_everywhere() {
     let world = World::new();
     let _sensor = world.emulate(&[]);
     let notice_file = world.path("told");
@@ -582,7 +582,7 @@ fn a_capture_that_nobody_named_has_one_name_everywhere() {
     assert_eq!(status["capture"]["name"], name.as_str());
     let written =
         || std::fs::read_to_string(&notice_file).ok().filter(|text| text.ends_with('}') || text.ends_with('\n'));
-    let notice = world.until("its end is told", START, written, &daemon);
+    let notice = world.until("its end is reported", START, written, &daemon);
     assert_eq!(serde_json::from_str::<serde_json::Value>(&notice).unwrap()["capture"]["name"], name.as_str());
     let events = world.get("/v1/captures/latest/events").to_string();
     assert!(events.contains(&format!("capture `{name}` has its first sample")), "{events}");

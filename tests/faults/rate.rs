@@ -54,7 +54,7 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
     }
     let rate = if mode.name == "keep" { "" } else { "rate-hz = 50\n" };
     if mode.name == "keep" {
-        sensor.say("rate 50");
+        sensor.send_line("rate 50");
     }
     let configuration = format!("[sensor]\nbaud = 921600\n{}{rate}", mode.configuration);
     let daemon = world.daemon(&configuration, &["--capture", "1h"]);
@@ -70,7 +70,7 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
     let kinds = ["reconfigured", "sensor_reset", "warning"];
     let count = || kinds.iter().map(|kind| integer(&world, &before(kind))).sum::<i64>();
     let events = count();
-    sensor.say(fault);
+    sensor.send_line(fault);
     let begun = Instant::now();
     let right = || {
         let status = world.try_get("/v1/status")?;
@@ -144,7 +144,7 @@ fn a_frame_that_is_cut_because_the_host_read_late_is_the_hosts_doing() {
         samples(&world, &daemon, 1600);
     }
     // A frame that breaks on the line is the line's fault.
-    sensor.say("checksum 1");
+    sensor.send_line("checksum 1");
     samples(&world, &daemon, 800);
     let (status, body) = world.request("POST", "/v1/captures/latest/stop", "").unwrap();
     assert_eq!(status, 200, "{body}");
@@ -162,7 +162,7 @@ fn a_frame_that_is_cut_because_the_host_read_late_is_the_hosts_doing() {
 
 /// The sensor's clock jumps by half a second while its samples keep coming.
 #[test]
-fn a_clock_that_jumps_ahead_is_told_and_nothing_is_missing() {
+fn a_clock_that_jumps_ahead_is_reported_and_nothing_is_missing() {
     let world = World::new();
     let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600"]);
     let daemon = world.daemon("[sensor]\nbaud = 921600\n", &["--capture", "1h"]);
@@ -172,7 +172,7 @@ fn a_clock_that_jumps_ahead_is_told_and_nothing_is_missing() {
     let (Value::Integer(device_ns), Value::Integer(host_ns)) = (&seen[0][0], &seen[0][1]) else { panic!() };
     let now = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
     let passed_ns = now.tv_sec * 1_000_000_000 + now.tv_nsec - host_ns;
-    sensor.say(&format!("clock {}", (device_ns + passed_ns) / 1000 + 500_000));
+    sensor.send_line(&format!("clock {}", (device_ns + passed_ns) / 1000 + 500_000));
     samples(&world, &daemon, 120);
     let (status, body) = world.request("POST", "/v1/captures/latest/stop", "").unwrap();
     assert_eq!(status, 200, "{body}");
@@ -195,9 +195,9 @@ fn a_kept_output_goes_on_in_order_after_stalls_and_losses() {
         let daemon = world.daemon("[sensor]\nbaud = 921600\noutput = \"keep\"\n", &["--capture", "1h"]);
         samples(&world, &daemon, 100);
         for (before, fault) in [("drop 1", "hold 2500ms"), ("drop 2", "hold 1500ms"), ("hold 100ms", "hold 2s")] {
-            sensor.say(before);
+            sensor.send_line(before);
             std::thread::sleep(Duration::from_millis(200));
-            sensor.say(fault);
+            sensor.send_line(fault);
             std::thread::sleep(Duration::from_secs(3));
             samples(&world, &daemon, 100);
         }

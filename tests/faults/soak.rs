@@ -257,7 +257,7 @@ fn everything_at_once_loses_nothing_silently() {
             }
             match Fault::next(&mut random) {
                 Fault::Sensor(fault) => {
-                    sensor.say(&fault);
+                    sensor.send_line(&fault);
                     faults += 1;
                 }
                 Fault::FullDisk(how_long) => {

@@ -74,8 +74,8 @@ fn gap_length_s(world: &World, cause: &str) -> f64 {
 fn the_numbers_agree_at_every_instant_of_a_running_capture() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, "[sensor]\nrate-hz = 200\n");
-    sensor.say("drop 7");
-    sensor.say("duplicate 5");
+    sensor.send_line("drop 7");
+    sensor.send_line("duplicate 5");
     let (mut asked, mut in_flight) = (0, 0);
     let until = Instant::now() + Duration::from_secs(4);
     while Instant::now() < until {
@@ -101,7 +101,7 @@ fn the_numbers_agree_at_every_instant_of_a_running_capture() {
 fn a_reset_sensor_is_configured_again_within_two_seconds_and_its_time_never_runs_back() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, SENSOR);
-    sensor.say("reset");
+    sensor.send_line("reset");
     let second = || {
         world
             .try_get("/v1/captures/latest/segments")
@@ -126,7 +126,7 @@ fn a_clock_beyond_32_bits_of_microseconds_and_a_counter_that_wraps_are_no_gap() 
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, SENSOR);
     // 2^32 µs is 4294.967 s.
-    sensor.say("clock 4293500000");
+    sensor.send_line("clock 4293500000");
     samples(&world, &daemon, 160);
     settle(&world);
     assert!(count(&world, "SELECT max(device_time_ns) FROM sample") > 4_294_967_296_000);
@@ -141,7 +141,7 @@ fn a_clock_beyond_32_bits_of_microseconds_and_a_counter_that_wraps_are_no_gap() 
 fn a_silent_change_of_rate_is_noticed_within_two_seconds_and_no_analysis_mixes_the_rates() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, "[sensor]\nrate-hz = 200\n");
-    sensor.say("rate 100");
+    sensor.send_line("rate 100");
     let begun = Instant::now();
     let noticed = || world.try_get("/v1/status").filter(|status| status["sensor"]["rate_hz"] == 100.0);
     world.until("the new rate", Duration::from_secs(2), noticed, &daemon);
@@ -171,7 +171,7 @@ fn a_sensor_that_changes_its_format_is_configured_again_and_what_it_sent_is_coun
     for format in ["VNYMR", "01,0001"] {
         let world = World::new();
         let (mut sensor, daemon) = capturing(&world, SENSOR);
-        sensor.say(&format!("format {format}"));
+        sensor.send_line(&format!("format {format}"));
         let again = || {
             let events = world.try_get("/v1/captures/latest/events")?;
             events["events"].as_array()?.iter().find(|event| event["kind"] == "reconfigured").cloned()
@@ -198,10 +198,10 @@ fn a_sensor_that_changes_its_format_is_configured_again_and_what_it_sent_is_coun
 fn a_kept_output_that_changes_goes_on_in_a_new_segment() {
     let world = World::new();
     let mut sensor = world.emulate(&["--faults", "-"]);
-    sensor.say("format 01,0609");
+    sensor.send_line("format 01,0609");
     let daemon = world.daemon("[sensor]\noutput = \"keep\"\n", &["--capture", "1h"]);
     samples(&world, &daemon, 60);
-    sensor.say("format VNYMR");
+    sensor.send_line("format VNYMR");
     let second = || {
         world
             .try_get("/v1/captures/latest/segments")
@@ -223,9 +223,9 @@ fn a_kept_output_that_changes_goes_on_in_a_new_segment() {
 fn frames_that_come_twice_or_late_are_counted_and_never_stored_twice() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, SENSOR);
-    sensor.say("duplicate 20");
+    sensor.send_line("duplicate 20");
     samples(&world, &daemon, 60);
-    sensor.say("reorder 1");
+    sensor.send_line("reorder 1");
     samples(&world, &daemon, 40);
     let capture = settle(&world);
     assert_eq!(
@@ -240,12 +240,12 @@ fn frames_that_come_twice_or_late_are_counted_and_never_stored_twice() {
 
 /// Row B15.
 #[test]
-fn a_burst_after_a_stall_of_the_line_loses_nothing_and_is_told_as_latency() {
+fn a_burst_after_a_stall_of_the_line_loses_nothing_and_is_reported_as_latency() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, SENSOR);
     let clock = || world.try_get("/v1/status").filter(|status| !status["sensor"]["clock"].is_null());
     world.until("the clocks are compared", START, clock, &daemon);
-    sensor.say("hold 2s");
+    sensor.send_line("hold 2s");
     samples(&world, &daemon, 160);
     let status = world.get("/v1/status");
     let latest_ms = status["sensor"]["clock"]["latency_max_ms"].as_f64().unwrap();
@@ -262,10 +262,10 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
     let configuration = "[sensor]\noutput = \"VNYMR\"\nrate-hz = 40\n";
     let (mut sensor, mut daemon) = capturing(&world, configuration);
     assert_eq!(world.get("/v1/status")["sensor"]["timebase"], "sync_counter");
-    sensor.say("drop 7");
+    sensor.send_line("drop 7");
     samples(&world, &daemon, 60);
     // Without time a burst looks like a loss; the count distinguishes them.
-    sensor.say("hold 2s");
+    sensor.send_line("hold 2s");
     samples(&world, &daemon, 120);
     // The daemon dies and restarts: the count continues.
     daemon.kill();
@@ -297,7 +297,7 @@ fn messages_without_time_are_counted_by_the_sensor_itself() {
 fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switched_on_again() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, "[sensor]\noutput = \"VNYMR\"\nrate-hz = 40\n");
-    sensor.say("reset");
+    sensor.send_line("reset");
     let again = || {
         let events = world.try_get("/v1/captures/latest/events")?;
         events["events"].as_array()?.iter().find(|event| event["kind"] == "reconfigured").cloned()
@@ -327,7 +327,7 @@ fn a_reset_that_changes_nothing_but_the_count_is_noticed_and_the_count_is_switch
 fn another_unit_is_refused_and_an_outage_that_is_stopped_by_hand_is_a_gap_to_the_end() {
     let world = World::new();
     let (mut sensor, daemon) = capturing(&world, SENSOR);
-    sensor.say("unit 0100099999");
+    sensor.send_line("unit 0100099999");
     let refused = || world.try_get("/v1/status").filter(|status| status["sensor"]["state"] == "wrong_unit");
     let status = world.until("the other unit is refused", START, refused, &daemon);
     let hint = status["sensor"]["hint"].as_str().unwrap();

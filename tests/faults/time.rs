@@ -85,7 +85,7 @@ fn now_s() -> i64 {
 
 /// Row D1.
 #[test]
-fn a_stepped_clock_makes_no_gap_and_is_told_with_its_size() {
+fn a_stepped_clock_makes_no_gap_and_is_reported_with_its_size() {
     let Some(faked) = Faked::new("+0", "UTC") else { return };
     let to_1970 = -(now_s() - 86_400);
     let offsets = [0, -3600, 3600, to_1970, 0];
@@ -181,7 +181,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
     for (times, offset) in [(1, 10_800), (2, -7200)] {
         faked.daemon.kill();
         let killed = Instant::now();
-        faked.sensor.say("reset");
+        faked.sensor.send_line("reset");
         faked.time.step(&format!("{offset:+}"));
         std::thread::sleep(Duration::from_secs(3));
         faked.restart();
@@ -213,7 +213,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true).unwrap();
         assert!(connection.execute("UPDATE segment SET boot_id = 'another'", []).unwrap() >= 3);
     }
-    faked.sensor.say("reset");
+    faked.sensor.send_line("reset");
     faked.time.step("-6600");
     faked.restart();
     faked.world.until("the gap", START, || (faked.count("SELECT count(*) FROM gap") == 3).then_some(()), &faked.daemon);
@@ -229,7 +229,7 @@ fn a_clock_stepped_while_the_daemon_was_away_makes_no_absence_longer_or_shorter(
 
 /// Row D4.
 #[test]
-fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_says_so() {
+fn a_capture_begun_before_the_clock_was_set_has_its_times_corrected_and_reports_it() {
     let Some(faked) = Faked::new(&format!("{:+}", -(now_s() - 100)), "UTC") else { return };
     let early = faked.count("SELECT min(host_utc_ns) FROM sample");
     assert!(early < 1_000_000_000_000, "1970: {early}");

@@ -89,7 +89,7 @@ fn a_missing_device_and_a_busy_port_are_states_with_a_hint() {
 }
 
 #[test]
-fn a_recording_that_is_none_names_the_file_and_leaves_nothing() {
+fn a_file_that_is_no_recording_is_named_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (data, file) = (folder.path().join("data"), folder.path().join("holiday.jpg"));
     std::fs::write(&file, [0xff, 0xd8, 0xff, 0xe0, 0, 16, 74, 70]).unwrap();

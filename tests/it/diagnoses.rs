@@ -100,7 +100,7 @@ fn a_diagnosis_is_asked_for_followed_fetched_and_seen() {
 }
 
 #[test]
-fn a_diagnosis_that_is_interrupted_begins_anew_at_the_next_start_and_a_cancelled_one_does_not() {
+fn a_diagnosis_that_is_interrupted_begins_again_at_the_next_start_and_a_cancelled_one_does_not() {
     let world = World::new();
     let mut daemon = with_capture(&world);
     let of = |n: f64| json!({"sim": {"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40, "channels": {"gyro_x": {"N": n}}}});

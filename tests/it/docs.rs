@@ -63,7 +63,7 @@ fn blocks() -> Vec<Block> {
 }
 
 #[test]
-fn every_shell_block_runs_or_says_why_not() {
+fn every_shell_block_runs_or_states_why_not() {
     let program = Path::new(env!("CARGO_BIN_EXE_vn100d"));
     let mut run = 0;
     // The blocks of a page follow each other, as a reader types them: one folder for all of them.
@@ -71,7 +71,7 @@ fn every_shell_block_runs_or_says_why_not() {
     for block in blocks().iter().filter(|block| block.language == "sh") {
         let place = format!("{}:{}", block.file, block.line);
         if let Some(reason) = &block.no_run {
-            assert!(reason.len() > 5, "{place} is not run and does not say why");
+            assert!(reason.len() > 5, "{place} is not run and does not state why");
             continue;
         }
         if OF_THE_TESTS.contains(&block.text.trim()) {

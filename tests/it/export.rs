@@ -334,7 +334,7 @@ fn an_mcap_file_that_was_not_finished_does_not_look_whole() {
 }
 
 #[test]
-fn a_data_set_has_a_file_per_capture_where_its_sensor_and_day_say() {
+fn a_data_set_has_a_file_per_capture_in_the_folder_of_its_sensor_and_day() {
     let place = with_capture(400);
     let simulated = ["simulate", "--duration", "5s", "--into-db", "sim one"];
     place.done(&simulated);

@@ -151,7 +151,7 @@ fn a_capture_with_epochs_and_gaps_leaves_by_the_sensor_s_clock_and_comes_back_th
 }
 
 #[test]
-fn parquet_tells_segments_clocks_and_the_causes_of_gaps() {
+fn parquet_states_segments_clocks_and_the_causes_of_gaps() {
     let place = with_line();
     place.done(&["export", "line", "--out", "line.parquet"]);
     let builder =

@@ -159,7 +159,7 @@ fn a_phones_motor_is_found_with_its_time_and_its_frequency() {
 const BERLIN_M_S2: f64 = 9.8128;
 
 #[test]
-fn a_hands_slow_turn_tells_the_bias_that_the_rests_have_and_a_magnets_pass_is_named() {
+fn a_hands_slow_turn_determines_the_bias_that_the_rests_have_and_a_magnets_pass_is_named() {
     let Some(turned) = real_data("broad/01_undisturbed_slow_rotation_A.csv.gz") else { return };
     let Some(magnet) = real_data("broad/28_disturbed_stationary_magnet_A.csv.gz") else { return };
     let world = World::new();
@@ -182,7 +182,7 @@ fn a_hands_slow_turn_tells_the_bias_that_the_rests_have_and_a_magnets_pass_is_na
     assert!(notes.contains("windows of 2 s of a slow turn") && !notes.contains("magnetic field"), "{notes}");
     let rest = broad(&world, &magnet, "rest.csv", 7, [1.0, 30.0]);
     let found = against_plain(&world, &broad(&world, &magnet, "magnet.csv", 10, [0.0, 1e9]), &rest, &[]);
-    assert!(named(&found).is_empty(), "a wild hand tells nothing: {found:#}");
+    assert!(named(&found).is_empty(), "a wild hand determines nothing: {found:#}");
     let notes = found["notes"].to_string();
     assert!(notes.contains("the magnetic field is disturbed from 34.3 s to 38.3 s"), "{notes}");
     assert!(notes.contains("144.6 s to 146.6 s") && notes.matches("magnetic field").count() == 2, "{notes}");

@@ -146,7 +146,7 @@ fn a_termination_ends_an_import_in_time_and_leaves_nothing_of_it() {
 /// Ctrl-C at `vn100d import` cancels the import. Meanwhile a second import must wait, and its message does not blame a
 /// missing daemon or a full disk.
 #[test]
-fn whoever_goes_away_calls_the_import_off_and_a_second_one_is_told_to_wait() {
+fn a_client_that_goes_away_cancels_its_import_and_a_second_one_has_to_wait() {
     let world = World::new();
     let (mut daemon, mut client) = halfway(&world, Stage::Written);
     let configuration = world.path("vn100d.toml");
@@ -217,7 +217,7 @@ fn names_and_files_that_cannot_be_are_refused_alike_with_and_without_a_daemon() 
 /// The user's statements about foreign columns and messages reach the daemon, and identify the recording together with
 /// its content.
 #[test]
-fn foreign_columns_and_messages_are_told_to_the_daemon() {
+fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     let world = World::new();
     let mut daemon = world.daemon(&listening(&world), &[]);
     let configuration = world.path("vn100d.toml");

@@ -9,7 +9,7 @@ const MODEL: &str = r#"{"format": "vn100d-sensor-model-1", "name": "unit 7", "ra
     "accel_z": {"N": 0.002, "bias": -9.8, "effects": [{"effect": "tone", "frequency_hz": 13.38, "amplitude": 0.002}]}}}"#;
 
 #[test]
-fn every_plot_of_a_capture_is_drawn_and_what_is_not_there_is_said() {
+fn every_plot_of_a_capture_is_drawn_and_what_is_not_there_is_reported() {
     let world = World::new();
     let (model, data) = (world.path("model.json"), world.path("data"));
     std::fs::write(&model, MODEL).unwrap();

@@ -65,7 +65,7 @@ const RECORDINGS: [(&str, Option<f64>); 48] = [
 ];
 
 #[test]
-fn the_page_says_what_is_found_in_every_real_recording() {
+fn the_page_states_what_is_found_in_every_real_recording() {
     let Some(folder) = real_data("") else { return };
     let (mut rows, mut remarks) = (String::new(), String::new());
     for (name, rate_hz) in RECORDINGS {

@@ -66,7 +66,7 @@ fn stamps_of_a_bag_are_those_of_the_header_where_reception_came_in_pairs() {
 }
 
 #[test]
-fn a_raw_line_in_a_bag_that_fails_its_checksum_is_no_sample_whatever_the_numbers_beside_it_say() {
+fn a_raw_line_in_a_bag_that_fails_its_checksum_is_no_sample_whatever_the_numbers_beside_it_are() {
     let mut records = driver_records(0..10);
     let spliced = "$VNYMR,+006.074,+002.094,+001.874,-00030945,-000.183267*60";
     records.extend(bag::message(
@@ -177,7 +177,7 @@ fn arrays_that_claim_more_than_there_is_are_one_bad_message_each() {
 }
 
 #[test]
-fn a_bag_that_was_cut_is_read_as_far_as_it_goes_and_says_so() {
+fn a_bag_that_was_cut_is_read_as_far_as_it_goes_and_the_cut_is_reported() {
     let chunks = [0..50, 50..100].map(|range| bag::chunk("none", &driver_records(range)));
     let whole = bag::bag(&chunks);
     let first_chunk = whole.len() - chunks[1].len();
@@ -449,7 +449,7 @@ fn recordings_of_one_sensor_are_analysed_together_and_others_are_refused() {
 }
 
 #[test]
-fn this_programs_own_database_says_so() {
+fn this_programs_own_database_is_reported_as_such() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("vn100d.db");
     let options = vn100d::store::StoreOptions::default();

@@ -234,7 +234,7 @@ fn what_is_not_there_is_refused_and_no_file_is_made() {
 
 /// A few samples do not show any noise: the page states that and has the other sections.
 #[test]
-fn a_report_of_little_says_what_is_lacking() {
+fn a_report_of_little_states_what_is_lacking() {
     let place = Place::new();
     std::fs::write(place.path("few.csv"), "time_s,gyro_x_rad_s\n0,0.1\n0.025,0.2\n0.05,0.3\n").unwrap();
     place.done(&["report", "few.csv", "--out", "few.html"]);

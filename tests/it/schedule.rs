@@ -99,7 +99,7 @@ fn a_night_waits_for_another_capture_and_begins_when_that_has_ended() {
 
 /// An hour of this daemon takes less than four seconds: the night passes while another capture runs.
 #[test]
-fn a_night_that_another_capture_takes_is_told_of() {
+fn a_night_that_another_capture_takes_is_reported() {
     let world = World::new();
     let (configuration, evening) = begun("6h");
     let notice_file = world.path("told");

@@ -289,7 +289,7 @@ fn each_thing_has_one_owner() {
 }
 
 #[test]
-fn every_file_says_what_it_is_and_stays_readable() {
+fn every_file_states_what_it_is_and_stays_readable() {
     let mut wrong = Vec::new();
     for (file, text) in sources() {
         if !text.starts_with("//!") {

@@ -41,7 +41,7 @@ fn receiver(refused: usize) -> (String, Arc<Mutex<Vec<Value>>>) {
 /// A sensor unplugged and back: the gap's end, the loss and the capture's completion arrive at a URL that failed at
 /// first, while a program that hangs is killed repeatedly; this costs no sample and no answer.
 #[test]
-fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
+fn a_receiver_is_notified_and_one_that_hangs_costs_nothing() {
     let world = World::new();
     let (url, received) = receiver(1);
     let configuration = format!(
@@ -57,13 +57,13 @@ fn somebody_is_told_and_a_receiver_that_hangs_costs_nothing() {
         received.lock().unwrap().iter().map(|notice| notice["event"].as_str().unwrap().to_owned()).collect()
     };
     let lost = || events().contains(&"sensor_lost".to_owned()).then_some(());
-    world.until("the loss is told", START, lost, &daemon);
+    world.until("the loss is reported", START, lost, &daemon);
     let begun = std::time::Instant::now();
     assert!(world.try_get("/v1/status").is_some());
     assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
     let _sensor = world.emulate(&[]);
     let complete = || events().contains(&"capture_completed".to_owned()).then_some(());
-    world.until("the end is told", Duration::from_secs(40), complete, &daemon);
+    world.until("the end is reported", Duration::from_secs(40), complete, &daemon);
     let received = received.lock().unwrap().clone();
     for event in ["gap_opened", "sensor_lost", "sensor_back", "gap_closed"] {
         assert_eq!(received.iter().filter(|notice| notice["event"] == event).count(), 1, "{event}: {received:?}");
@@ -169,7 +169,7 @@ fn the_oldest_captures_go_as_was_announced_and_pinned_or_running_ones_stay() {
 }
 
 #[test]
-fn a_test_message_says_who_took_it() {
+fn a_test_message_reports_which_receiver_took_it() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("vn100d.toml");
     let out = folder.path().join("out");

@@ -69,7 +69,7 @@ impl Process {
     }
 
     /// Writes a line to its standard input: a fault, for an emulator that was started with `--faults -`.
-    pub fn say(&mut self, line: &str) {
+    pub fn send_line(&mut self, line: &str) {
         let input = self.child.stdin.as_mut().unwrap();
         writeln!(input, "{line}").unwrap();
         input.flush().unwrap();

@@ -42,7 +42,7 @@ fn effects() -> Vec<Value> {
 }
 
 #[test]
-fn what_the_sensor_has_as_the_model_says_is_no_gap() {
+fn what_the_sensor_has_as_the_model_states_is_no_gap() {
     for (effect, seed) in effects().into_iter().zip(11..) {
         let found = compared(Some(&effect), Some(&effect), seed).diagnosis;
         assert!(matches!(found.verdict, Verdict::NoGap | Verdict::Parameters), "{effect}: {found:#?}");
@@ -146,7 +146,7 @@ fn further() -> Vec<(Value, &'static str, Value)> {
 }
 
 #[test]
-fn what_else_the_sensor_has_as_the_model_says_is_no_gap() {
+fn what_else_the_sensor_has_as_the_model_states_is_no_gap() {
     let mut wrong = Vec::new();
     for ((effect, ..), seed) in further().into_iter().zip(101..) {
         let found = compared(Some(&effect), Some(&effect), seed).diagnosis;

@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_are_told_from_extremes() {
+    fn limits_are_distinguished_from_extremes() {
         let cut = |values: &[f64]| -> Vec<f64> { values.iter().map(|v| v.min(-7.0)).collect() };
         let values = noise(3, 20_000);
         assert_eq!(of(&cut(&values)).high, Some(-7.0));
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_tell_rate_and_jitter() {
+    fn stamps_determine_rate_and_jitter() {
         let scatter = noise(9, 5000);
         let time_s: Vec<f64> = (0..5000).map(|i| 3.0 + i as f64 / 40.0 + 0.001 * (scatter[i] + 9.8)).collect();
         let found = stamps(&time_s, 0..5000).unwrap();

@@ -13,7 +13,7 @@ use imu_noise::NoiseParameters;
 use imu_noise::allan::FixedPoint;
 use imu_noise::fit::Estimate;
 use imu_noise::robust::{All, Company, Levels, Part, Record, spectral_sums};
-use imu_noise::stillness::{Stillness, TELLING};
+use imu_noise::stillness::{MOTION_CHANNELS, Stillness};
 use std::ops::Range;
 
 /// A record whose channels are examined on demand.
@@ -49,7 +49,7 @@ impl<'a> Owned<'a> {
             let values = real.values(channel).unwrap_or_default().iter().enumerate();
             values.map(|(place, value)| if real.is_missing(place) { f64::NAN } else { *value }).collect()
         };
-        let columns = TELLING.map(there);
+        let columns = MOTION_CHANNELS.map(there);
         let received = (0..real.len()).filter(|place| !real.is_missing(*place)).count();
         let mut stillness = Stillness::new(real.rate_hz, received as u64);
         stillness.push(0, columns.each_ref().map(Vec::as_slice));

@@ -156,7 +156,7 @@ mod tests {
     use imu_model::effects::Tone;
 
     #[test]
-    fn a_temperature_that_follows_time_is_told_and_one_with_a_course_of_its_own_is_not() {
+    fn a_temperature_that_follows_time_is_reported_and_one_with_a_course_of_its_own_is_not() {
         let read = |course: &dyn Fn(f64) -> f64| -> Vec<f64> {
             (0..5000).map(|t| (10.0 * course(f64::from(t) / 5000.0)).round() / 10.0).collect()
         };
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_told_with_what_folds_there() {
+    fn a_line_is_reported_with_what_folds_there() {
         let of = |frequency_hz: f64| of_line(Channel::MagX, &Tone { frequency_hz, amplitude: 1.0 }, 40.0).unwrap();
         let mains = of(19.98);
         assert!(mains.contains("20.020, 59.980, 60.020 … Hz; mains of 60 or 100 Hz would appear there"), "{mains}");

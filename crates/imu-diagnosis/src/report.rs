@@ -86,7 +86,7 @@ impl<'de> Deserialize<'de> for Of {
 }
 
 /// Returns a cause number that no cause has: reports of earlier versions do not state the finding of a place.
-fn untold() -> Of {
+fn unstated() -> Of {
     Of::Cause(usize::MAX)
 }
 
@@ -94,7 +94,7 @@ fn untold() -> Of {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
     /// The finding at the place.
-    #[serde(default = "untold")]
+    #[serde(default = "unstated")]
     pub of: Of,
     /// The channel.
     pub channel: String,

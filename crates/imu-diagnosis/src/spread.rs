@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tails_are_known_as_well_as_fishers_information_says() {
+    fn tails_are_known_as_well_as_fishers_information_predicts() {
         // Compares with a numerical integral of the squared score of ν, with the scale profiled out.
         let of = |nu: f64| {
             let steps = 200_000;

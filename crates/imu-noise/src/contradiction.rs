@@ -399,7 +399,7 @@ mod tests {
     }
 
     #[test]
-    fn true_fits_are_refused_no_more_often_than_the_test_says() {
+    fn true_fits_are_refused_no_more_often_than_the_test_states() {
         // None of 600 is refused: the prediction follows the record with which it is compared.
         let refused = (0..600).filter(|seed| !fitted(white(4000, 1e-3, 100 + seed)).0.usable).count();
         assert!(refused <= 2, "{refused}");

@@ -35,7 +35,7 @@ impl RecordNeeded {
     /// Returns the times for noise of these parameters, sampled at `rate_hz`; rounded up to two digits.
     ///
     /// # Validation
-    /// `estimates_scatter_by_a_tenth_after_the_time_that_is_said`: the scatter of fits of simulated records of that length.
+    /// `estimates_scatter_by_a_tenth_after_the_stated_time`: the scatter of fits of simulated records of that length.
     pub fn of(parameters: &NoiseParameters, rate_hz: f64) -> Self {
         let needed = |term| Law::of(parameters, rate_hz, term)?.needed_s();
         Self { b: needed(Term::B), k: needed(Term::K) }
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn estimates_scatter_by_a_tenth_after_the_time_that_is_said() {
+    fn estimates_scatter_by_a_tenth_after_the_stated_time() {
         const SEEDS: u64 = 24;
         let truth = [1.5e-3, 1e-3, 4e-4];
         let needed = RecordNeeded::of(&parameters(truth), RATE_HZ);
@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_at_its_limit_reaches_the_lowest_deviation_where_it_is_said_to() {
+    fn a_walk_at_its_limit_reaches_the_lowest_deviation_at_the_stated_time() {
         let mut of = parameters([3.5e-3, 1e-3, 0.0]);
         assert_eq!(walk_shows_beyond_s(&of), None);
         of.minimum = Some(Minimum { deviation: 6e-4, tau_s: 100.0, over_0_664: 9e-4 });

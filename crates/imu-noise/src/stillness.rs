@@ -35,7 +35,7 @@ use imu_core::sample::Channel;
 use std::ops::Range;
 
 /// The channels that show motion, in the order of [`Stillness::push`].
-pub const TELLING: [Channel; 6] =
+pub const MOTION_CHANNELS: [Channel; 6] =
     [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY, Channel::AccelZ];
 /// Larger values are not measurements: rad/s, m/s².
 const MEASURED_MAX: [f64; 6] = [100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0];
@@ -112,9 +112,9 @@ impl Stillness {
         Self { rate_hz, length, windows: Vec::new(), open: Open::default(), beyond: [(0, 0); 6] }
     }
 
-    /// Takes consecutive samples of [`TELLING`] from `place` on (counted from the capture's first sample, missing ones
-    /// included): gyro x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN marks a missing
-    /// value. A value beyond any measurement (100 rad/s, 1000 m/s²) counts as missing.
+    /// Takes consecutive samples of [`MOTION_CHANNELS`] from `place` on (counted from the capture's first sample,
+    /// missing ones included): gyro x, y, z in rad/s, accel x, y, z in m/s². Places increase from call to call. NaN
+    /// marks a missing value. A value beyond any measurement (100 rad/s, 1000 m/s²) counts as missing.
     pub fn push(&mut self, place: u64, columns: [&[f64]; 6]) {
         let rows = columns.iter().map(|column| column.len()).max().unwrap_or(0);
         let mut from = 0;
@@ -608,7 +608,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_told_of_nothing_and_a_record_in_gaps_is_judged_across_them() {
+    fn an_empty_record_gets_no_verdict_and_a_record_in_gaps_is_judged_across_them() {
         assert_eq!(Stillness::new(40.0, 0).settle(), None);
         let columns = at_rest(200, 9);
         let mut stillness = Stillness::new(RATE_HZ, 8000);

@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_is_a_model_where_a_model_can_say_it() {
+    fn the_truth_is_a_model_where_a_model_can_express_it() {
         for kind in Kind::LIBRARY.iter().copied() {
             let case = Case::draw(13, 1, &[kind]).unwrap();
             let found = true_model(&case.key(), &case.model());

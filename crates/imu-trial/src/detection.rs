@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_told_in_the_kinds_own_unit() {
+    fn sizes_are_reported_in_the_kinds_own_unit() {
         let found = Detection::of(Kind::Tone, &drawn(2, 4000));
         let half = found.size_50.unwrap();
         assert!((half.size / (1.2 * 0.06) - 1.0).abs() < 0.1 && found.limit == 0.06);

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn events_come_as_often_as_their_probability_says() {
+    fn events_come_as_often_as_their_probability_states() {
         let mut draw = Draw::device(1, 1, "wait");
         let mean = (0..20_000).filter_map(|_| draw.wait(0.02)).sum::<usize>() as f64 / 20_000.0;
         assert!((mean - 50.0).abs() < 1.5, "{mean}");

@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn temperature_rises_and_wanders_as_much_as_it_says() {
+    fn temperature_rises_and_wanders_as_much_as_stated() {
         let mut squares = (0.0, 0.0);
         for seed in 0..40 {
             let mut device = Draw::device(seed, 1, "temperature");

@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn limits_are_the_studys_at_its_length_and_fall_as_it_says() {
+    fn limits_are_the_studys_at_its_length_and_fall_as_it_states() {
         assert_eq!(limit(Kind::Tone, 65_536), 0.06);
         assert!((limit(Kind::Tone, 4 * 65_536) - 0.03).abs() < 1e-12);
         // A resonance's power at 5 h: 0.3 of that at 27 min.

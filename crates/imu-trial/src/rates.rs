@@ -46,11 +46,11 @@ impl Rates {
         let of = |class: Class| all.iter().filter(move |one| one.class == class);
         let counting = |class: Class| of(class).filter(|one| one.counts);
         let library = || all.iter().filter(|one| one.class.in_library() && one.counts);
-        let telling = |one: &&Judgement| !one.own_unknown;
+        let own_known = |one: &&Judgement| !one.own_unknown;
         let two_to_four = || counting(Class::Pair).chain(counting(Class::Several));
         let first = |class: Class| Rate::of(counting(class).map(Judgement::right_first));
         let named = |class: Class| Rate::of(of(class).map(|one| !one.causes.is_empty()));
-        let unknown = |class: Class| Rate::of(of(class).filter(telling).map(Judgement::unknown));
+        let unknown = |class: Class| Rate::of(of(class).filter(own_known).map(Judgement::unknown));
 
         add("right_first", "one effect that the model lacks: named first", first(Class::Single));
         add(
@@ -76,7 +76,7 @@ impl Rates {
         add(
             "library_unknown",
             "in the library, yet called unknown",
-            Rate::of(library().filter(telling).map(Judgement::unknown)),
+            Rate::of(library().filter(own_known).map(Judgement::unknown)),
         );
         add("spurious", "with a spurious cause", Rate::of(library().map(Judgement::spurious)));
         add("both_found", "two effects: both found", Rate::of(counting(Class::Pair).map(Judgement::all_found)));
@@ -111,7 +111,7 @@ impl Rates {
             ),
         ] {
             add(called, meaning, unknown(class));
-            add(answered, also, Rate::of(of(class).filter(telling).map(Judgement::answered)));
+            add(answered, also, Rate::of(of(class).filter(own_known).map(Judgement::answered)));
         }
         let found = || library().flat_map(|one| &one.effects).filter(|effect| effect.named);
         add(

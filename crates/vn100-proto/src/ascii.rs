@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trailer_is_told_by_its_digits() {
+    fn a_trailer_is_recognised_by_its_digits() {
         assert_eq!(split_line(b"$VNRRG,8*4B"), Some((&b"VNRRG,8"[..], Trailer::Xor8(0x4B))));
         assert_eq!(split_line(b"$VNRRG,01*E15F"), Some((&b"VNRRG,01"[..], Trailer::Crc16(0xE15F))));
         assert_eq!(split_line(b"$VNRRG,1*XX"), Some((&b"VNRRG,1"[..], Trailer::Bypass(ChecksumKind::Xor8))));

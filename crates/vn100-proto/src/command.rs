@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reply_is_told_by_verb_and_register_number() {
+    fn a_reply_is_recognised_by_verb_and_register_number() {
         let padded = Reply::parse("VNRRG,08,-114.314,+000.058,-001.773").unwrap();
         let plain = Reply::parse("VNRRG,8,-114.314,+000.058,-001.773").unwrap();
         assert_eq!((padded.register, padded.values), (plain.register, plain.values));

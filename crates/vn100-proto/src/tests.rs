@@ -136,7 +136,7 @@ fn has_firmware_3_format(ascii: AsciiType, fields: &str) -> bool {
 }
 
 #[test]
-fn every_ascii_vector_is_what_its_source_says() {
+fn every_ascii_vector_is_what_its_source_states() {
     let vectors = json(ASCII_VECTORS);
     let vectors = vectors["vectors"].as_array().unwrap();
     assert_eq!(vectors.len(), 117);
@@ -319,7 +319,7 @@ fn compare_binary(measurement: &Measurement, expected: &serde_json::Map<String, 
 }
 
 #[test]
-fn every_binary_vector_is_what_its_source_says() {
+fn every_binary_vector_is_what_its_source_states() {
     let vectors = json(BINARY_VECTORS);
     let good = vectors["good"].as_array().unwrap();
     assert_eq!(good.len(), 4);

@@ -65,7 +65,7 @@ fn while_a_capture_runs_there_is_an_answer_for_what_it_has() {
 /// After a start, the analysis of a long capture catches up answer by answer and states this, so that a part is not
 /// taken for the whole.
 #[test]
-fn an_answer_of_a_part_of_a_running_capture_says_that_it_is_one() {
+fn an_answer_of_a_part_of_a_running_capture_states_that_it_is_one() {
     for kind in ["allan", "noise", "statistics"] {
         let world = World::with(Setting { live: Live::taking_in(1000), ..Setting::default() });
         world.capture("a", CaptureState::Capturing, 2500);
@@ -82,7 +82,7 @@ fn an_answer_of_a_part_of_a_running_capture_says_that_it_is_one() {
 }
 
 #[test]
-fn an_analysis_that_cannot_be_made_says_why() {
+fn an_impossible_analysis_reports_its_reason() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 0);
     let failed = eventually("the job", || world.get("/v1/captures/a/allan"), |answer| answer.status != 202);
@@ -185,7 +185,7 @@ fn noise_parameters_are_compared_and_exported() {
 
 /// The numbers for each program are beside the parameters, for a finished and for a running capture.
 #[test]
-fn the_noise_parameters_say_which_number_to_paste_where() {
+fn the_noise_parameters_show_which_number_to_paste_where() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 4000);
     world.capture("b", CaptureState::Capturing, 4000);
@@ -337,9 +337,9 @@ fn a_queued_job_is_cancelled() {
     assert_eq!((submitted.status, submitted.header("retry-after")), (202, "2"));
     let cancelled = world.delete(submitted.header("location"));
     assert_eq!((cancelled.status, cancelled.json()["state"].as_str()), (200, Some("cancelled")));
-    let anew = world.get("/v1/captures/a/allan");
-    assert_eq!(anew.status, 202, "whoever asks for the result gets a new job");
-    assert_ne!(anew.header("location"), submitted.header("location"));
+    let repeated = world.get("/v1/captures/a/allan");
+    assert_eq!(repeated.status, 202, "whoever asks for the result gets a new job");
+    assert_ne!(repeated.header("location"), submitted.header("location"));
 }
 
 #[test]

@@ -152,7 +152,7 @@ fn a_page_that_makes_no_sense_is_refused() {
 }
 
 #[test]
-fn gaps_segments_and_events_tell_what_is_missing_and_why() {
+fn gaps_segments_and_events_report_what_is_missing_and_why() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 120);
     let gaps = world.get("/v1/captures/a/gaps").json();

@@ -51,7 +51,7 @@ fn an_idle_connection_is_closed_in_time() {
 }
 
 #[test]
-fn a_connection_too_many_is_told_so() {
+fn a_connection_beyond_the_limit_is_answered_with_503() {
     let world = limited(|limits| limits.connections = 2);
     let held: Vec<TcpStream> = (0..2).map(|_| TcpStream::connect(world.address).unwrap()).collect();
     eventually(
@@ -120,7 +120,7 @@ fn a_reader_that_stops_reading_is_dropped_and_its_query_with_it() {
 }
 
 #[test]
-fn a_refusal_takes_a_second_and_holds_nobody_else_up() {
+fn a_refusal_takes_a_second_and_delays_no_other_request() {
     let world = limited(|limits| limits.streams = 0);
     world.capture("a", CaptureState::Complete, 100);
     let (url, begun) = (world.url("/v1/captures/a/samples"), Instant::now());
@@ -146,7 +146,7 @@ fn pushed(world: &World, bytes: &[u8]) -> TcpStream {
 
 /// The answers are in the daemon's memory until they are read: together they have a limit.
 #[test]
-fn answers_that_nobody_reads_share_a_limit() {
+fn unread_answers_share_a_limit() {
     let world = limited(|limits| limits.held_bytes = 64 * 1024);
     world.capture("a", CaptureState::Complete, 1_000);
     let page = "/captures/a";
@@ -156,7 +156,7 @@ fn answers_that_nobody_reads_share_a_limit() {
     let refused = eventually("the limit is reached", || world.get(page), |answer| answer.status == 429);
     refused.problem(429, "busy");
     assert_eq!(world.get("/v1/status").status, 200, "small answers are given meanwhile");
-    assert_eq!(world.get("/openapi.json").status, 200, "what all share counts for nobody");
+    assert_eq!(world.get("/openapi.json").status, 200, "what all share is not counted");
     drop(unread);
     eventually("the memory comes back", || world.get(page), |answer| answer.status == 200);
 }

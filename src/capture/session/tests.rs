@@ -208,7 +208,7 @@ fn kept_output_is_taken_as_the_registers_describe_it_and_nothing_is_written() {
 }
 
 #[test]
-fn kept_output_of_another_type_than_the_registers_say_is_taken_from_its_first_line() {
+fn kept_output_of_another_type_than_the_registers_state_is_taken_from_its_first_line() {
     let mut world = World::new(Output::Keep);
     world.pass(1_000_000_000);
     let imu = ascii_kind(19).unwrap();
@@ -241,7 +241,7 @@ fn silence_is_stalled_then_the_port_is_opened_again() {
 }
 
 #[test]
-fn a_host_that_stood_still_takes_its_own_absence_for_nobodys_silence() {
+fn a_host_that_stood_still_does_not_take_its_own_absence_for_the_sensors_silence() {
     let mut world = World::new(default_output());
     world.pass(1_000_000_000);
     world.measured(default_kind());
@@ -323,7 +323,7 @@ fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
 }
 
 #[test]
-fn another_unit_is_refused_and_said() {
+fn another_unit_is_refused_and_reported() {
     let mut world = World::new(default_output());
     world.give(Input::Expect(Some("0100099999".to_owned())));
     world.pass(2_000_000_000);
@@ -354,7 +354,7 @@ fn an_absent_port_is_looked_for_at_least_once_a_second() {
 }
 
 #[test]
-fn a_port_that_is_plugged_in_anew_ends_any_wait() {
+fn a_port_that_is_plugged_in_again_ends_any_wait() {
     let mut world = World::new(default_output());
     world.sensor.answers = false;
     world.pass(120_000_000_000);

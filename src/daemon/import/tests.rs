@@ -10,7 +10,7 @@ use vn100_testkit::ros2;
 /// An import that outlasts the daemon's patience finds the store closed; its client receives the answer that the daemon
 /// stops.
 #[test]
-fn an_import_that_fails_because_the_daemon_ends_says_so() {
+fn an_import_that_fails_because_the_daemon_ends_reports_this_reason() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
     let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
@@ -39,7 +39,10 @@ fn an_import_that_fails_because_the_daemon_ends_says_so() {
         text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
     }
     std::fs::write(&file, text).unwrap();
-    assert!(matches!(import(&file), control::ImportError::Store { .. }), "the store is closed, and nobody ends");
+    assert!(
+        matches!(import(&file), control::ImportError::Store { .. }),
+        "the store is closed, and the daemon is not ending"
+    );
     importer.call_off();
     for file in [&file, &missing] {
         assert!(matches!(import(file), control::ImportError::Stopping));

@@ -85,7 +85,7 @@ fn page_of(noise: NoiseReport, served: Option<bool>, figures: &BTreeMap<String, 
 }
 
 #[test]
-fn everything_that_is_known_is_told_and_nothing_is_markup() {
+fn everything_that_is_known_is_shown_and_nothing_is_markup() {
     let linked = |name: &str| {
         let address = format!("/v1/captures/7/plots/{name}.svg");
         (name.to_owned(), Figure::Linked { alt: "<told>".to_owned(), address, height: 280 })
@@ -140,7 +140,7 @@ fn a_file_has_its_pictures_in_it_and_nothing_from_elsewhere() {
 }
 
 #[test]
-fn what_is_not_usable_says_so_first_and_why() {
+fn what_is_not_usable_is_first_marked_as_such_with_the_reason() {
     let n = json!({"value": 1e-4, "ci95": [0.9e-4, 1.1e-4], "identified": true, "unit": "rad/s/√Hz", "internal": 4e-5,
         "source": "allan deviation"});
     let bandwidth =

@@ -80,7 +80,7 @@ fn a_sync_that_fails_loses_nothing_and_acknowledges_nothing() {
 
 /// Row C3.
 #[test]
-fn after_three_failures_within_a_minute_the_daemon_ends_for_systemd_to_start_it_anew() {
+fn after_three_failures_within_a_minute_the_daemon_ends_for_systemd_to_start_it_again() {
     if !tools::have("strace", "faults are injected into system calls") {
         return;
     }
@@ -153,7 +153,7 @@ fn one_sync_of_many_seconds_costs_no_sample() {
 
 /// Row C5.
 #[test]
-fn a_file_system_that_turns_read_only_is_said_and_writing_goes_on_when_it_can() {
+fn a_file_system_that_turns_read_only_is_reported_and_writing_goes_on_when_it_can() {
     if !tools::have("strace", "the kernel lets no file system turn read-only under an open file, and back") {
         return;
     }
@@ -223,7 +223,7 @@ impl Drop for Ext4 {
 
 /// Row C5, by the kernel itself.
 #[test]
-fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_goes_on_once_it_is_mounted_anew() {
+fn a_file_system_that_the_kernel_turns_read_only_is_waited_out_and_the_capture_goes_on_after_a_remount() {
     if !tools::root("a file system of its own is mounted") {
         return;
     }

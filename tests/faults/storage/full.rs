@@ -16,7 +16,7 @@ pub fn fill(folder: &Path) -> PathBuf {
 
 /// Row C1.
 #[test]
-fn a_full_disk_is_said_at_once_costs_nothing_for_half_a_minute_and_one_gap_beyond() {
+fn a_full_disk_is_reported_at_once_costs_nothing_for_half_a_minute_and_one_gap_beyond() {
     if !tools::root("a file system of its own is mounted") {
         return;
     }

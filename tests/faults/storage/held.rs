@@ -32,7 +32,7 @@ fn a_foreign_write_lock_is_waited_out() {
 
 /// Row C7.
 #[test]
-fn a_long_reader_is_told_of_and_its_log_is_drained_when_it_ends() {
+fn a_long_reader_is_reported_and_its_log_is_drained_when_it_ends() {
     let world = World::new();
     let _sensor = world.emulate(FAST);
     let alarm = tools::scaled(1, 8_u64);

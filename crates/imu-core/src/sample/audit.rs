@@ -640,7 +640,7 @@ mod tests {
     }
 
     #[test]
-    fn arrival_times_are_said_to_be_unchecked() {
+    fn arrival_times_are_reported_as_unchecked() {
         let arrival = SegmentFacts { timebase: Timebase::Arrival, ticks: None, ..segment(1, 1, 0, 10, 0) };
         let report = audit(&[arrival], &[], counts(10, 0, 0, 1));
         assert!(report.holds);

@@ -251,7 +251,7 @@ mod tests {
 
     /// Only the accounting decides where a run begins: back to zero, back by less than a second, or ahead by an hour.
     #[test]
-    fn a_clock_that_starts_again_begins_a_new_estimate_where_the_accounting_says_so() {
+    fn a_clock_that_starts_again_begins_a_new_estimate_where_the_accounting_decides() {
         for again_ns in [0, 59_500_000_000, 3_660_000_000_000] {
             let (estimate, epoch) = two_runs(again_ns);
             let estimate = estimate.unwrap();

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cutoff_that_is_known_worst_is_open_as_far_as_its_interval_says() {
+    fn the_cutoff_that_is_known_worst_is_open_as_far_as_its_interval_reaches() {
         let two = json!([{"effect": "low_pass", "cutoff_hz": 15.0}, {"effect": "low_pass", "cutoff_hz": 5.0}]);
         let uncertainty = json!([{"cutoff_hz": {"ci95": [14.9, 15.1]}}, {"cutoff_hz": {"ci95": [4.5, 5.5]}}]);
         let found = of(two.clone(), uncertainty, Value::Null);

@@ -14,7 +14,7 @@ const HELD: f64 = 0.8;
 /// A driver that spans this part of its whole range or more carries no information.
 const WIDE: f64 = 0.9;
 /// Part of the variance of a gap over time that a driver has to account for.
-const TELLING: f64 = 0.2;
+const ACCOUNTED_MIN: f64 = 0.2;
 /// How near to upright a pose is, as a part of gravity.
 const UPRIGHT: f64 = 0.97;
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -133,7 +133,7 @@ fn driver(values: &[f64], motions: &[Motion]) -> Option<Driver> {
                 .sum();
             let part = between / whole.max(f64::MIN_POSITIVE);
             let [from, to] = narrowest(&sums, HELD * sums.iter().sum::<f64>());
-            if (to - from) as f64 > WIDE * BINS as f64 || part < TELLING {
+            if (to - from) as f64 > WIDE * BINS as f64 || part < ACCOUNTED_MIN {
                 continue;
             }
             let edge = |place: usize| low + (high - low) * place as f64 / BINS as f64;
@@ -162,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_at_which_a_gap_lies_is_told() {
+    fn the_rate_at_which_a_gap_lies_is_reported() {
         let rate = |t: usize| if (t / 100) % 3 == 2 { 3.0 } else { (t / 100 % 3) as f64 - 1.0 };
         let motions: Vec<Motion> =
             (0..3000).map(|t| Motion { gyro_rad_s: [0.0, rate(t), 0.0], ..Motion::default() }).collect();

@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_turn_tells_bias_and_scale_within_their_errors() {
+    fn a_slow_turn_determines_bias_and_scale_within_their_errors() {
         let bias = [0.06, -0.04, 0.08];
         let scale = [0.004, -0.006, 0.005];
         let real = turned(1, 0.05, |force| std::array::from_fn(|axis| force[axis] * (1.0 + scale[axis]) + bias[axis]));
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_true_accelerometer_is_blamed_for_nothing_and_a_wild_hand_tells_nothing() {
+    fn a_true_accelerometer_is_blamed_for_nothing_and_a_wild_hand_determines_nothing() {
         for seed in 2..7 {
             let found = found(&turned(seed, 0.05, |force| force)).unwrap();
             assert!(found.choice.groups.is_empty(), "{seed}: {:?} {:?}", found.choice, found.values);

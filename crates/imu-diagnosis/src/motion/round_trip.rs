@@ -65,7 +65,7 @@ fn diagnosed(truth: &SensorModel, kind: Kind, seed: u64) -> Outcome {
 }
 
 #[test]
-fn a_sensor_that_is_as_its_model_says_has_no_gap() {
+fn a_sensor_that_matches_its_model_has_no_gap() {
     for (kind, seed) in [(Kind::RateTable, 1), (Kind::Tumble, 2)] {
         let found = diagnosed(&model(json!({}), json!({})), kind, seed);
         assert_eq!(named(&found), [], "{kind:?}");
@@ -169,7 +169,7 @@ fn what_the_library_does_not_have_is_unknown() {
 }
 
 #[test]
-fn a_clock_of_its_own_is_told_from_a_latency() {
+fn a_clock_of_its_own_is_distinguished_from_a_latency() {
     let truth = model(json!({"gyro": {"effects": [{"effect": "latency", "seconds": 0.05}]}}), json!({}));
     let real = recorded(&truth, Kind::RateTable, SAMPLES, 34);
     let course = Course::new(Kind::RateTable, SAMPLES as f64 / RATE_HZ, Site::default()).unwrap();

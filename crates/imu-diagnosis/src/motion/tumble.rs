@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tumble_tells_the_accelerometers_scale_and_bias_by_itself() {
+    fn a_tumble_determines_the_accelerometers_scale_and_bias_by_itself() {
         let truth = model(json!({"accel": {"effects": [
             {"effect": "bias", "x": 0.05, "y": -0.03, "z": 0.02},
             {"effect": "scale_factor", "x": 0.006, "y": -0.005, "z": 0.002}]}}));
@@ -400,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_between_two_rests_tells_the_gyros_scale() {
+    fn a_circle_between_two_rests_determines_the_gyros_scale() {
         let truth = model(json!({"gyro": {"effects": [{"effect": "scale_factor", "x": 0.0, "y": 0.0, "z": 0.012}]}}));
         let rate = |t: usize| if (1600..2400).contains(&t) { std::f64::consts::TAU / 20.0 } else { 0.0 };
         let motions = (0..4000).map(|t| Motion {

@@ -122,7 +122,7 @@ fn products_of_large_effects_are_as_the_simulator_makes_them() {
 }
 
 #[test]
-fn a_tumble_says_nothing_about_what_a_turn_about_y_would_show() {
+fn a_tumble_has_no_information_about_what_a_turn_about_y_would_show() {
     let case = Case::new(Triad::Gyro, tumble(), &[]);
     let found = case.fit(1, &[Candidate::Bias, Candidate::ScaleFactor, Candidate::GSensitivity]);
     let sentences: Vec<&str> = found.confounded.iter().map(|one| one.sentence.as_str()).collect();
@@ -137,7 +137,7 @@ fn a_tumble_says_nothing_about_what_a_turn_about_y_would_show() {
 }
 
 #[test]
-fn a_still_record_tells_no_scale_factor_from_a_bias() {
+fn a_still_record_distinguishes_no_scale_factor_from_a_bias() {
     let case = Case::new(Triad::Accel, motion(Kind::Still, 801, RATE_HZ), &[]);
     let found = case.fit(1, &Candidate::all(Triad::Accel, 20.0));
     for one in &found.confounded {

@@ -198,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_depend_on_the_axes_that_their_effect_says() {
+    fn columns_depend_on_the_axes_that_their_effect_names() {
         assert_eq!(depends(Candidate::Bias, 1), ([false; 3], [false; 3]));
         assert_eq!(depends(Candidate::ScaleFactor, 1), ([false, true, false], [false; 3]));
         assert_eq!(depends(Candidate::Misalignment, 0), ([false, true, true], [false; 3]));

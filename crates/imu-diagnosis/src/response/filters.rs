@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cutoff_that_the_noise_told_badly_is_found_and_is_no_latency() {
+    fn a_cutoff_that_the_noise_determined_badly_is_found_and_is_no_latency() {
         let mut inside = 0;
         for seed in 0..20 {
             let found = fitted(seed, 4.0, 4.0 * 0.06_f64.exp(), 0.05);
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_that_says_little_leaves_the_cutoff_as_the_noise_told_it() {
+    fn a_motion_with_little_information_leaves_the_cutoff_as_the_noise_determined_it() {
         let found = fitted(3, 4.0, 4.0, 1e-6);
         let corner = found.estimates.iter().find(|one| one.parameter == "y ln_cutoff").unwrap();
         assert!(corner.value.abs() < 5e-6 && (corner.standard_error.unwrap() / 1e-6 - 1.0).abs() < 1e-3, "{corner:?}");

@@ -307,7 +307,7 @@ fn what_contradicts_its_record_is_refused_or_written_below_a_comment() {
 
 /// `--force` writes every number below a comment that states why it should not be there.
 #[test]
-fn every_text_that_is_forced_says_why_above_its_first_number() {
+fn every_text_that_is_forced_states_the_reason_above_its_first_number() {
     let mut report = of_six_axes();
     report.channels.get_mut(&Channel::GyroY).unwrap().refuse("it was not at rest".to_owned());
     for target in Target::ALL {
@@ -421,7 +421,7 @@ fn what_lies_behind_a_filter_is_named_and_is_not_of_one_sample() {
 
 /// A report has no information about its sensor: no text names one.
 #[test]
-fn no_text_names_a_sensor_that_nobody_named() {
+fn no_text_names_a_sensor_that_the_report_does_not_name() {
     for target in Target::ALL {
         let text = target.write_report(&of_six_axes()).to_lowercase();
         assert!(!text.contains("vn100") && !text.contains("vn-100"), "{target:?}: {text}");

@@ -194,7 +194,7 @@ fn a_header_with_channels_makes_a_table_whatever_its_comments_and_columns_hold()
 }
 
 #[test]
-fn two_runs_in_one_file_are_said_with_the_line_that_divides_them() {
+fn two_runs_in_one_file_are_reported_with_the_line_that_divides_them() {
     let run: String = (0..200).map(|index| format!("{:.3},{index}\n", f64::from(index) * 0.025)).collect();
     let recording = read(format!("time_s,gyro_x_rad_s\n{run}{run}").as_bytes(), Options::default()).unwrap();
     assert_eq!(recording.info().samples, 200);
@@ -202,7 +202,7 @@ fn two_runs_in_one_file_are_said_with_the_line_that_divides_them() {
 }
 
 #[test]
-fn channels_without_a_value_are_counted_and_said() {
+fn channels_without_a_value_are_counted_and_reported() {
     let mut text = String::from("time_s,accel_x_m_s2,accel_y_m_s2,gyro_x_rad_s,gyro_y_rad_s\n");
     for index in 0..200 {
         let x = if index % 10 == 0 { "NaN".to_owned() } else { format!("{index}") };

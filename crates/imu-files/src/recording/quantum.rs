@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn where_is_no_grid_none_is_found() {
+    fn no_grid_is_found_where_there_is_none() {
         assert_eq!(step_of(&[]), None);
         assert_eq!(step_of(&[1.5; 1000]), None);
         let two: Vec<f64> = (0..1000).map(|index| f64::from(index % 2)).collect();

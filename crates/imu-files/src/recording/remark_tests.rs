@@ -79,7 +79,7 @@ fn claimed(rocks: bool, [gyro, accel, mag]: [f64; 3]) -> String {
 }
 
 #[test]
-fn a_unit_that_the_values_contradict_is_said_with_the_one_that_fits_and_nothing_is_converted() {
+fn a_unit_that_the_values_contradict_is_reported_with_the_one_that_fits_and_nothing_is_converted() {
     let degrees = 1.0_f64.to_degrees();
     for rocks in [false, true] {
         let remarks = remarks_of(&claimed(rocks, [1.0, 1.0, 1.0]));
@@ -128,7 +128,7 @@ fn turning_about_the_vertical_is_no_noise() {
 }
 
 #[test]
-fn stamps_that_stand_still_or_come_late_are_counted_and_said() {
+fn stamps_that_stand_still_or_come_late_are_counted_and_reported() {
     let mut text = String::from("time_s,gyro_x_rad_s\n");
     let mut state = 3;
     for index in 0..400_i32 {
@@ -152,7 +152,7 @@ fn stamps_that_stand_still_or_come_late_are_counted_and_said() {
 }
 
 #[test]
-fn a_told_rate_that_the_stamps_contradict_is_said_and_a_comment_tells_one_to_rows_without() {
+fn a_stated_rate_that_the_stamps_contradict_is_reported_and_a_comment_gives_one_to_unstamped_rows() {
     let stamped = "# rate: 100 Hz\ntime_s,gyro_x_rad_s\n0,1\n0.025,2\n0.05,4\n";
     let recording = read(stamped, &[], Options::default()).unwrap();
     assert_eq!((recording.info().rate_hz, recording.info().unused_rate_hz), (40.0, Some(100.0)));
@@ -164,7 +164,7 @@ fn a_told_rate_that_the_stamps_contradict_is_said_and_a_comment_tells_one_to_row
 }
 
 #[test]
-fn axes_in_different_units_are_each_converted_and_said() {
+fn axes_in_different_units_are_each_converted_and_reported() {
     let text =
         "time_s,accel_x_g,accel_y_m_s2,gyro_x_deg_s,gyro_y_deg_s\n0,1,9.5,1,2\n0.025,1.1,9.6,2,3\n0.05,1,9,3,1\n";
     assert_remark(&remarks_of(text), &["different units (accel_x in g, accel_y in m/s²)"]);
@@ -172,7 +172,7 @@ fn axes_in_different_units_are_each_converted_and_said() {
 }
 
 #[test]
-fn foreign_columns_are_what_the_user_says_by_name_or_place_whatever_divides_them() {
+fn foreign_columns_are_what_the_user_states_by_name_or_place_whatever_divides_them() {
     let pairs = ["Time [ms]=time_ms,GyroX(dps)=gyro_x_dps", "az=accel_z_g"];
     for (delimiter, quote) in [(",", ""), (";", ""), ("\t", ""), (",", "\"")] {
         let header =
@@ -273,7 +273,7 @@ fn ten_gigabytes_of_garbage_are_refused_at_once_with_file_and_place() {
 
 /// For each real recording the facts that its README states are found, and no unit is doubted.
 #[test]
-fn of_real_recordings_the_facts_are_told_and_no_unit_is_doubted() {
+fn the_facts_of_real_recordings_are_reported_and_no_unit_is_doubted() {
     let Some(folder) = vn100_testkit::real_data("") else { return };
     for (file, rate_hz, words) in [
         ("vn100-desk/live_capture.txt.gz", None, &[][..]),

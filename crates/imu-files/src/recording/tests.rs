@@ -127,7 +127,7 @@ fn a_gap_is_a_grid_point_without_a_sample_and_not_a_step_that_is_made_up_for() {
 /// Whole milliseconds at 400 Hz for 600 s were once reported as "333.33 Hz, 720 s"; with 3 ms of jitter 7,236 samples
 /// were invented.
 #[test]
-fn coarse_and_jittering_stamps_tell_rate_duration_and_what_is_missing() {
+fn coarse_and_jittering_stamps_determine_rate_duration_and_what_is_missing() {
     let mut content = "time_s,gyro_x_rad_s\n".to_owned();
     for index in 0..240_000 {
         content.push_str(&format!("{:.3},{}\n", f64::from(index) * 0.0025 + 0.2, index % 7));
@@ -223,7 +223,7 @@ fn rare_falls_by_jitter_are_no_misplaced_samples() {
 }
 
 #[test]
-fn a_told_rate_overrides_the_stamps_and_says_so() {
+fn a_given_rate_overrides_the_stamps_and_a_remark_states_it() {
     let content: String =
         (0..200).map(|index| format!("{:.3},{index}\n", 0.025 * f64::from(index + index / 100))).collect();
     let content = format!("time_s,gyro_x_rad_s\n{content}");
@@ -279,7 +279,7 @@ fn a_stamp_of_another_clock_than_the_others_is_rejected_and_costs_no_other_sampl
 }
 
 #[test]
-fn stamps_since_1970_give_the_utc_to_the_nanosecond_others_count_from_the_told_start() {
+fn stamps_since_1970_give_the_utc_to_the_nanosecond_others_count_from_the_given_start() {
     let folder = Folder::new();
     let times = |content: &str, options| -> Vec<(Option<u64>, i64)> {
         let file = folder.file("times", content.as_bytes());
@@ -314,7 +314,7 @@ fn without_stamps_a_csv_needs_a_rate() {
 }
 
 #[test]
-fn stamps_that_tell_no_rate_are_refused() {
+fn stamps_that_determine_no_rate_are_refused() {
     let folder = Folder::new();
     for content in ["time_s,gyro_x_rad_s\n5,1\n", "time_s,gyro_x_rad_s\n5,1\n5,2\n"] {
         assert!(matches!(folder.load(content, Options::default()), Err(RecordingError::NoStep { samples: 1, .. })));
@@ -331,7 +331,7 @@ fn two_columns_for_one_channel_or_for_the_time_are_refused() {
 }
 
 #[test]
-fn raw_lines_without_stamps_are_taken_at_forty_hertz_and_say_so() {
+fn raw_lines_without_stamps_are_taken_at_forty_hertz_and_report_the_assumption() {
     let content: String = (0..5).map(|i| line(f64::from(i) * 1e-6) + "\r\n").collect();
     let loaded = Folder::new().load(&content, Options::default()).unwrap();
     assert_eq!((loaded.info.kind, loaded.info.stamps), (Kind::VnText, Stamps::None));
@@ -362,7 +362,7 @@ fn the_last_number_before_the_dollar_is_the_stamp() {
 }
 
 #[test]
-fn a_raw_line_that_fails_its_checksum_is_one_missing_sample_where_nothing_else_tells() {
+fn a_raw_line_that_fails_its_checksum_is_one_missing_sample_where_nothing_else_decides() {
     let bad = line(0.5).replace("+00.500000", "+00.400000");
     let cut = &line(0.2)[40..];
     let reply = "$VNWRG,07,40*59";
@@ -437,7 +437,7 @@ fn compressed_and_plain_files_give_the_same() {
 }
 
 #[test]
-fn cut_compressed_data_say_where_and_what_to_do() {
+fn cut_compressed_data_are_reported_with_the_place_and_the_remedy() {
     let content: String = (0..20_000).map(|i| line(f64::from(i) * 1e-6) + "\n").collect();
     let mut packed = gzip(content.as_bytes());
     packed.truncate(packed.len() / 2);
@@ -529,7 +529,7 @@ fn the_real_cart_recording_keeps_its_driver_stamps_and_rejects_the_spliced_lines
 }
 
 #[test]
-fn the_real_adis16405_run_has_a_million_samples_at_the_told_rate() {
+fn the_real_adis16405_run_has_a_million_samples_at_the_given_rate() {
     let Some(folder) = vn100_testkit::real_data("adis16405") else { return };
     let loaded = load_columns(&folder.join("adis_16405_imu1.csv.gz"), at_rate(100.0)).unwrap();
     assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_hz), (1_000_000, 0, 100.0));
@@ -603,7 +603,7 @@ fn chunks_of_a_bag_that_become_very_much_are_refused() {
 }
 
 #[test]
-fn a_recording_that_nobody_wants_any_more_is_not_read_on() {
+fn a_recording_that_is_no_longer_wanted_is_not_read_on() {
     let raw: String = (0..20_000).map(|index| line(1e-3 * f64::from(index % 100)) + "\n").collect();
     let mut records = bag::connection(0, "/raw", bag::TEXT);
     for index in 0..20_000 {

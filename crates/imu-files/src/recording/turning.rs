@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ratio_of_what_is_seen_to_what_is_told_is_the_units_error() {
+    fn the_ratio_of_the_seen_to_the_predicted_turn_is_the_units_error() {
         let turns = rocking(1.0, true);
         let (ratio, agreement) = turns.ratio().unwrap();
         assert!(turns.count > 50 && (ratio - 1.0).abs() < 0.05 && agreement > 0.98, "{turns:?} {ratio} {agreement}");

@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_samples_repeat_as_the_probability_says() {
+    fn as_many_samples_repeat_as_the_probability_states() {
         let values = check::draw_on_white(&HeldSamples { probability: 0.02 }, 40.0, 1_000_000, 8);
         let repeats = values.windows(2).filter(|pair| pair[0] == pair[1]).count() as f64 / 1e6;
         assert!((repeats - 0.02).abs() < 5.0 * (0.02 * 0.98 / 1e6_f64).sqrt(), "{repeats}");

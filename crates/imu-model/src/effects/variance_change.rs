@@ -157,7 +157,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn the_white_part_grows_as_the_factor_says() {
+    fn the_white_part_grows_by_the_stated_factor() {
         let interval = VarianceChange::Interval { from_s: 100.0, to_s: 200.0, factor: 3.0 };
         let profile = VarianceChange::Profile(vec![(50.0, 0.5), (200.0, 2.0), (300.0, 1.0)]);
         for change in [interval, profile] {

@@ -26,7 +26,7 @@ const RATE_TOLERANCE: f64 = 1e-3;
 const STRAY_PERIODS: f64 = 0.5;
 /// Number of rows that determine the rate. Stamps are often rounded to a millisecond, so that one step alone does not
 /// determine it.
-const TELLING: usize = 1000;
+const RATE_ROWS: usize = 1000;
 
 /// The reasons why a motion was refused.
 #[derive(Debug, thiserror::Error)]
@@ -254,7 +254,7 @@ impl<R: Read> Rows<R> {
 /// The errors of any of these rows.
 pub fn rate_of(text: impl Read, file: &str) -> Result<Option<f64>, MotionError> {
     let mut times = Vec::new();
-    for row in Rows::new(text, file, None)?.take(TELLING + 1) {
+    for row in Rows::new(text, file, None)?.take(RATE_ROWS + 1) {
         times.push(row?.0);
     }
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -458,7 +458,7 @@ mod tests {
     }
 
     #[test]
-    fn rounded_stamps_tell_their_rate_and_are_no_gaps() {
+    fn rounded_stamps_determine_their_rate_and_are_no_gaps() {
         let row = |index: u32| format!("{:.3},0,0,0,0,0,-9.8\n", f64::from(index) / 400.0);
         let text = format!("{HEADER}\n{}", (0..2000).map(row).collect::<String>());
         let rate_hz = rate_of(text.as_bytes(), "table.csv").unwrap().unwrap();

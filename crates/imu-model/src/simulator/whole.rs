@@ -330,7 +330,7 @@ fn common_mode_is_the_same_on_all_channels_times_their_share() {
 }
 
 #[test]
-fn stamps_scatter_and_samples_get_lost_as_the_parameters_say() {
+fn stamps_scatter_and_samples_get_lost_as_the_parameters_state() {
     let timing = Timing { jitter_s: 0.002, drop_probability: 0.05 };
     let model = model(40.0, [(Channel::GyroX, channel(1.0, vec![Box::new(timing)]))]);
     let plain = values(&self::model(40.0, [(Channel::GyroX, channel(1.0, vec![]))]), 1, Channel::GyroX, 20_000);

@@ -81,7 +81,7 @@ fn lag_1_alone_mistakes_both_flickers() {
 }
 
 #[test]
-fn intervals_hold_what_they_say() {
+fn intervals_hold_the_truth_as_often_as_they_state() {
     const SEEDS: u64 = 300;
     let factors = [1, 8, 64, 128, 256, 512];
     let grid = TauGrid::custom(factors).unwrap();

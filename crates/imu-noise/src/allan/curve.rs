@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_tells_where_its_stride_begins() {
+    fn a_curve_reports_where_its_stride_begins() {
         let curve = |grid: TauGrid| {
             let mut estimator = Overlapping::new(FixedPoint::for_range(0, 1).unwrap(), grid);
             estimator.push(&samples());

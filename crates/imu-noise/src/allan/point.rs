@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_a_thirtieth_of_the_segment_the_noise_told_before_stays() {
+    fn beyond_a_thirtieth_of_the_segment_the_noise_identified_before_stays() {
         let mut points = points(|m| 1.0 / m);
         // 10,000 terms: from m = 512 on a segment is shorter than thirty averaging times.
         assert_eq!(points.len(), 10);

@@ -213,7 +213,7 @@ fn density<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64)
 /// A lowest point counts if the record is at least this many times its averaging time. A deviation is determined up to
 /// about a fifth of a record (five degrees of freedom), and within the last two octaves of that it may still be
 /// falling.
-const TELLING: f64 = 16.0;
+const RECORD_TAUS_MIN: f64 = 16.0;
 
 /// Returns how long a record has to be for a verdict on `limit`, s: long enough for white noise alone to fall to half
 /// the limit's variance, but at least twice as long as this record determines. The lowest deviation counts as white
@@ -221,7 +221,7 @@ const TELLING: f64 = 16.0;
 fn needed(measured: &Measured, limit: f64) -> f64 {
     let (minimum, tau_s, _) = measured.minimum.unwrap_or_default();
     let white = measured.density.map_or(minimum * minimum * tau_s, |(n, _)| n * n);
-    let seconds = TELLING * (2.0 * white / (limit * limit)).max(2.0 * tau_s);
+    let seconds = RECORD_TAUS_MIN * (2.0 * white / (limit * limit)).max(2.0 * tau_s);
     // Rounds up to whole minutes.
     (seconds / 60.0).ceil() * 60.0
 }
@@ -232,7 +232,7 @@ fn bias<D: Dimension>(figures: &Figures<D>, measured: &Measured, factor: f64) ->
     // The share (1 − 1/factor²) of N²/τ is folded noise.
     let folded = measured.density.map_or(0.0, |(n, _)| n * n / tau_s * (1.0 - 1.0 / (factor * factor)).max(0.0));
     let less = |deviation: f64| (deviation * deviation - folded).max(0.0).sqrt();
-    let needed_s = measured.at_rest_s.filter(|at_rest_s| tau_s * TELLING > *at_rest_s);
+    let needed_s = measured.at_rest_s.filter(|at_rest_s| tau_s * RECORD_TAUS_MIN > *at_rest_s);
     let needed_s = needed_s.map(|_| needed(measured, limit.value()));
     let verdict = if Quantity::<D>::held(low) <= limit {
         Verdict::Within
@@ -310,7 +310,7 @@ mod tests {
 
     /// 68 s of a sensor at rest: white noise still falls at 13 s. In an hour, the same lowest point counts.
     #[test]
-    fn a_record_of_68_seconds_is_too_short_to_tell_and_says_what_would_do() {
+    fn a_record_of_68_seconds_is_too_short_and_its_verdict_states_the_length_needed() {
         let n = 1.2e-4;
         let deviation = n / 12.8f64.sqrt();
         let measured = Measured {

@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_density_is_expected_as_it_stands_unless_the_file_says_how_samples_are_made() {
+    fn a_density_is_expected_as_it_stands_unless_the_file_states_how_samples_are_made() {
         let as_sent = read("name = 'x'\n[gyro]\nbias_stability_deg_h = 8").unwrap();
         let factor =
             |sheet: &Datasheet| sheet.sampling(40.0, None).unwrap().density_factor(imu_core::sample::Triad::Gyro);

@@ -233,7 +233,7 @@ mod tests {
 
     /// Set (b) of the reference values: white noise, random walk and ramp of known size.
     #[test]
-    fn white_walk_and_ramp_are_told_apart() {
+    fn white_walk_and_ramp_are_distinguished() {
         let mut stream = white();
         let mut walk = 0.0;
         let samples: Vec<f64> = (0..720_000)
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn too_little_or_constant_data_is_said_to_be_so_and_no_number_is_nan() {
+    fn too_little_or_constant_data_is_reported_as_such_and_no_number_is_nan() {
         for (count, value, kind) in [(0, 0.0, "insufficient"), (20, 0.1, "insufficient"), (5000, 0.0, "constant")] {
             let samples: Vec<f64> = white().take(count).map(|white| 0.5 + white * value).collect();
             let grid = TauGrid::octave(5000).unwrap();

@@ -143,7 +143,7 @@ fn scenario(name: &str, truth: [f64; 3], seeds: u64) -> [Tally; 3] {
 
 #[test]
 #[ignore = "minutes"]
-fn intervals_hold_what_they_say() {
+fn intervals_hold_the_truth_as_often_as_they_state() {
     let seeds = std::env::var("VN100D_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(100);
     // Four standard deviations of a count at 95 %.
     let least = |count: usize| 0.95 * count as f64 - 4.0 * (0.95 * 0.05 * count as f64).sqrt();

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn spikes_knocks_and_handling_are_told_apart_and_placed() {
+    fn spikes_knocks_and_handling_are_distinguished_and_placed() {
         let mut noise = Noise::new(21);
         let mut values = noise.sensor(60_000, 40.0, 2e-3, 1e-3, 1e-4);
         let sigma = 2e-3 * 40f64.sqrt();

@@ -22,7 +22,7 @@ fn found(records: u64, count: usize, b: f64, k: f64) -> (usize, BTreeMap<String,
 }
 
 #[test]
-fn pure_noise_is_seldom_said_to_be_disturbed() {
+fn pure_noise_is_seldom_reported_as_disturbed() {
     let (disturbed, kinds) = found(20, 40_000, 1e-3, 5e-5);
     assert!(disturbed <= 1, "{kinds:?}");
 }

@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_temperature_that_does_not_change_tells_nothing() {
+    fn a_temperature_that_does_not_change_determines_nothing() {
         let parts = [Part { start_s: 0.0, values: Noise::new(62).white(10_000, 1.0) }];
         assert!(regress(&parts, 10.0, &levels(vec![25.0; 10_000]), &[]).is_none());
         assert!(regress(&parts, 10.0, &Levels::new(10.0, 0), &[]).is_none());

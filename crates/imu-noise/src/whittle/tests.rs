@@ -103,7 +103,7 @@ fn white_noise_has_n_and_limits_on_all_else() {
 }
 
 #[test]
-fn a_random_walk_alone_is_told_and_flicker_is_not_named() {
+fn a_random_walk_alone_is_identified_and_flicker_is_not() {
     let parameters = of(&record(3.5e-3, 0.0, 3e-4, 120_000, 5));
     assert!(parameters.k.identified && holds(&parameters.k, 3e-4), "{:?}", parameters.k);
     assert!(!parameters.b.identified, "{:?}", parameters.b);
@@ -270,7 +270,7 @@ fn portions_do_not_matter_and_a_stretch_goes_on_after_a_kill() {
 }
 
 #[test]
-fn too_little_or_constant_data_is_said_to_be_so_and_no_number_is_nan() {
+fn too_little_or_constant_data_is_reported_as_such_and_no_number_is_nan() {
     for (samples, kind) in
         [(vec![], "insufficient"), (record(1.0, 0.0, 0.0, 20, 1), "insufficient"), (vec![0.5; 5_000], "constant")]
     {
@@ -301,7 +301,7 @@ fn too_few_frequencies_are_not_called_too_few_samples() {
 
 /// The reference set of white noise, random walk and ramp of known sizes (NIST SP1065's generator).
 #[test]
-fn white_walk_and_ramp_of_the_reference_set_are_told_apart() {
+fn white_walk_and_ramp_of_the_reference_set_are_distinguished() {
     let mut state = 1_234_567_890u64;
     let mut next = move || {
         let value = state as f64 / 2_147_483_647.0 - 0.5;

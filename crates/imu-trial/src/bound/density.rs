@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_on_top_of_white_noise_is_worth_nothing_and_other_noise_what_whittle_says() {
+    fn white_noise_on_top_of_white_noise_is_worth_nothing_and_other_noise_what_whittle_predicts() {
         let at = frequencies(SAMPLES, None);
         let base = vec![1.0; at.len()];
         let white = nats(SAMPLES, &at, &base, &vec![0.05; at.len()]);

@@ -94,7 +94,7 @@ fn every_kind_changes_its_channels_and_no_other_and_gives_numbers() {
 }
 
 #[test]
-fn what_is_told_of_an_effect_is_read_by_the_library() {
+fn what_is_stated_of_an_effect_is_read_by_the_library() {
     use imu_model::effects::CHANNEL;
     for kind in Kind::LIBRARY.iter().copied() {
         // A saturation's limits follow from the samples.
@@ -126,7 +126,7 @@ fn imposed_size(seed: u64) -> Effect {
 }
 
 #[test]
-fn courses_of_the_level_are_what_they_say() {
+fn courses_of_the_level_are_as_stated() {
     let (effect, _, changed) = imposed(Kind::RateRamp, 1);
     let slope = (changed[SAMPLES - 1] - changed[0]) / (SAMPLES - 1) as f64 * RATE;
     assert!((slope / parameter(&effect, "R") - 1.0).abs() < 1e-9);
@@ -149,7 +149,7 @@ fn courses_of_the_level_are_what_they_say() {
 }
 
 #[test]
-fn lines_stand_where_they_are_told() {
+fn lines_stand_where_stated() {
     let (effect, _, changed) = imposed(Kind::Tone, 1);
     let found = amplitude(&changed, parameter(&effect, "frequency_hz"));
     assert!((found / parameter(&effect, "amplitude") - 1.0).abs() < 0.02, "{found}");
@@ -189,7 +189,7 @@ fn noise_has_its_size_and_time_constant() {
 }
 
 #[test]
-fn a_resonance_is_as_wide_as_told() {
+fn a_resonance_is_as_wide_as_stated() {
     // Density by lines: at half the bandwidth from the middle it is half of that in the middle.
     let mut power = [0.0, 0.0];
     for seed in 0..60 {
@@ -227,7 +227,7 @@ fn filters_leave_half_the_power_at_their_corner() {
 }
 
 #[test]
-fn events_come_as_often_and_where_they_are_told() {
+fn events_come_as_often_and_where_stated() {
     let (effect, _, changed) = imposed(Kind::Spikes, 4);
     let expected = parameter(&effect, "rate_hz") / RATE * SAMPLES as f64;
     let count = changed.iter().filter(|change| **change != 0.0).count() as f64;
@@ -295,7 +295,7 @@ fn spikes_that_the_sensor_lacks_are_expected_often() {
 }
 
 #[test]
-fn the_white_parts_law_and_size_change_as_told() {
+fn the_white_parts_law_and_size_change_as_stated() {
     let variance = |columns: &Columns, place: usize, from: usize, to: usize| {
         rms(&columns.columns[place].white[from..to]).powi(2) / 4.0
     };
@@ -322,7 +322,7 @@ fn the_white_parts_law_and_size_change_as_told() {
 }
 
 #[test]
-fn what_is_sent_is_rounded_clipped_repeated_and_lost_as_told() {
+fn what_is_sent_is_rounded_clipped_repeated_and_lost_as_stated() {
     let (effect, after, _) = imposed(Kind::Resolution, 2);
     let column = after.columns.iter().find(|column| column.channel == effect.channels[0]).unwrap();
     let step = parameter(&effect, "step");

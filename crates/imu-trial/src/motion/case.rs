@@ -412,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_the_library_is_one_that_a_model_can_say() {
+    fn every_kind_of_the_library_is_one_that_a_model_can_express() {
         for kind in Kind::LIBRARY {
             for triad in kind.triads() {
                 let case = Case::draw(8, 1, &[(*kind, *triad)], Some(6000));

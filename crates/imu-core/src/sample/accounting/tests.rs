@@ -115,7 +115,7 @@ fn steps_that_are_no_whole_number_of_periods_are_another_rate_and_no_loss() {
 /// 200 Hz is announced as 40 Hz and stays 200 Hz, with one sample lost in between: the missing samples follow from the
 /// ticks alone.
 #[test]
-fn a_rate_that_was_told_and_never_came_hides_no_loss() {
+fn a_rate_that_was_announced_and_never_came_hides_no_loss() {
     let (mut accountant, mut out) = (Accountant::new(200.0, Timebase::Device), Vec::new());
     observe_at(&mut accountant, (0..20).map(|index| 5_000_000_000 + index * 5_000_000), &mut out);
     accountant.change(40.0, Timebase::Device, &mut out);

@@ -83,7 +83,7 @@ fn parquet_of(bytes: &[u8]) -> (ParquetRecordBatchReaderBuilder<std::fs::File>, 
 }
 
 #[test]
-fn parquet_gives_back_every_bit_and_says_units_and_gaps() {
+fn parquet_gives_back_every_bit_and_states_units_and_gaps() {
     let awkward = vec![0.1 + 0.2, -0.0, f64::NAN];
     let made = made(vec![awkward, vec![5e-324, f64::MAX, -1e-7]]);
     let about = about(&[Channel::GyroX, Channel::Temperature]);
@@ -274,7 +274,7 @@ impl Write for Full {
 }
 
 #[test]
-fn a_full_disk_is_told_as_such_in_every_format() {
+fn a_full_disk_is_reported_as_such_in_every_format() {
     let about = about(&[Channel::GyroX]);
     for format in SampleFormat::ALL {
         for room in [0, 40] {

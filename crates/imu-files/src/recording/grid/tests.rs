@@ -177,7 +177,7 @@ fn stamps_of_a_loop_are_followed_from_one_to_the_next() {
 }
 
 #[test]
-fn exact_rounded_late_and_paired_stamps_tell_rate_duration_and_losses() {
+fn exact_rounded_late_and_paired_stamps_determine_rate_duration_and_losses() {
     for rate_hz in RATES_HZ {
         for loss in LOSSES {
             for kind in [Kind::Exact, Kind::Rounded(1_000_000), Kind::Rounded(10_000_000), Kind::Late, Kind::Pairs] {
@@ -188,7 +188,7 @@ fn exact_rounded_late_and_paired_stamps_tell_rate_duration_and_losses() {
 }
 
 #[test]
-fn jittering_stamps_tell_rate_and_duration_and_losses_while_jitter_is_below_a_third_of_the_period() {
+fn jittering_stamps_determine_rate_duration_and_losses_while_jitter_is_below_a_third_of_the_period() {
     for rate_hz in RATES_HZ {
         for loss in LOSSES {
             for jitter_ms in [1.0, 3.0, 5.0] {

@@ -237,7 +237,7 @@ fn leaves(bytes: &[u8]) -> (usize, Vec<usize>) {
 }
 
 #[test]
-fn a_hole_in_a_database_costs_its_own_rows_and_is_said() {
+fn a_hole_in_a_database_costs_its_own_rows_and_is_reported() {
     let messages: Vec<_> = (0..2000).map(|index| message(0, index, imu(index))).collect();
     let bytes = db3(&[IMU], &messages);
     let (page_bytes, leaves) = leaves(&bytes);
@@ -283,7 +283,7 @@ fn a_damaged_page_is_the_same_at_every_reading() {
 }
 
 #[test]
-fn a_database_that_was_cut_off_says_what_may_save_it() {
+fn a_database_that_was_cut_off_is_reported_with_what_may_save_it() {
     let messages: Vec<_> = (0..200).map(|index| message(0, index, imu(index))).collect();
     let bytes = db3(&[IMU], &messages);
     let report = match load(bytes[..bytes.len() / 2].to_vec(), Options::default()) {
