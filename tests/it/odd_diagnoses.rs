@@ -252,6 +252,7 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
     let first = u64::from(std::env::var_os("VN100D_ODD").is_none());
     let from = (number("VN100D_ODD_FROM", first) as usize).min(count);
     let (next, past, slowest) = (AtomicUsize::new(from), AtomicUsize::new(0), AtomicU64::new(0));
+    let ended = AtomicUsize::new(0);
     let failed = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
         for _ in 0..2 {
@@ -272,6 +273,11 @@ fn odd_records_get_past_the_checks_and_never_bring_a_diagnosis_down() {
                         eprintln!("case {number} took {took:?}");
                     }
                     slowest.fetch_max(took.as_millis() as u64, Ordering::Relaxed);
+                    let ended = ended.fetch_add(1, Ordering::Relaxed) + 1;
+                    if ended.is_multiple_of(100) {
+                        let panics = failed.lock().unwrap().len();
+                        eprintln!("{} of {ended} got past the checks, {panics} panics", past.load(Ordering::Relaxed));
+                    }
                 }
             });
         }

@@ -1,15 +1,16 @@
 //! The grid: frequencies of a transformed record in bins that are narrow where a spectrum may be narrow.
 
+use imu_model::effects::Frequencies;
+
 /// Coefficients 1 to n − 1 of a record of n samples, in bins: single coefficients first, then bins of a constant ratio,
 /// at most a 320th of the band wide, with finer bins around lines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     samples: usize,
-    rate_hz: f64,
     /// First coefficient of each bin, and one past the last.
     edges: Vec<usize>,
     counts: Vec<f64>,
-    frequencies_hz: Vec<f64>,
+    frequencies: Frequencies,
 }
 
 /// A line that the grid has to resolve.
@@ -64,8 +65,8 @@ impl Grid {
         let spans = edges.windows(2);
         let counts: Vec<f64> = spans.clone().map(|span| (span[1] - span[0]) as f64).collect();
         let middle = |span: &[usize]| 0.5 * (span[0] + span[1] - 1) as f64 * rate_hz / (2.0 * n as f64);
-        let frequencies_hz = spans.map(middle).collect();
-        Self { samples: n, rate_hz, edges, counts, frequencies_hz }
+        let frequencies = Frequencies::new(spans.map(middle).collect(), rate_hz);
+        Self { samples: n, edges, counts, frequencies }
     }
 
     /// Returns the number of samples in the record.
@@ -75,7 +76,7 @@ impl Grid {
 
     /// Returns the samples per second.
     pub fn rate_hz(&self) -> f64 {
-        self.rate_hz
+        self.frequencies.rate_hz()
     }
 
     /// Returns the number of coefficients in each bin.
@@ -85,7 +86,12 @@ impl Grid {
 
     /// Returns the mean frequency of each bin, Hz.
     pub fn frequencies_hz(&self) -> &[f64] {
-        &self.frequencies_hz
+        self.frequencies.hz()
+    }
+
+    /// Returns the mean frequencies with their trigonometry.
+    pub fn frequencies(&self) -> &Frequencies {
+        &self.frequencies
     }
 
     /// Returns the first coefficient of each bin, and one past the last.

@@ -5,7 +5,9 @@
 
 use super::dot::dot;
 use super::grid::{Grid, Narrow};
-use imu_model::effects::{Effect, EffectKind, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance};
+use imu_model::effects::{
+    Effect, EffectKind, Frequencies, GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance,
+};
 use nalgebra::{DMatrix, DVector};
 
 /// An effect that shapes a spectrum, without the numbers that a fit may change.
@@ -129,22 +131,25 @@ impl Term {
     }
 
     /// Returns the power per sample that the term adds at each frequency.
-    pub(super) fn added(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
+    pub(super) fn added(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let rate_hz = frequencies.rate_hz();
         match self.effect(rate_hz) {
-            Some(effect) => {
-                effect.densities(frequencies_hz, rate_hz).into_iter().map(|density| rate_hz * density).collect()
-            }
+            Some(effect) => effect.densities(frequencies).into_iter().map(|density| rate_hz * density).collect(),
             None => {
                 let (level, exponent) = (self.at(0), self.at(1));
-                frequencies_hz.iter().map(|f| (level - exponent * (f / (Shape::MIDDLE * rate_hz)).ln()).exp()).collect()
+                frequencies
+                    .hz()
+                    .iter()
+                    .map(|f| (level - exponent * (f / (Shape::MIDDLE * rate_hz)).ln()).exp())
+                    .collect()
             }
         }
     }
 
     /// Returns the power gain at each frequency.
-    pub(super) fn gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        self.effect(rate_hz)
-            .map_or_else(|| vec![1.0; frequencies_hz.len()], |effect| effect.power_gains(frequencies_hz, rate_hz))
+    pub(super) fn gains(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let none = || vec![1.0; frequencies.hz().len()];
+        self.effect(frequencies.rate_hz()).map_or_else(none, |effect| effect.power_gains(frequencies))
     }
 
     /// Returns the index of the number that is the logarithm of a power that the term adds, or of the white noise after
@@ -319,13 +324,13 @@ impl Pieces {
         };
         for term in &law.terms {
             if term.is_filter() {
-                let gain = term.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
+                let gain = term.gains(data.grid.frequencies());
                 pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
                 pieces.gains.push(gain);
                 pieces.floors.push((law.levels[0] + term.numbers[term.level()]).exp() * data.grid.rate_hz());
                 pieces.added.push(Vec::new());
             } else {
-                let more = term.added(data.grid.frequencies_hz(), data.grid.rate_hz());
+                let more = term.added(data.grid.frequencies());
                 pieces.before.iter_mut().zip(&more).for_each(|(all, one)| *all += one);
                 pieces.added.push(more);
                 pieces.gains.push(Vec::new());
@@ -389,7 +394,9 @@ impl Law {
         const LOWEST: f64 = 1e-9;
         let of = |term: &Term| match (term.floor(), term.shape) {
             (Some(floor), _) => self.levels[0].exp() * floor,
-            (None, Shape::Resonance) => term.added(&[LOWEST * rate_hz], rate_hz).iter().sum::<f64>() / rate_hz,
+            (None, Shape::Resonance) => {
+                term.added(&Frequencies::new(vec![LOWEST * rate_hz], rate_hz)).iter().sum::<f64>() / rate_hz
+            }
             _ => 0.0,
         };
         self.terms.iter().map(of).sum()
@@ -439,12 +446,12 @@ impl Law {
                     let mut moved = term.clone();
                     moved.numbers[number] += STEP;
                     if term.is_filter() {
-                        let there = moved.gains(data.grid.frequencies_hz(), data.grid.rate_hz());
+                        let there = moved.gains(data.grid.frequencies());
                         let change = there.iter().zip(&pieces.gains[at]).map(|(to, from)| (to / from - 1.0) / STEP);
                         let places = change.zip(&pieces.before).zip(pieces.gain.iter().zip(&pieces.spectrum));
                         slopes.push(places.map(|((change, before), (gain, s))| change * before * gain / s).collect());
                     } else {
-                        let there = moved.added(data.grid.frequencies_hz(), data.grid.rate_hz());
+                        let there = moved.added(data.grid.frequencies());
                         let change = there.iter().zip(&pieces.added[at]).map(|(to, from)| (to - from) / STEP);
                         slopes.push(scaled(&change.collect::<Vec<f64>>()));
                     }

@@ -483,7 +483,7 @@ impl<'a> Series<'a> {
         let found = self.explanation.law.terms.iter().filter(|term| term.is_filter());
         let mut gain: Vec<f64> = self.base.gain.iter().zip(&self.base.passed).map(|(one, other)| one * other).collect();
         for filter in found {
-            let own = filter.gains(self.grid.frequencies_hz(), self.setting.rate_hz);
+            let own = filter.gains(self.grid.frequencies());
             gain.iter_mut().zip(own).for_each(|(all, one)| *all *= one);
         }
         if gain.iter().all(|gain| *gain == 1.0) {

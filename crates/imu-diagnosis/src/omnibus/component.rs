@@ -44,16 +44,15 @@ impl Part {
 /// Returns the most probable course of each term that adds noise.
 pub(crate) fn parts(series: &mut Series<'_>) -> Vec<Part> {
     let terms = series.explanation.law.terms.clone();
-    let rate_hz = series.setting().rate_hz;
-    let hz: Vec<f64> = series.grid.frequencies_hz().to_vec();
+    let frequencies = series.grid.frequencies().clone();
     // Filters act behind the term.
     let mut gain = series.data().base.gain.clone();
     for filter in terms.iter().filter(|term| term.is_filter()) {
-        gain.iter_mut().zip(filter.gains(&hz, rate_hz)).for_each(|(all, one)| *all *= one);
+        gain.iter_mut().zip(filter.gains(&frequencies)).for_each(|(all, one)| *all *= one);
     }
     let mut found = Vec::new();
     for (place, term) in terms.into_iter().enumerate().filter(|(_, term)| term.adds()) {
-        let added = term.added(&hz, rate_hz).into_iter().zip(&gain);
+        let added = term.added(&frequencies).into_iter().zip(&gain);
         let logarithms: Vec<f64> = added.map(|(power, gain)| (power * gain).max(f64::MIN_POSITIVE).ln()).collect();
         let own = series.grid.fill(&logarithms);
         // Share of the term in each coefficient's power.

@@ -1,7 +1,7 @@
 //! Checks that the effects' tests share: simulated spectra, Allan variances and moments are compared with the closed
 //! forms, and values must not depend on how a stream is cut.
 
-use super::{At, Effect, EffectKind, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
+use super::{At, Effect, EffectKind, Frequencies, Record, Stage, Stream, StreamId, USUAL_TEMPERATURE_C, sampled};
 
 /// Samples per realisation.
 pub(super) const SAMPLES: usize = 1 << 14;
@@ -166,6 +166,17 @@ fn cuts_do_not_matter(effect: &dyn Effect, rate_hz: f64) {
     }
 }
 
+/// Asserts that densities and power gains at many frequencies are those at each one, up to rounding.
+fn many_frequencies_are_as_single_ones(effect: &dyn Effect, rate_hz: f64) {
+    let frequencies = Frequencies::new((1..500).map(|part| 1e-3 * f64::from(part) * rate_hz).collect(), rate_hz);
+    let (densities, gains) = (effect.densities(&frequencies), effect.power_gains(&frequencies));
+    for ((hz, density), gain) in frequencies.hz().iter().zip(densities).zip(gains) {
+        let (one, single_gain) = (effect.psd(*hz, rate_hz).unwrap_or(0.0), effect.power_gain(*hz, rate_hz));
+        assert!((density - one).abs() <= 1e-12 * one, "{} at {hz} Hz: {density} {one}", effect.name());
+        assert!((gain - single_gain).abs() <= 1e-12 * single_gain, "{} at {hz} Hz", effect.name());
+    }
+}
+
 /// Asserts that spectra (octaves up to Nyquist), lines, Allan variances (m = 1 … 7000) and moments over 100 seeds agree with the
 /// closed forms within their sampling error. Also asserts that deterministic parts are the mean response, and that realisations
 /// do not depend on how they are cut.
@@ -174,6 +185,7 @@ pub(super) fn agrees_with_its_closed_forms(effect: &dyn Effect, rate_hz: f64) {
     let record = Record { rate_hz, samples: SAMPLES as u64 };
     effect.check(rate_hz).unwrap();
     cuts_do_not_matter(effect, rate_hz);
+    many_frequencies_are_as_single_ones(effect, rate_hz);
     let deterministic = effect.regressors() > 0 && effect.lines().is_empty();
     let seeds = if deterministic { 2 } else { SEEDS };
     let case = |seed| match effect.stage() {

@@ -2,7 +2,7 @@
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, above};
-use super::{Effect, Moments, Record, Sampler, Stage, Stream, each, sampled};
+use super::{Effect, Frequencies, Moments, Record, Sampler, Stage, Stream, each, sampled};
 use std::f64::consts::PI;
 
 effect! {
@@ -54,6 +54,11 @@ impl Lorentzian {
 impl Effect for GaussMarkov {
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         Some(self.sigma * self.sigma * lorentzian(frequency_hz / rate_hz, 1.0 / (rate_hz * self.tc_s), rate_hz))
+    }
+    fn densities(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let rate_hz = frequencies.rate_hz();
+        let line = Lorentzian::new(1.0 / (rate_hz * self.tc_s), rate_hz);
+        frequencies.map(|half| self.sigma * self.sigma * line.at(half.sine))
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let decay = 1.0 / (record.rate_hz * self.tc_s);

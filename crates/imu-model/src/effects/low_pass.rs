@@ -2,7 +2,7 @@
 
 use super::described::effect;
 use super::spec::{FROM_ZERO, Form, Need, above};
-use super::{Effect, Record, Refusal, Sampler, Stage, Stream, White, each};
+use super::{Effect, Frequencies, Record, Refusal, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
 use std::sync::Arc;
 
@@ -57,9 +57,9 @@ impl Effect for LowPass {
     fn power_gain(&self, frequency_hz: f64, rate_hz: f64) -> f64 {
         self.gain_at(warped(frequency_hz, rate_hz) / warped(self.cutoff_hz, rate_hz))
     }
-    fn power_gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        let cutoff = warped(self.cutoff_hz, rate_hz);
-        frequencies_hz.iter().map(|f| self.gain_at(warped(*f, rate_hz) / cutoff)).collect()
+    fn power_gains(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let cutoff = warped(self.cutoff_hz, frequencies.rate_hz());
+        frequencies.map(|half| self.gain_at(half.tangent / cutoff))
     }
     fn noiseless(&self) -> Option<Arc<dyn Effect>> {
         Some(Arc::new(Self { white_behind: 0.0, ..*self }))

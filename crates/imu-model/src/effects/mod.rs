@@ -27,6 +27,7 @@ pub mod bursts;
 pub mod common_mode;
 pub mod described;
 pub mod flicker;
+pub mod frequencies;
 pub mod gauss_markov;
 pub mod heavy_tails;
 pub mod held_samples;
@@ -62,6 +63,7 @@ pub use bursts::Bursts;
 pub use common_mode::CommonMode;
 pub use described::Described;
 pub use flicker::Flicker;
+pub use frequencies::Frequencies;
 pub use gauss_markov::GaussMarkov;
 pub use heavy_tails::HeavyTails;
 pub use held_samples::HeldSamples;
@@ -312,8 +314,9 @@ pub trait Effect: Described + std::fmt::Debug + Send + Sync {
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64>;
 
     /// Returns [`Effect::psd`] at many frequencies, with 0 in place of `None`.
-    fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        frequencies_hz.iter().map(|frequency_hz| self.psd(*frequency_hz, rate_hz).unwrap_or(0.0)).collect()
+    fn densities(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let density = |frequency_hz: &f64| self.psd(*frequency_hz, frequencies.rate_hz()).unwrap_or(0.0);
+        frequencies.hz().iter().map(density).collect()
     }
 
     /// Returns, for an effect that varies over time, the stationary effect that has its mean density over `record`,
@@ -346,8 +349,9 @@ pub trait Effect: Described + std::fmt::Debug + Send + Sync {
     }
 
     /// Returns [`Effect::power_gain`] at many frequencies.
-    fn power_gains(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        frequencies_hz.iter().map(|frequency_hz| self.power_gain(*frequency_hz, rate_hz)).collect()
+    fn power_gains(&self, frequencies: &Frequencies) -> Vec<f64> {
+        let gain = |frequency_hz: &f64| self.power_gain(*frequency_hz, frequencies.rate_hz());
+        frequencies.hz().iter().map(gain).collect()
     }
 
     /// Returns a filter without the noise behind it; `None` for all other effects.

@@ -2,7 +2,7 @@
 
 use super::described::effect;
 use super::spec::FROM_ZERO;
-use super::{Effect, Moments, Record, Sampler, Stage, Stream, each};
+use super::{Effect, Frequencies, Moments, Record, Sampler, Stage, Stream, each};
 use std::f64::consts::PI;
 
 effect! {
@@ -22,6 +22,9 @@ impl Effect for QuantizationNoise {
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
         let sine = 2.0 * (PI * frequency_hz / rate_hz).sin();
         Some(self.q * self.q * sine * sine * rate_hz)
+    }
+    fn densities(&self, frequencies: &Frequencies) -> Vec<f64> {
+        frequencies.map(|half| self.q * self.q * 4.0 * half.sine * half.sine * frequencies.rate_hz())
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         Some(3.0 * (self.q * record.rate_hz / m as f64).powi(2))

@@ -1,6 +1,7 @@
 //! Resonance: noise in a narrow band, such as a structure that rings.
 
 use super::described::effect;
+use super::frequencies::{Frequencies, HalfAngle};
 use super::gauss_markov::Lorentzian;
 use super::spec::{ANY, FROM_ZERO, Need, above};
 use super::{Effect, Extent, Moments, Record, Refusal, Sampler, Stage, Stream, each, sampled};
@@ -48,6 +49,24 @@ impl Resonance {
     fn decay(&self, rate_hz: f64) -> f64 {
         PI * self.bandwidth_hz / rate_hz
     }
+
+    /// Returns the density, U²/Hz, as a function of half the angle per sample.
+    fn density(&self, rate_hz: f64) -> impl Fn(&HalfAngle) -> f64 {
+        let line = Lorentzian::new(self.decay(rate_hz), rate_hz);
+        let own = HalfAngle::of(self.frequency_hz, rate_hz);
+        let (half_power, odd) = (0.5 * self.sigma * self.sigma, self.odd());
+        move |&HalfAngle { sine, cosine, .. }| {
+            let near = sine * own.cosine - cosine * own.sine;
+            let far = sine * own.cosine + cosine * own.sine;
+            let even = line.at(near) + line.at(far);
+            if odd == 0.0 {
+                return half_power * even;
+            }
+            let near_cosine = cosine * own.cosine + sine * own.sine;
+            let far_cosine = cosine * own.cosine - sine * own.sine;
+            half_power * (even + odd * (line.odd_at(far, far_cosine) - line.odd_at(near, near_cosine)))
+        }
+    }
 }
 
 impl Effect for Resonance {
@@ -65,24 +84,10 @@ impl Effect for Resonance {
         vec![Extent::band(self.frequency_hz, self.bandwidth_hz, 1.0)]
     }
     fn psd(&self, frequency_hz: f64, rate_hz: f64) -> Option<f64> {
-        self.densities(&[frequency_hz], rate_hz).first().copied()
+        Some(self.density(rate_hz)(&HalfAngle::of(frequency_hz, rate_hz)))
     }
-    fn densities(&self, frequencies_hz: &[f64], rate_hz: f64) -> Vec<f64> {
-        let line = Lorentzian::new(self.decay(rate_hz), rate_hz);
-        let (own_sine, own_cosine) = (PI * self.frequency_hz / rate_hz).sin_cos();
-        let (half_power, odd) = (0.5 * self.sigma * self.sigma, self.odd());
-        let at = |frequency_hz: &f64| {
-            let (sine, cosine) = (PI * frequency_hz / rate_hz).sin_cos();
-            let (near, far) = (sine * own_cosine - cosine * own_sine, sine * own_cosine + cosine * own_sine);
-            let even = line.at(near) + line.at(far);
-            if odd == 0.0 {
-                return half_power * even;
-            }
-            let (near_cosine, far_cosine) =
-                (cosine * own_cosine + sine * own_sine, cosine * own_cosine - sine * own_sine);
-            half_power * (even + odd * (line.odd_at(far, far_cosine) - line.odd_at(near, near_cosine)))
-        };
-        frequencies_hz.iter().map(at).collect()
+    fn densities(&self, frequencies: &Frequencies) -> Vec<f64> {
+        frequencies.map(self.density(frequencies.rate_hz()))
     }
     fn allan_variance(&self, m: u64, record: Record) -> Option<f64> {
         let decay = self.decay(record.rate_hz);
