@@ -331,10 +331,18 @@ impl Recorder {
         if self.ended {
             return;
         }
-        let Some((last, rate_hz, silence_ns)) = self.silence(now_mono_ns, now_utc_ns) else { return };
-        let period = period_ns(rate_hz);
-        let left_ns = self.plan.duration_ns as f64 - self.counts.elapsed_ns;
-        if silence_ns > left_ns + (PATIENCE_NS as f64).max(self.host_jitter_ns) + 2.0 * period {
+        let is_over = |recorder: &Self| {
+            let (last, rate_hz, silence_ns) = recorder.silence(now_mono_ns, now_utc_ns)?;
+            let left_ns = recorder.plan.duration_ns as f64 - recorder.counts.elapsed_ns;
+            let patience_ns = (PATIENCE_NS as f64).max(recorder.host_jitter_ns) + 2.0 * period_ns(rate_hz);
+            (silence_ns > left_ns + patience_ns && !recorder.ended).then_some((last, rate_hz, left_ns))
+        };
+        if is_over(self).is_none() {
+            return;
+        }
+        self.settle(out);
+        if let Some((last, rate_hz, left_ns)) = is_over(self) {
+            let period = period_ns(rate_hz);
             if self.accountant.is_none() {
                 self.accept(rate_hz, timebase_of(&last), out);
             }
@@ -349,6 +357,7 @@ impl Recorder {
 
     /// Ends the capture before its time: at its last sample or, if the sensor is absent, with a gap up to now.
     pub fn stop(&mut self, now_mono_ns: u64, now_utc_ns: i64, out: &mut Vec<Record>) {
+        self.settle(out);
         if let Some((last, rate_hz, silence_ns)) = self.silence(now_mono_ns, now_utc_ns)
             && !self.ended
         {
@@ -366,9 +375,6 @@ impl Recorder {
                 }
             }
         }
-        if let Some(accountant) = &mut self.accountant {
-            accountant.settle(&mut self.scratch);
-        }
         self.forward(out);
         if !self.ended {
             self.end(CaptureEnd::Stopped, now_utc_ns);
@@ -376,11 +382,13 @@ impl Recorder {
         }
     }
 
-    /// Returns the last sample, the rate, and the time since that sample, ns. Within one boot of the host its monotonic
+    /// Returns the last sample, its rate, and the time since that sample, ns. Within one boot of the host its monotonic
     /// clock determines the time; if the last sample is of an earlier boot, only civil time does.
     fn silence(&self, now_mono_ns: u64, now_utc_ns: i64) -> Option<(Position, f64, f64)> {
         let resumed = self.resume.as_ref().and_then(|point| Some((point.last?, point.rate_hz?)));
-        let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, accountant.rate_hz())));
+        // A gap has the rate of the samples before it, not one that was announced since.
+        let rate_hz = |accountant: &Accountant| self.rate_hz.unwrap_or(accountant.rate_hz());
+        let known = self.accountant.as_ref().and_then(|accountant| Some((accountant.last()?, rate_hz(accountant))));
         let (last, rate_hz) = known.or(resumed)?;
         let silence_ns = match self.counts.last_mono_ns {
             Some(last_mono_ns) => now_mono_ns.saturating_sub(last_mono_ns) as f64,
@@ -391,11 +399,16 @@ impl Recorder {
 
     /// Records the samples that the accountant still holds; the capture continues later.
     pub fn pause(&mut self, out: &mut Vec<Record>) {
+        self.settle(out);
+        self.write_discards(out);
+    }
+
+    /// Decides about the samples that the accountant holds: the last one shows how long none has come.
+    fn settle(&mut self, out: &mut Vec<Record>) {
         if let Some(accountant) = &mut self.accountant {
             accountant.settle(&mut self.scratch);
         }
         self.forward(out);
-        self.write_discards(out);
     }
 
     /// Records the measurements that did not become a sample, up to the first measurement that is still held.

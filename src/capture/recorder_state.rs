@@ -182,14 +182,10 @@ impl RecorderState {
         }
         recorder.sample(sample, &mut self.out);
         self.doubt = recorder.take_doubt().or(self.doubt);
-        self.sink.tally(recorder.tally());
         if self.overflow.is_empty() {
-            let id = recorder.plan().id;
-            for record in self.out.drain(..) {
-                if let Err(record) = self.sink.put(id, record) {
-                    self.overflow.push_back((id, *record));
-                }
-            }
+            self.flush();
+        } else {
+            self.sink.tally(recorder.tally());
         }
     }
 

@@ -98,8 +98,6 @@ pub struct Session {
     last_sample_ns: u64,
     /// Bytes since the last sample that belong to no frame: replies to a probe are not garbage.
     rejected_since_sample: usize,
-    /// The time at which samples resumed after the longest recent silence, and that silence, ns.
-    resumed: Option<(u64, u64)>,
     /// The doubt because of which the registers are read again.
     doubt: Option<RateDoubt>,
     /// The time from which an open doubt is examined, ns.
@@ -142,7 +140,6 @@ impl Session {
             accepted: None,
             last_sample_ns: 0,
             rejected_since_sample: 0,
-            resumed: None,
             doubt: None,
             next_doubt_ns: 0,
             foreign_since_ns: None,

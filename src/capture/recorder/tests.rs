@@ -97,6 +97,40 @@ fn a_sensor_that_stays_away_does_not_keep_the_capture_open() {
     assert_eq!(cause, Some(GapCause::Unplugged));
 }
 
+/// Samples that are held until their rate is known are the last ones, and a rate that was only announced measures no gap.
+#[test]
+fn a_closing_gap_begins_at_the_last_sample_and_has_its_rate() {
+    let at = |ns: u64| Sample::at(ns, 1_700_000_000_000_000_000 + ns as i64);
+    let mut recorder = Recorder::new(
+        Plan { id: 1, name: "night".into(), duration_ns: 60_000_000_000, start_at_utc_ns: None },
+        None,
+        0.0,
+    );
+    let mut out = Vec::new();
+    recorder.accept(50.0, Timebase::Arrival, &mut out);
+    let mut now_ns = 1_000_000_000;
+    for period_ns in [20_000_000; 200].into_iter().chain([25_000_000; 60]) {
+        now_ns += period_ns;
+        recorder.sample(at(now_ns), &mut out);
+    }
+    let stopped_ns = now_ns + 1_500_000_000;
+    recorder.stop(stopped_ns, 1_700_000_000_000_000_000 + stopped_ns as i64, &mut out);
+    let gap = out.iter().rev().find_map(|record| if let Record::Gap(gap) = record { Some(gap) } else { None }).unwrap();
+    assert_eq!(gap.to_utc_ns - gap.from_utc_ns, 1_500_000_000, "{gap:?}");
+
+    let (mut recorder, mut out) = (self::recorder(10), Vec::new());
+    for tick in 0..100 {
+        recorder.sample(sample(tick), &mut out);
+    }
+    recorder.interrupt(GapCause::Unplugged, &mut out);
+    recorder.accept(4.0, Timebase::Device, &mut out);
+    for tick in [800, 808, 816] {
+        recorder.tick(1_000_000_000 + tick * PERIOD_NS, 0, &mut out);
+    }
+    assert!(recorder.has_ended());
+    assert_eq!((recorder.counts().samples, recorder.counts().missing, recorder.counts().gaps), (100, 300, 1));
+}
+
 #[test]
 fn a_stopped_capture_ends_at_its_last_sample_and_discards_are_written_down() {
     let (mut recorder, mut out) = (recorder(10), Vec::new());

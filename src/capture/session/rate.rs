@@ -4,43 +4,18 @@ use super::configure::COUNT_REGISTERS;
 use super::{
     Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, RecorderAction, SensorState, Session, Step,
 };
-use imu_core::sample::accounting::{DOUBT_AGAIN_NS, silence_of_a_reset};
-use imu_core::units::period_ns;
+use imu_core::sample::accounting::DOUBT_AGAIN_NS;
 
 /// The registers that select baud rate, message, rate and binary output, read again on a doubt, with the serial number.
 const RATE_REGISTERS: [u16; 5] = [3, 5, 6, 7, 75];
-/// A doubt about the rate this soon after a silence that a reset explains is about that reset, ns.
-const AFTER_BOOT_NS: u64 = 10_000_000_000;
 /// The minimum interval between queries, ns, if arrivals stay irregular although the registers are right. An undecided doubt is
 /// raised a little less often; all of these are answered.
 const DOUBT_EVERY_NS: u64 = DOUBT_AGAIN_NS / 20 * 19;
 
 impl Session {
-    /// Keeps the longest silence of the last seconds: at a slow rate, a boot's silence precedes those between two samples.
-    pub(super) fn note_silence(&mut self, now_ns: u64) {
-        let silence_ns = now_ns.saturating_sub(self.last_sample_ns);
-        let longer = self.recent_silence(now_ns).is_some_and(|longest_ns| longest_ns >= silence_ns);
-        if self.flowing && !longer {
-            self.resumed = Some((now_ns, silence_ns));
-        }
-    }
-
-    /// Returns the longest silence that ended in the last seconds, ns.
-    fn recent_silence(&self, now_ns: u64) -> Option<u64> {
-        self.resumed.filter(|(at_ns, _)| now_ns - at_ns < AFTER_BOOT_NS).map(|(_, silence_ns)| silence_ns)
-    }
-
-    /// Returns whether the sensor was reset before it began to send at this rate. The accounting of its samples counts a boot by
-    /// the same rule.
-    fn was_reset(&self, now_ns: u64, rate_hz: Option<f64>) -> bool {
-        let old_period = self.accepted.map_or(0.0, |(_, rate_hz)| period_ns(rate_hz));
-        let silence = silence_of_a_reset(old_period, rate_hz.map_or(0.0, period_ns));
-        self.recent_silence(now_ns).is_some_and(|silence_ns| silence_ns as f64 > silence)
-    }
-
     /// Handles samples without time that do not arrive at the rate: the registers are read again.
     pub(super) fn rate_doubted(&mut self, now_ns: u64, doubt: RateDoubt, actions: &mut Vec<Action>) {
-        if self.phase != Phase::Streaming || (doubt == RateDoubt::Open && now_ns < self.next_doubt_ns) {
+        if self.phase != Phase::Streaming || (matches!(doubt, RateDoubt::Open(_)) && now_ns < self.next_doubt_ns) {
             return;
         }
         self.next_doubt_ns = now_ns + DOUBT_EVERY_NS;
@@ -67,8 +42,8 @@ impl Session {
         };
         if sends == Some((kind, rate_hz)) && self.is_counted(kind, rate_hz) == self.counted {
             actions.push(match doubt {
-                RateDoubt::Open => RecorderAction::RateKnown(rate_hz),
-                RateDoubt::Changed => RecorderAction::Event(
+                RateDoubt::Open(_) => RecorderAction::RateKnown(rate_hz),
+                RateDoubt::Changed(_) => RecorderAction::Event(
                     EventKind::Warning,
                     format!("the sensor's registers say that it sends {kind} at {rate_hz} Hz, but it does not come at that rate"),
                 ),
@@ -77,7 +52,7 @@ impl Session {
         }
         let now_hz = sends.filter(|(now, _)| *now == kind).map(|(_, now_hz)| now_hz);
         actions.extend(now_hz.map(|rate_hz| RecorderAction::RateKnown(rate_hz).into()));
-        let was_reset = self.was_reset(now_ns, sends.map(|(_, now_hz)| now_hz));
+        let was_reset = doubt.is_reset(rate_hz, sends.map_or(rate_hz, |(_, now_hz)| now_hz));
         let reset = if was_reset { " after a silence, as if it had been reset" } else { "" };
         let sent = sends.map_or("nothing".to_owned(), |(now, now_hz)| format!("{now} at {now_hz} Hz"));
         let message = format!("the sensor sends {sent} instead of {kind} at {rate_hz} Hz{reset}");

@@ -74,7 +74,6 @@ impl Session {
             return false;
         }
         self.numbered |= self.counted && measurement.sync_count.is_some();
-        self.note_silence(now_ns);
         self.last_sample_ns = now_ns;
         self.rejected_since_sample = 0;
         self.foreign_since_ns = None;
@@ -207,7 +206,7 @@ impl Session {
         self.unit = Unit::Known;
         self.last_sample_ns = now_ns;
         self.rejected_since_sample = 0;
-        (self.resumed, self.doubt) = (None, None);
+        self.doubt = None;
         self.foreign_since_ns = None;
         self.accept(kind, rate_hz, actions);
         let unit = self.status.serial_number.as_deref().unwrap_or("unknown");

@@ -619,40 +619,34 @@ fn replies_to_a_probe_are_no_garbage() {
 fn a_doubt_about_the_rate_is_answered_by_the_registers() {
     let ymr = ascii_kind(14).unwrap();
     const MS: u64 = 1_000_000;
-    // The rates before and after, and the silences before the samples that follow.
-    for (rate_hz, sent_hz, silences_ms, cause) in [
-        (50, 40, &[20][..], GapCause::RateChange),
-        (50, 40, &[1250], GapCause::SensorReset),
-        // As the accounting counts a boot: half a second more than the longer period.
-        (2, 4, &[1250], GapCause::SensorReset),
-        (2, 1, &[1250], GapCause::RateChange),
-        // Silences between two samples of a slow rate do not replace the boot's.
-        (50, 1, &[2000, 1000, 1000], GapCause::SensorReset),
-        (50, 1, &[1000, 1000, 1000], GapCause::RateChange),
+    // The rates before and after, the silence before the samples in doubt, and the cause. A boot is half a second longer than
+    // the longer period.
+    for (rate_hz, sent_hz, silence_ms, cause) in [
+        (50, 40, 20, GapCause::RateChange),
+        (50, 40, 1250, GapCause::SensorReset),
+        (2, 4, 1250, GapCause::SensorReset),
+        (2, 1, 1250, GapCause::RateChange),
+        (50, 1, 2000, GapCause::SensorReset),
+        (50, 1, 1000, GapCause::RateChange),
     ] {
         let mut world = World::new(Output::Ascii { number: 14, rate_hz });
         world.pass(1_000_000_000);
         world.measured(ymr);
-        world.give(Input::RateDoubted(RateDoubt::Open));
+        world.give(Input::RateDoubted(RateDoubt::Open(0)));
         assert_eq!(world.seen.last(), Some(&RecorderAction::RateKnown(f64::from(rate_hz)).into()), "as configured");
         for _ in 0..6 * rate_hz {
             world.pass(1000 * MS / u64::from(rate_hz));
             world.measured(ymr);
         }
-        for silence_ms in silences_ms {
-            world.pass(silence_ms * MS);
-            world.measured(ymr);
-        }
+        world.pass(silence_ms * MS);
+        world.measured(ymr);
         world.sensor.registers.insert(7, sent_hz.to_string());
-        world.give(Input::RateDoubted(RateDoubt::Open));
+        world.give(Input::RateDoubted(RateDoubt::Open(silence_ms * MS)));
         world.pass(500_000_000);
         let position =
             |action: RecorderAction| world.seen.iter().position(|seen| *seen == action.clone().into()).unwrap();
         let known = position(RecorderAction::RateKnown(f64::from(sent_hz)));
-        assert!(
-            known < position(RecorderAction::Interrupt(cause)),
-            "{rate_hz} to {sent_hz} Hz after {silences_ms:?} ms"
-        );
+        assert!(known < position(RecorderAction::Interrupt(cause)), "{rate_hz} to {sent_hz} Hz after {silence_ms} ms");
         assert_eq!(world.sensor.registers[&7], rate_hz.to_string(), "configured again");
         let again = world.seen.iter().rev().find(|action| matches!(action, Action::Record(RecorderAction::Accept(..))));
         assert_eq!(again, Some(&RecorderAction::Accept(ymr, f64::from(rate_hz)).into()));
@@ -661,7 +655,7 @@ fn a_doubt_about_the_rate_is_answered_by_the_registers() {
     world.pass(1_000_000_000);
     world.measured(ymr);
     world.sensor.registers.insert(7, "100".to_owned());
-    world.give(Input::RateDoubted(RateDoubt::Changed));
+    world.give(Input::RateDoubted(RateDoubt::Changed(0)));
     assert!(
         world.seen.ends_with(&[RecorderAction::Counted(false).into(), RecorderAction::Accept(ymr, 100.0).into()]),
         "{:?}",

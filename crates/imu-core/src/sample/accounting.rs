@@ -19,7 +19,7 @@ mod rate_tests;
 mod tests;
 mod ticks;
 
-pub use arrival::{DOUBT_AGAIN_NS, silence_of_a_reset};
+pub use arrival::DOUBT_AGAIN_NS;
 
 use arrival::Arrival;
 use ticks::Trial;
@@ -58,10 +58,20 @@ pub enum Observation {
 /// The doubt about the rate raised by the arrivals of samples without time, for a caller that can query the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RateDoubt {
-    /// The samples do not arrive at the rate; it is undecided whether samples are lost or the rate has changed.
-    Open,
-    /// The samples came at another rate for long enough, and the rate was adopted.
-    Changed,
+    /// The samples do not arrive at the rate; it is undecided whether samples are lost or the rate has changed. The longest time
+    /// before an undecided sample without another, ns.
+    Open(u64),
+    /// The samples came at another rate for long enough, and the rate was adopted, after such a time.
+    Changed(u64),
+}
+
+impl RateDoubt {
+    /// Returns whether the sensor was reset before the samples in doubt: none came for longer than these rates (before and now,
+    /// Hz) explain. A gap of these samples has the same cause.
+    pub fn is_reset(self, rate_hz: f64, now_hz: f64) -> bool {
+        let (Self::Open(silence_ns) | Self::Changed(silence_ns)) = self;
+        silence_ns as f64 > arrival::silence_of_a_reset(period_ns(rate_hz), period_ns(now_hz))
+    }
 }
 
 /// The end of the accounted samples, from which the next sample is measured.
@@ -266,9 +276,7 @@ impl Accountant {
     /// Decides about held samples; must be called before the capture ends.
     pub fn settle(&mut self, out: &mut Vec<Record>) {
         self.end_trial(out);
-        if !self.arrival.held.is_empty() {
-            self.release(out);
-        }
+        self.release_all(out);
     }
 
     /// Counts `missing` samples between the last one and `to_utc_ns`, if the capture ends without a further sample.

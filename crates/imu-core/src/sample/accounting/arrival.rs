@@ -143,9 +143,14 @@ impl Accountant {
         let span_ns = now_ns.saturating_sub(self.arrival.begun_ns);
         let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
         if let Some(late_from) = self.steady_until() {
-            let (late, host_trouble) = (self.arrival.held.split_off(late_from), self.arrival.host_trouble);
+            if self.count_contradicts(late_from) {
+                self.timebase = Timebase::Arrival;
+                self.open = None;
+                self.doubt = Some(RateDoubt::Open(0));
+            }
+            let (mut late, host_trouble) = (self.arrival.held.split_off(late_from), self.arrival.host_trouble);
             self.release(out);
-            if let Some(first) = late.first() {
+            if let (Some(first), true) = (late.first(), self.arrival.held.is_empty()) {
                 self.arrival.begun_ns = first.host_mono_ns;
                 self.arrival.doubt_due_ns = now_ns + DOUBT_NS;
                 self.arrival.host_trouble = host_trouble;
@@ -153,15 +158,43 @@ impl Accountant {
                     self.arrival.next_mono_ns = last.host_mono_ns as f64 + period;
                 }
             }
-            self.arrival.held = late;
+            // A count that is not used any more leaves samples undecided.
+            self.arrival.held.append(&mut late);
         } else if span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
             self.release(out);
         } else if let Some(rate_hz) = self.other_rate() {
+            self.doubt = Some(RateDoubt::Changed(self.longest_silence_ns()));
             self.adopt_arrivals(rate_hz, out);
-            self.doubt = Some(RateDoubt::Changed);
         } else if now_ns > self.arrival.doubt_due_ns {
             self.arrival.doubt_due_ns = now_ns + DOUBT_AGAIN_NS;
-            self.doubt = Some(RateDoubt::Open);
+            self.doubt = Some(RateDoubt::Open(self.longest_silence_ns()));
+        }
+    }
+
+    /// Returns the longest time before a held sample without another, ns. The first one was due at the rate.
+    fn longest_silence_ns(&self) -> u64 {
+        let Arrival { held, next_mono_ns, .. } = &self.arrival;
+        let first_ns = held.first().map_or(0.0, |first| first.host_mono_ns as f64 - next_mono_ns);
+        let between = held.windows(2).map(|pair| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64);
+        between.fold(first_ns + period_ns(self.rate_hz), f64::max) as u64
+    }
+
+    /// Returns whether the count of the held samples that keep the rate, up to `until`, advances at another rate: it does not
+    /// count the messages. Few lost samples may hide among steady arrivals.
+    fn count_contradicts(&self, until: usize) -> bool {
+        let held = &self.arrival.held[..until];
+        let from = self.tail(STEADY_NS, STEADY_MIN).and_then(|from| held.get(from..));
+        let (Timebase::SyncCounter, Some([first, .., last])) = (self.timebase, from) else { return false };
+        let steps = from.map_or(0, <[Sample]>::len) as f64 - 1.0;
+        let advance = first.sync_count.zip(last.sync_count).map(|(from, to)| f64::from(to.wrapping_sub(from) as i32));
+        let hidden = HOST_JITTER_NS.max(self.host_jitter_ns) / period_ns(self.rate_hz);
+        advance.is_some_and(|advance| (advance - steps).abs() > 0.25 * steps + hidden)
+    }
+
+    /// Releases the held samples until none is left.
+    pub(super) fn release_all(&mut self, out: &mut Vec<Record>) {
+        while !self.arrival.held.is_empty() {
+            self.release(out);
         }
     }
 
@@ -338,9 +371,7 @@ impl Accountant {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
         let first = self.first_of(rate_hz).min(self.first_with_the_same_count());
         let held = self.arrival.held.split_off(first);
-        if !self.arrival.held.is_empty() {
-            self.release(out);
-        }
+        self.release_all(out);
         let last_due_ns = match (self.timebase, self.last) {
             (Timebase::SyncCounter, Some(last)) => last.host_mono_ns as f64,
             _ => self.arrival.next_mono_ns - old_period,
@@ -377,7 +408,7 @@ impl Accountant {
 
 /// Returns the time between two samples of these periods (ns) above which the sensor was reset in between, ns. Without a reset,
 /// a sample follows within the longer period.
-pub fn silence_of_a_reset(old_period: f64, period: f64) -> f64 {
+pub(super) fn silence_of_a_reset(old_period: f64, period: f64) -> f64 {
     RESET_SILENCE_NS + old_period.max(period)
 }
 

@@ -52,7 +52,7 @@ impl Line {
             let mut sample = Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64);
             sample.sync_count = count.filter(|_| timebase == Timebase::SyncCounter);
             accountant.observe(sample, &mut out);
-            if accountant.doubt == Some(RateDoubt::Open)
+            if matches!(accountant.doubt, Some(RateDoubt::Open(_)))
                 && let Some(rate_hz) = registers(*arrived)
             {
                 accountant.doubt = None;
@@ -231,7 +231,9 @@ fn messages_that_are_counted_by_another_clock_than_their_rate_lose_nothing_when_
             let case = format!("{to_hz}, {seed}");
             assert_eq!((accountant.rate_hz(), accountant.missing()), (to_hz, 0), "{case}");
             assert_eq!(accountant.received(), line.arrivals.len() as u64, "{case}");
-            assert_eq!((accountant.take_doubt(), rates(&out)), (Some(RateDoubt::Changed), vec![40.0, to_hz]), "{case}");
+            let doubt = accountant.take_doubt();
+            assert!(matches!(doubt, Some(RateDoubt::Changed(_))) && !doubt.unwrap().is_reset(40.0, to_hz), "{case}");
+            assert_eq!(rates(&out), [40.0, to_hz], "{case}");
         }
     }
 }
@@ -273,13 +275,93 @@ fn registers_that_were_read_again_decide_about_what_is_held() {
         line.send(known_hz, 3.0, |_| false, |_| 0);
         for (arrived, _) in &line.arrivals {
             accountant.observe(Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64), &mut out);
-            if accountant.take_doubt() == Some(RateDoubt::Open) {
+            if matches!(accountant.take_doubt(), Some(RateDoubt::Open(_))) {
                 accountant.rate_known(known_hz, &mut out);
             }
         }
         accountant.settle(&mut out);
         assert_eq!((accountant.rate_hz(), accountant.missing() > 60), (known_hz, missing), "{}", accountant.missing());
         assert_eq!(accountant.received(), line.arrivals.len() as u64);
+    }
+}
+
+/// A count that was never switched on, while one sample comes late: each sample is taken or refused.
+#[test]
+fn a_count_that_stands_still_loses_no_sample() {
+    for (late, late_ms) in (1..30).flat_map(|late| [10, 24, 40, 300].map(|late_ms| (late, late_ms))) {
+        let (mut accountant, mut out) = (Accountant::new(40.0, Timebase::SyncCounter), Vec::new());
+        let mut last_ns = 0;
+        for tick in 0..100 {
+            last_ns = last_ns.max(START_NS + tick * 25_000_000 + if tick == late { late_ms * 1_000_000 } else { 0 });
+            let sample =
+                Sample { sync_count: Some(7), ..Sample::at(last_ns, 1_800_000_000_000_000_000 + last_ns as i64) };
+            accountant.observe(sample, &mut out);
+        }
+        accountant.settle(&mut out);
+        let refused: u64 = accountant.take_refused().iter().map(|(frame, _)| u64::from(*frame < 100)).sum();
+        let taken = out.iter().filter(|record| matches!(record, Record::Sample { .. })).count() as u64;
+        let case = format!("tick {late} late by {late_ms} ms");
+        assert_eq!((taken + refused, accountant.received() + refused, accountant.held()), (100, 100, 0), "{case}");
+        assert!(refused <= 20 && accountant.missing() == 0, "{case}: {refused}, {} missing", accountant.missing());
+    }
+}
+
+/// Another master changes the skip factor of the count: the messages still come at the rate.
+#[test]
+fn a_count_that_advances_at_another_rate_counts_nothing_missing() {
+    for rate_hz in [2.0, 5.0, 10.0, 50.0, 200.0] {
+        for (twice, name) in [(4, "twice"), (1, "half")] {
+            let (mut accountant, mut out) = (Accountant::new(rate_hz, Timebase::SyncCounter), Vec::new());
+            let (mut doubt, mut doubles) = (None, 0);
+            let changed = 20;
+            let ticks = changed + (10.0 * rate_hz) as u64;
+            for tick in 0..ticks {
+                let arrived = START_NS + (tick as f64 * period_ns(rate_hz)) as u64;
+                let count = 2 * tick.min(changed) + twice * tick.saturating_sub(changed);
+                let sync_count = Some(count as u32 / 2);
+                let sample = Sample { sync_count, ..Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64) };
+                doubles += u64::from(accountant.observe(sample, &mut out) == Observation::Duplicate);
+                doubt = doubt.or(accountant.take_doubt());
+            }
+            accountant.settle(&mut out);
+            let case = format!("{rate_hz} Hz, {name}");
+            assert_eq!((accountant.missing(), accountant.timebase()), (0, Timebase::Arrival), "{case}");
+            assert!(matches!(doubt, Some(RateDoubt::Open(_))), "{case}: {doubt:?}");
+            let refused = doubles + accountant.take_refused().len() as u64;
+            assert_eq!((accountant.received(), refused), (ticks, 0), "{case}");
+        }
+    }
+}
+
+/// The caller's cause is that of the gap: only a silence just before the samples in doubt belongs to them.
+#[test]
+fn a_doubt_reports_the_silence_before_its_samples() {
+    // Seconds of silence, of samples at 50 Hz, of silence; whether this is a reset before 40 Hz.
+    for (early_s, good_s, late_s, is_reset) in [
+        (0.0, 5.0, 0.0, false),
+        (0.6, 5.0, 0.0, false),
+        (2.0, 8.4, 1.25, true),
+        (0.0, 5.0, 1.25, true),
+        (3.0, 5.0, 0.4, false),
+    ] {
+        let mut line = Line::default();
+        line.send(50.0, 5.0, |_| false, |_| 0);
+        line.silence(early_s);
+        line.send(50.0, good_s, |_| false, |_| 0);
+        line.silence(late_s);
+        let changed_ns = START_NS + line.at_ns as u64;
+        line.send(40.0, 5.0, |_| false, |_| 0);
+        let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Arrival), Vec::new());
+        let mut doubt = None;
+        for (arrived, _) in &line.arrivals {
+            accountant.observe(Sample::at(*arrived, 1_800_000_000_000_000_000 + *arrived as i64), &mut out);
+            doubt = doubt.or(accountant.take_doubt().filter(|_| *arrived >= changed_ns));
+        }
+        accountant.settle(&mut out);
+        let cause = gaps(&out).last().map(|gap| gap.cause);
+        let case = format!("{early_s} s, {good_s} s, {late_s} s: {cause:?}");
+        assert_eq!(doubt.map(|doubt| doubt.is_reset(50.0, 40.0)), Some(is_reset), "{case}");
+        assert_eq!(late_s > 0.5 && cause == Some(GapCause::SensorReset), is_reset, "{case}");
     }
 }
 
