@@ -19,6 +19,8 @@ pub const QUEUE_JOBS_MAX: u64 = 100;
 pub const RESULTS_KEPT: u32 = 10;
 /// Superseded jobs removed in one transaction: an older version of the program left all of them.
 const DROP_MAX: i64 = 100;
+/// The number of jobs without a result that are kept: the last ones that failed or were cancelled.
+const ENDED_KEPT: i64 = 1000;
 
 /// The kinds of jobs that this program knows: those of a newer program wait for it.
 const KNOWN: &str = "kind IN ('allan', 'noise', 'statistics', 'diagnosis')";
@@ -395,6 +397,7 @@ fn submit(
             if queued >= queue_max {
                 return Err(StoreError::QueueFull { queued });
             }
+            drop_ended(transaction)?;
             let reference =
                 new.reference.as_deref().map(|sha256| super::references::claim(transaction, sha256)).transpose()?;
             transaction.execute(
@@ -414,6 +417,14 @@ fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &str) -> Strin
         r#"{{"capture":{capture_id},"end_seq":{end_seq},"kind":"{kind}","params":{params},"software":"{SOFTWARE}"}}"#
     );
     Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Removes the oldest jobs that failed or were cancelled, which have no result: whoever submits what fails must not fill the disk.
+fn drop_ended(transaction: &Transaction<'_>) -> Result<(), StoreError> {
+    let sql = "DELETE FROM job WHERE id IN (SELECT id FROM job WHERE state IN ('failed', 'cancelled') \
+               ORDER BY id DESC LIMIT ?1 OFFSET ?2)";
+    transaction.prepare_cached(sql)?.execute(params![DROP_MAX, ENDED_KEPT])?;
+    Ok(())
 }
 
 /// Removes results that newer ones of the same kind, capture, parameters and version supersede. The result over all
@@ -548,6 +559,27 @@ mod tests {
         assert!(matches!(reader.job(unknown), Err(StoreError::NoSuchJob { .. })));
         assert_eq!(world.store.claim_job().unwrap().map(|job| job.id), Some(known));
         assert!(world.store.claim_job().unwrap().is_none());
+    }
+
+    #[test]
+    fn the_last_jobs_that_failed_stay_and_older_ones_go() {
+        let world = World::new();
+        let capture = world.capturing();
+        let fill = move |transaction: &rusqlite::Transaction<'_>| {
+            let sql = "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns) \
+                       WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1050) \
+                       SELECT 'noise', ?1, '{}', 0, 'f' || i, ?2, iif(i % 2, 'failed', 'cancelled'), 0 FROM n";
+            transaction.execute(sql, params![capture, SOFTWARE])?;
+            Ok(())
+        };
+        world.store.execute(fill).unwrap();
+        let id = world.store.submit_job(NewJob::new(JobKind::Noise, capture, serde_json::json!({})), 100).unwrap().0.id;
+        let reader = world.reader();
+        assert_eq!(
+            reader.count_jobs(JobState::Failed).unwrap() + reader.count_jobs(JobState::Cancelled).unwrap(),
+            1000
+        );
+        assert!(reader.job(id).is_ok() && reader.job(id - 1).is_ok() && reader.job(id - 1001).is_err());
     }
 
     #[test]

@@ -8,6 +8,8 @@ use rusqlite::{Connection, Params, Row};
 pub const LIMIT: u32 = 100;
 /// The maximum number of rows of a page.
 pub const LIMIT_MAX: u32 = 1000;
+/// A page ends before the row that would make it larger, bytes of text: a job's request may have 64 KiB.
+const PAGE_BYTES: usize = 1 << 20;
 
 /// The requested part of a list.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -56,7 +58,7 @@ impl PageRequest {
 }
 
 impl<T> Page<T> {
-    /// Reads a page by a query for `limit + 1` rows, whose first column is the key.
+    /// Reads a page by a query for `limit + 1` rows, whose first column is the key. A page of large rows has fewer of them.
     pub(super) fn read(
         connection: &Connection,
         sql: &str,
@@ -66,16 +68,21 @@ impl<T> Page<T> {
         row_of: impl Fn(&Row<'_>) -> Result<T, StoreError>,
     ) -> Result<Self, StoreError> {
         let mut statement = connection.prepare_cached(sql)?;
-        let rows = statement.query_and_then(values, |row| Ok::<_, StoreError>((row.get(0)?, row_of(row)?)))?;
-        Ok(Self::cut(rows.collect::<Result<_, _>>()?, page.limit(), list))
-    }
-
-    /// Makes a page from up to `limit + 1` rows: an extra row shows that there are more.
-    fn cut(mut rows: Vec<(i64, T)>, limit: usize, list: &str) -> Self {
-        let more = rows.len() > limit;
-        rows.truncate(limit);
-        let next = rows.last().filter(|_| more).map(|(key, _)| format!("{list}-1-{}", base36(*key)));
-        Self { rows: rows.into_iter().map(|(_, row)| row).collect(), next }
+        let columns = statement.column_count();
+        let mut found = statement.query(values)?;
+        let (mut rows, mut bytes, mut last, mut next) = (Vec::new(), 0, 0, None);
+        while let Some(row) = found.next()? {
+            for column in 0..columns {
+                bytes += row.get_ref(column)?.as_bytes_or_null().ok().flatten().map_or(8, <[u8]>::len);
+            }
+            if rows.len() >= page.limit() || (bytes > PAGE_BYTES && !rows.is_empty()) {
+                next = Some(format!("{list}-1-{}", base36(last)));
+                break;
+            }
+            last = row.get(0)?;
+            rows.push(row_of(row)?);
+        }
+        Ok(Self { rows, next })
     }
 }
 
@@ -96,12 +103,27 @@ fn base36(key: i64) -> String {
 mod tests {
     use super::*;
 
+    /// Reads from a table of `count` rows of this size.
+    fn page(count: i64, bytes: usize, request: &PageRequest) -> Page<i64> {
+        let connection = Connection::open_in_memory().unwrap();
+        connection.execute_batch("CREATE TABLE list (id INTEGER PRIMARY KEY, body TEXT)").unwrap();
+        for id in 1..=count {
+            connection.execute("INSERT INTO list VALUES (?1, ?2)", (1000 * id, "x".repeat(bytes))).unwrap();
+        }
+        let sql = "SELECT id, body FROM list WHERE id > ?1 ORDER BY id LIMIT ?2";
+        let values = (request.after("gaps").unwrap().unwrap_or(0), request.limit() as i64 + 1);
+        Page::read(&connection, sql, values, request, "gaps", |row| Ok(row.get(0)?)).unwrap()
+    }
+
     #[test]
     fn a_cursor_leads_on_in_its_own_list_only() {
-        let page = Page::cut(vec![(7, 'a'), (1_000_000, 'b'), (2_000_000, 'c')], 2, "gaps");
-        assert_eq!(page.rows, ['a', 'b']);
-        let next = PageRequest { limit: None, cursor: page.next };
-        assert_eq!(next.after("gaps").unwrap(), Some(1_000_000));
+        let two = PageRequest { limit: Some(2), cursor: None };
+        let first = page(3, 10, &two);
+        assert_eq!(first.rows, [1000, 2000]);
+        let next = PageRequest { cursor: first.next, ..two };
+        assert_eq!(next.after("gaps").unwrap(), Some(2000));
+        let rest = page(3, 10, &next);
+        assert_eq!((rest.rows, rest.next), (vec![3000], None));
         assert!(matches!(next.after("events"), Err(StoreError::BadCursor { .. })));
         for bad in ["", "gaps", "gaps-1-", "gaps-2-a", "gaps-1--1", "gaps-1-zzzzzzzzzzzzzz", "gaps-1-é"] {
             let request = PageRequest { limit: None, cursor: Some(bad.to_owned()) };
@@ -111,7 +133,23 @@ mod tests {
 
     #[test]
     fn the_last_page_has_no_next() {
-        assert_eq!(Page::cut(vec![(1, ()), (2, ())], 2, "x").next, None);
-        assert_eq!(Page::<()>::cut(vec![], 2, "x").next, None);
+        let two = PageRequest { limit: Some(2), cursor: None };
+        assert_eq!(page(2, 10, &two).next, None);
+        assert_eq!(page(0, 10, &two), Page { rows: Vec::new(), next: None });
+    }
+
+    #[test]
+    fn pages_of_large_rows_have_fewer_of_them_and_lead_through_all() {
+        for (bytes, most) in [(64 * 1024, 16), (3 << 20, 1)] {
+            let (mut request, mut all) = (PageRequest::first(), Vec::new());
+            loop {
+                let found = page(40, bytes, &request);
+                assert!((1..=most).contains(&found.rows.len()), "{} rows of {bytes} bytes", found.rows.len());
+                all.extend(found.rows);
+                let Some(next) = found.next else { break };
+                request.cursor = Some(next);
+            }
+            assert_eq!(all, (1..=40).map(|id| 1000 * id).collect::<Vec<i64>>());
+        }
     }
 }
