@@ -82,7 +82,11 @@ impl Accountant {
         };
         if self.interrupted.is_some() || last.device_time_ns.is_some() || self.arrival.next_mono_ns == 0.0 {
             let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
-            self.gap_by_host(&last, &sample, host_ns, GapCause::FormatChange, out);
+            let (old_period, longest) = (period_ns(self.last_rate_hz), period.max(period_ns(self.last_rate_hz)));
+            // No sample is missing at the step from one rate to the other.
+            let away_ns =
+                if host_ns > silence_of_a_reset(old_period, period) { host_ns } else { host_ns - longest + old_period };
+            self.gap_by_host(&last, &sample, away_ns, GapCause::FormatChange, out);
             self.arrival.next_mono_ns = arrived + period;
             self.take(sample, out);
             return;
@@ -106,7 +110,7 @@ impl Accountant {
     /// repetition, or another rate.
     pub(super) fn observe_counted(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
         if self.arrival.held.is_empty() {
-            let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
+            let explained = self.interrupted.is_some() || self.suspicion.is_some();
             let Some(last) = self.last.filter(|last| last.host_mono_ns > 0 && !explained) else {
                 return self.observe_step(sample, out);
             };
@@ -279,7 +283,7 @@ impl Accountant {
         let Arrival { next_mono_ns, held, host_trouble, .. } = std::mem::take(&mut self.arrival);
         self.arrival.next_mono_ns = next_mono_ns;
         if self.timebase == Timebase::SyncCounter {
-            self.observe_held(held, out);
+            self.observe_held(held, host_trouble, out);
             return;
         }
         let period = period_ns(self.rate_hz);

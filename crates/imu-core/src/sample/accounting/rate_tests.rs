@@ -365,6 +365,91 @@ fn a_doubt_reports_the_silence_before_its_samples() {
     }
 }
 
+/// The rate changes while the host stands still, or soon after: nothing is lost, and nothing is missing.
+#[test]
+fn a_rate_that_changes_around_a_stall_of_the_host_loses_nothing() {
+    for (from_hz, to_hz) in
+        [(50.0, 100.0), (50.0, 25.0), (40.0, 50.0), (200.0, 4.0), (5.0, 20.0), (2.0, 10.0), (1.0, 4.0)]
+    {
+        for timebase in [Timebase::Device, Timebase::SyncCounter] {
+            // The stall begins one second before the change, and ends one second after it or before it.
+            for ends_s in [1.0, -0.2] {
+                let (mut accountant, mut out) = (Accountant::new(from_hz, timebase), Vec::new());
+                let (before, after) = ((20.0 * from_hz) as u64, (30.0 * to_hz) as u64);
+                let change_ns = before as f64 * period_ns(from_hz);
+                let (mut sent, mut blamed) = (0, false);
+                for tick in 0..before + after {
+                    let at_ns = match tick.checked_sub(before) {
+                        Some(tick) => change_ns + tick as f64 * period_ns(to_hz),
+                        None => tick as f64 * period_ns(from_hz),
+                    };
+                    let end_ns = change_ns + ends_s * 1e9;
+                    let is_late = at_ns > change_ns - 1e9 && at_ns < end_ns;
+                    let arrived = START_NS + if is_late { end_ns } else { at_ns } as u64;
+                    if at_ns > change_ns - 1e9 && !std::mem::replace(&mut blamed, true) {
+                        accountant.blame_host(GapCause::HostStall, START_NS + end_ns as u64 + 3_000_000_000);
+                    }
+                    let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                    sample.device_time_ns = (timebase == Timebase::Device).then_some(7_000_000_000 + at_ns as u64);
+                    // The sensor counts the messages of the first rate, as a clock.
+                    sample.sync_count = Some((at_ns / period_ns(from_hz) + 1e-6) as u32);
+                    accountant.observe(sample, &mut out);
+                    sent += 1;
+                }
+                accountant.settle(&mut out);
+                let refused = accountant.take_refused().len();
+                let taken = out.iter().filter(|record| matches!(record, Record::Sample { .. })).count();
+                let case = format!("{timebase:?}: {from_hz} to {to_hz} Hz, {ends_s} s; {refused} refused");
+                assert_eq!((taken, accountant.missing()), (sent, 0), "{case}, {:?}", rates(&out));
+                assert_eq!(accountant.rate_hz(), to_hz, "{case}");
+            }
+        }
+    }
+}
+
+/// A sensor that is configured again sends its next message up to one period of its slower rate later.
+#[test]
+fn a_lower_rate_after_an_interruption_is_no_gap() {
+    for (from_hz, to_hz, away_s, missing) in
+        [(200.0, 2.0, 0.45, 0), (50.0, 4.0, 0.25, 0), (50.0, 4.0, 0.45, 10), (2.0, 200.0, 0.3, 0), (50.0, 50.0, 0.1, 4)]
+    {
+        let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::Arrival), Vec::new());
+        let mut at_ns = START_NS;
+        for _ in 0..100 {
+            at_ns += period_ns(from_hz) as u64;
+            accountant.observe(Sample::at(at_ns, 1_800_000_000_000_000_000 + at_ns as i64), &mut out);
+        }
+        accountant.interrupt(GapCause::RateChange, &mut out);
+        accountant.change(to_hz, Timebase::Arrival, &mut out);
+        at_ns += (away_s * 1e9) as u64;
+        for _ in 0..100 {
+            accountant.observe(Sample::at(at_ns, 1_800_000_000_000_000_000 + at_ns as i64), &mut out);
+            at_ns += period_ns(to_hz) as u64;
+        }
+        accountant.settle(&mut out);
+        assert_eq!(
+            (accountant.received(), accountant.missing()),
+            (200, missing),
+            "{from_hz} to {to_hz} Hz, {away_s} s"
+        );
+    }
+}
+
+/// A clock that was set ahead was not reset: samples that are missing before it have their own cause.
+#[test]
+fn samples_lost_before_a_clock_that_was_set_ahead_were_not_lost_by_a_reset() {
+    let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Device), Vec::new());
+    for tick in (0..200).chain(220..400) {
+        let at_ns = START_NS + tick * 20_000_000;
+        let mut sample = Sample::at(at_ns, 1_800_000_000_000_000_000 + at_ns as i64);
+        sample.device_time_ns = Some(at_ns + if tick < 200 { 0 } else { 60_000_000_000 });
+        accountant.observe(sample, &mut out);
+    }
+    accountant.settle(&mut out);
+    let actual: Vec<_> = gaps(&out).iter().map(|gap| (gap.before_seq, gap.missing, gap.cause)).collect();
+    assert_eq!((actual, accountant.epoch()), (vec![(200, 20, GapCause::Silent)], 2));
+}
+
 /// The rate changes on a line that loses some samples and delivers late. The sensor either answers queries or only sends.
 fn changed_among_losses_and_bursts(pair: usize, every: u64, burst: u64, at: u64, answers: bool) {
     let (from_hz, to_hz) = PAIRS[pair];

@@ -35,6 +35,8 @@ pub(super) struct Trial {
     pub(super) held: Vec<Sample>,
     /// The step between the first two samples, ns of the sensor's clock.
     pub(super) step_ns: f64,
+    /// The host's trouble when the first sample arrived.
+    host_trouble: Option<GapCause>,
 }
 
 impl Accountant {
@@ -55,7 +57,7 @@ impl Accountant {
     /// Handles samples with the sensor's ticks: a step that is not one period is the first of another rate, or a gap.
     /// The samples are held until the following steps decide.
     pub(super) fn observe_ticks(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
-        let explained = self.interrupted.is_some() || self.host_trouble.is_some() || self.suspicion.is_some();
+        let explained = self.interrupted.is_some() || self.suspicion.is_some();
         let earlier = match (self.trial.held.last(), self.last) {
             (Some(held), _) => (held.device_time_ns, held.sync_count),
             (None, Some(last)) => (last.device_time_ns, last.sync_count),
@@ -81,6 +83,9 @@ impl Accountant {
         } else if begun == 1 {
             self.trial.step_ns = step_ns;
         }
+        if self.trial.held.is_empty() {
+            self.trial.host_trouble = self.host_trouble.map(|(cause, _)| cause);
+        }
         self.trial.held.push(sample);
         let steps = self.trial.held.len() - 1;
         if steps >= RATE_STEPS_MIN && steps as f64 * self.trial.step_ns >= RATE_TRIAL_NS {
@@ -98,11 +103,14 @@ impl Accountant {
             self.adopt_rate(out);
             return;
         }
-        let held = std::mem::take(&mut self.trial.held);
-        self.observe_held(held, out);
+        let Trial { held, host_trouble, .. } = std::mem::take(&mut self.trial);
+        self.observe_held(held, host_trouble, out);
     }
 
-    pub(super) fn observe_held(&mut self, held: Vec<Sample>, out: &mut Vec<Record>) {
+    /// Takes samples that were held while the host was in this trouble, whose time may be over.
+    pub(super) fn observe_held(&mut self, held: Vec<Sample>, host_trouble: Option<GapCause>, out: &mut Vec<Record>) {
+        let now = self.host_trouble;
+        self.host_trouble = host_trouble.map(|cause| (cause, u64::MAX)).or(now);
         for sample in held {
             let frame = sample.frame;
             if self.timebase == Timebase::Arrival {
@@ -116,10 +124,12 @@ impl Accountant {
                 observation => self.held_observation = Some(observation),
             }
         }
+        self.host_trouble = now;
     }
 
     /// Adopts another rate: the steps have one length, which is its period, from the first held sample on.
     pub(super) fn adopt_rate(&mut self, out: &mut Vec<Record>) -> Observation {
+        let host_trouble = self.trial.host_trouble;
         let held = std::mem::take(&mut self.trial.held);
         let old_period = period_ns(self.rate_hz);
         let measured_hz = 1e9 / self.trial.step_ns;
@@ -130,7 +140,7 @@ impl Accountant {
         if to_hz == self.last_rate_hz {
             // Another rate was announced and never came: steps of one period, from the last sample on, show the missing
             // samples.
-            self.observe_held(held, out);
+            self.observe_held(held, host_trouble, out);
             return Observation::RateChanged { from_hz, to_hz };
         }
         for (index, sample) in held.into_iter().enumerate() {
@@ -182,13 +192,13 @@ impl Accountant {
             if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
                 return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
             }
-            return self.new_epoch(&last, sample, host_ns, out);
+            return self.new_epoch(&last, sample, (host_ns, GapCause::SensorReset), out);
         }
         let step_ns = ahead_ns as f64;
         // A restarted clock is behind the host's. If the sensor's clock is ahead, the host's clock stood still or was
         // stepped.
         if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
-            return self.new_epoch(&last, sample, host_ns, out);
+            return self.new_epoch(&last, sample, (host_ns, GapCause::SensorReset), out);
         }
         // No sample comes before its time. If the host's monotonic clock has not advanced as far, the sensor's clock
         // was set.
@@ -203,7 +213,7 @@ impl Accountant {
                 EPOCH_SLACK_NS + EPOCH_SHARE * host_ns
             };
             if step_ns > 1.5 * period && early_ns > known_ns {
-                self.new_epoch(&last, sample, host_ns, out);
+                self.new_epoch(&last, sample, (host_ns, self.cause()), out);
                 return Observation::ClockAhead(-late_ns as u64);
             }
             self.on_line_ns = if early_ns > EARLY_NS { 0.0 } else { self.on_line_ns + step_ns };
@@ -236,11 +246,13 @@ impl Accountant {
         (self.rate_hz / self.last_rate_hz - 1.0).abs() > RATE_SAME
     }
 
-    pub(super) fn new_epoch(
+    /// Takes the first sample of another run of the sensor's clock. `host_ns` is the time since the last one by the host's clock,
+    /// and the cause that of samples missing in between without another reason.
+    fn new_epoch(
         &mut self,
         last: &Position,
         sample: Sample,
-        host_ns: f64,
+        (host_ns, cause): (f64, GapCause),
         out: &mut Vec<Record>,
     ) -> Observation {
         self.backward = 0;
@@ -248,13 +260,15 @@ impl Accountant {
         self.open = None;
         self.epoch += 1;
         // The consequences of a reset are not its cause.
-        if matches!(self.interrupted, Some(GapCause::FormatChange | GapCause::Silent | GapCause::Checksum)) {
+        if cause == GapCause::SensorReset
+            && matches!(self.interrupted, Some(GapCause::FormatChange | GapCause::Silent | GapCause::Checksum))
+        {
             self.interrupted = Some(GapCause::SensorReset);
         }
         // Whatever the host's stepped clock shows, the sensor has run at least as long as its own clock shows.
         let host_ns =
             if is_one_boot(last, &sample) { host_ns } else { host_ns.max(sample.device_time_ns.unwrap_or(0) as f64) };
-        self.gap_by_host(last, &sample, host_ns, GapCause::SensorReset, out);
+        self.gap_by_host(last, &sample, host_ns, cause, out);
         self.take(sample, out);
         Observation::AfterReset
     }
