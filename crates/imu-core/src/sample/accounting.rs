@@ -32,6 +32,11 @@ pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
 /// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times the drift that both may have).
 const DRIFT: f64 = 500e-6;
 
+/// A sample that is later than the quickest ones by less than this is on time, ns.
+const ON_TIME_NS: f64 = 5e7;
+/// The host's trouble is over once samples have been on time for this long, ns.
+const RECOVERED_NS: f64 = 5e8;
+
 /// The result for one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Observation {
@@ -109,6 +114,8 @@ pub struct Accountant {
     suspicion: Option<GapCause>,
     /// The host's own trouble, which is the cause of gaps shown by samples that arrive until this monotonic time, ns.
     host_trouble: Option<(GapCause, u64)>,
+    /// How long samples have been on time since the host's trouble, ns.
+    on_time_ns: f64,
     /// Samples whose steps have one wrong length: another rate, or losses.
     trial: Trial,
     /// Measurements that turned out to be no samples after they were held: number and cause.
@@ -229,6 +236,18 @@ impl Accountant {
     pub fn blame_host(&mut self, cause: GapCause, until_mono_ns: u64) {
         if self.host_trouble.is_none_or(|(_, until_ns)| until_ns < until_mono_ns) {
             self.host_trouble = Some((cause, until_mono_ns));
+        }
+        self.on_time_ns = 0.0;
+    }
+
+    /// Records whether a sample came on time, `step_ns` after the one before. Once samples have been on time for a while, the host
+    /// is the cause of no more effects.
+    fn note_lateness(&mut self, late_ns: f64, step_ns: f64) {
+        // A longer step may be such an effect.
+        let on_time = late_ns < ON_TIME_NS.max(self.host_jitter_ns) && step_ns < 1.5 * period_ns(self.rate_hz);
+        self.on_time_ns = if on_time { self.on_time_ns + step_ns } else { 0.0 };
+        if self.on_time_ns > RECOVERED_NS {
+            self.host_trouble = None;
         }
     }
 

@@ -99,6 +99,7 @@ impl Accountant {
             if late_ns < (LATE_PERIODS * period).max(jitter_ns) && early_ns < self.jitter_ns() {
                 self.arrival.early_ns = early_ns;
                 self.arrival.next_mono_ns += period + late_ns.min(DRIFT * period);
+                self.note_lateness(late_ns, period);
                 self.take(sample, out);
                 return;
             }

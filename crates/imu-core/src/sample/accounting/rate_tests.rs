@@ -450,6 +450,36 @@ fn samples_lost_before_a_clock_that_was_set_ahead_were_not_lost_by_a_reset() {
     assert_eq!((actual, accountant.epoch()), (vec![(200, 20, GapCause::Silent)], 2));
 }
 
+/// Once samples come on time again, the host is no longer the cause of what happens to the sensor.
+#[test]
+fn an_unplugging_after_a_stall_is_no_stall() {
+    for timebase in [Timebase::Device, Timebase::SyncCounter, Timebase::Arrival] {
+        for (after_ms, cause) in [(100, GapCause::HostStall), (2000, GapCause::Unplugged)] {
+            let (mut accountant, mut out) = (Accountant::new(50.0, timebase), Vec::new());
+            let stall = START_NS + 10_000_000_000..START_NS + 11_500_000_000;
+            let unplugged = stall.end + after_ms * 1_000_000;
+            for tick in 0..1000 {
+                let sent = START_NS + tick * 20_000_000;
+                let arrived = if stall.contains(&sent) { stall.end } else { sent };
+                if sent == stall.start {
+                    accountant.blame_host(GapCause::HostStall, stall.end + 3_000_000_000);
+                }
+                if (unplugged..unplugged + 500_000_000).contains(&sent) {
+                    accountant.interrupt(GapCause::Unplugged, &mut out);
+                    continue;
+                }
+                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                sample.device_time_ns = (timebase == Timebase::Device).then_some(sent);
+                sample.sync_count = (timebase == Timebase::SyncCounter).then_some(tick as u32);
+                accountant.observe(sample, &mut out);
+            }
+            accountant.settle(&mut out);
+            let actual: Vec<_> = gaps(&out).iter().map(|gap| (gap.missing, gap.cause)).collect();
+            assert_eq!(actual, [(25, cause)], "{timebase:?}, {after_ms} ms");
+        }
+    }
+}
+
 /// The rate changes on a line that loses some samples and delivers late. The sensor either answers queries or only sends.
 fn changed_among_losses_and_bursts(pair: usize, every: u64, burst: u64, at: u64, answers: bool) {
     let (from_hz, to_hz) = PAIRS[pair];

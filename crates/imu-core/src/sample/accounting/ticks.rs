@@ -218,6 +218,7 @@ impl Accountant {
             }
             self.on_line_ns = if early_ns > EARLY_NS { 0.0 } else { self.on_line_ns + step_ns };
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
+            self.note_lateness(self.late_ns, step_ns);
         }
         self.backward = 0;
         // Between two rates, more than one period of the slower rate is a gap, and a gap has the rate of the samples before it. A
