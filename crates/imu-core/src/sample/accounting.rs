@@ -118,6 +118,8 @@ pub struct Accountant {
     on_time_ns: f64,
     /// Samples whose steps have one wrong length: another rate, or losses.
     trial: Trial,
+    /// The first samples of another run of the sensor's clock, which show how late the first one was read.
+    rerun: Vec<Sample>,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
     /// The observation at a held sample.
@@ -178,12 +180,13 @@ impl Accountant {
 
     /// Returns the number of samples that are held until it is known whether some are missing before them.
     pub fn held(&self) -> u64 {
-        (self.arrival.held.len() + self.trial.held.len()) as u64
+        (self.arrival.held.len() + self.trial.held.len() + self.rerun.len()) as u64
     }
 
     /// Returns the frame number of the first held sample.
     pub fn held_from(&self) -> Option<u64> {
-        self.arrival.held.first().or(self.trial.held.first()).map(|sample| sample.frame)
+        let held = [&self.rerun, &self.arrival.held, &self.trial.held];
+        held.into_iter().filter_map(|held| held.first()).map(|sample| sample.frame).min()
     }
 
     /// Returns the number of missing samples.
@@ -282,6 +285,7 @@ impl Accountant {
             self.host_trouble = None;
         }
         let seen = match (self.timebase, sample.device_time_ns, sample.sync_count) {
+            _ if !self.rerun.is_empty() => self.observe_rerun(sample, out),
             (Timebase::Device, Some(_), _) => self.observe_ticks(sample, out),
             (Timebase::SyncCounter, _, Some(_)) => self.observe_counted(sample, out),
             _ => {
@@ -294,8 +298,11 @@ impl Accountant {
 
     /// Decides about held samples; must be called before the capture ends.
     pub fn settle(&mut self, out: &mut Vec<Record>) {
-        self.end_trial(out);
-        self.release_all(out);
+        while self.held() > 0 {
+            self.end_trial(out);
+            self.release_all(out);
+            self.end_rerun(out);
+        }
     }
 
     /// Counts `missing` samples between the last one and `to_utc_ns`, if the capture ends without a further sample.

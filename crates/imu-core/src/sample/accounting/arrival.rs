@@ -363,18 +363,30 @@ impl Accountant {
         first
     }
 
-    /// Returns the first held sample with the same count as the one before it: it is no message of the old rate.
-    fn first_with_the_same_count(&self) -> usize {
+    /// Returns the first held sample whose count shows that it is no message of the old rate: it is the same as the one before,
+    /// or from there on all steps are those of messages of a lower rate. Arrivals of a burst show nothing.
+    fn first_by_count(&self, rate_hz: f64) -> usize {
         let before = std::iter::once(self.last.and_then(|last| last.sync_count));
-        let counts = before.chain(self.arrival.held.iter().map(|sample| sample.sync_count));
-        let is_same = |(before, sample): (Option<u32>, &Sample)| before.is_some() && before == sample.sync_count;
-        counts.zip(&self.arrival.held).position(is_same).unwrap_or(usize::MAX)
+        let counts: Option<Vec<u32>> = before.chain(self.arrival.held.iter().map(|sample| sample.sync_count)).collect();
+        let Some([before, counts @ .., end]) = counts.as_deref() else { return usize::MAX };
+        let ratio = self.rate_hz / rate_hz;
+        if ratio < 1.0 {
+            let pairs = std::iter::once(before).chain(counts).zip(counts.iter().chain([end]));
+            return pairs.into_iter().position(|(before, count)| before == count).unwrap_or(usize::MAX);
+        }
+        // Counts are whole numbers: they are within one of those of the lower rate.
+        let is_lower = |(back, count): &(usize, &u32)| {
+            let advance = f64::from(end.wrapping_sub(**count) as i32);
+            (advance - (back + 1) as f64 * ratio).abs() <= 1.0
+        };
+        let lower = counts.iter().rev().enumerate().take_while(is_lower).count();
+        if lower > 1 { counts.len() - lower } else { usize::MAX }
     }
 
     /// Assigns the held samples to this rate, from the first possible one on.
     fn adopt_arrivals(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
-        let first = self.first_of(rate_hz).min(self.first_with_the_same_count());
+        let first = self.first_of(rate_hz).min(self.first_by_count(rate_hz));
         let held = self.arrival.held.split_off(first);
         self.release_all(out);
         let last_due_ns = match (self.timebase, self.last) {

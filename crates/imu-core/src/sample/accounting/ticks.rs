@@ -29,6 +29,11 @@ const LINE_NS: f64 = 1e9;
 /// Jitter does not explain a sample that comes earlier by more than this, ns.
 const EARLY_NS: f64 = 1e7;
 
+/// Samples that follow within this share of the time between them were read late.
+const AT_ONCE: f64 = 0.5;
+/// The maximum number of samples after a reset that are held.
+const RERUN_MAX: usize = 16_384;
+
 /// Samples in succession that do not come at the rate.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Trial {
@@ -162,6 +167,9 @@ impl Accountant {
     }
 
     pub(super) fn observe_step(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+        if !self.rerun.is_empty() {
+            return self.observe_rerun(sample, out);
+        }
         let Some(last) = self.last else {
             self.take(sample, out);
             return Observation::Taken;
@@ -192,7 +200,8 @@ impl Accountant {
             if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
                 return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
             }
-            return self.new_epoch(&last, sample, (host_ns, GapCause::SensorReset), out);
+            self.rerun.push(sample);
+            return Observation::Taken;
         }
         let step_ns = ahead_ns as f64;
         // A restarted clock is behind the host's. If the sensor's clock is ahead, the host's clock stood still or was
@@ -245,6 +254,56 @@ impl Accountant {
     /// Returns whether the next sample has another rate than the last one.
     pub(super) fn rate_changes(&self) -> bool {
         (self.rate_hz / self.last_rate_hz - 1.0).abs() > RATE_SAME
+    }
+
+    /// Handles samples after a reset. As long as they come at once, they were read late.
+    pub(super) fn observe_rerun(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+        let before = self.rerun.last();
+        let step_ns = before.and_then(|before| {
+            self.ahead_ns((before.device_time_ns, before.sync_count), (sample.device_time_ns, sample.sync_count))
+        });
+        let passed_ns = before.map_or(0, |before| sample.host_mono_ns.saturating_sub(before.host_mono_ns)) as f64;
+        let at_once = step_ns.is_some_and(|step_ns| step_ns > 0 && passed_ns < AT_ONCE * step_ns as f64);
+        if at_once && self.interrupted.is_none() && self.rerun.len() < RERUN_MAX {
+            self.rerun.push(sample);
+            return Observation::Taken;
+        }
+        self.end_rerun(out);
+        self.observe(sample, out)
+    }
+
+    /// Takes the samples after a reset that were held.
+    pub(super) fn end_rerun(&mut self, out: &mut Vec<Record>) {
+        let rerun = std::mem::take(&mut self.rerun);
+        let ticks = |sample: &Sample| (sample.device_time_ns, sample.sync_count);
+        let late_ns = rerun.first().zip(rerun.last()).map_or(0.0, |(first, end)| {
+            let passed_ns = end.host_mono_ns.saturating_sub(first.host_mono_ns) as f64;
+            self.ahead_ns(ticks(first), ticks(end)).map_or(0.0, |ahead_ns| ahead_ns as f64 - passed_ns)
+        });
+        let mut rerun = rerun.into_iter();
+        if let Some(first) = rerun.next() {
+            self.begin_rerun(first, late_ns.max(0.0), out);
+        }
+        for sample in rerun {
+            let frame = sample.frame;
+            match self.observe(sample, out) {
+                Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
+                Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
+                Observation::Taken => {}
+                observation => self.held_observation = Some(observation),
+            }
+        }
+    }
+
+    /// Takes the first sample of another run of the sensor's clock, which was read this late.
+    fn begin_rerun(&mut self, first: Sample, late_ns: f64, out: &mut Vec<Record>) {
+        let Some(last) = self.last else { return self.take(first, out) };
+        let host_ns = host_elapsed_ns(&last, first.host_mono_ns, first.host_utc_ns);
+        // The last sample before may have been read late as well.
+        let away_ns = if is_one_boot(&last, &first) { (host_ns + self.late_ns - late_ns).max(0.0) } else { host_ns };
+        let observation = self.new_epoch(&last, first, (away_ns, GapCause::SensorReset), out);
+        self.late_ns = late_ns;
+        self.held_observation = Some(observation);
     }
 
     /// Takes the first sample of another run of the sensor's clock. `host_ns` is the time since the last one by the host's clock,
