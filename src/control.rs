@@ -51,6 +51,15 @@ pub enum ControlError {
         /// The error that the database reported.
         reason: String,
     },
+    /// The capture takes no more samples, but its end is not on disk.
+    #[error(
+        "capture {id} takes no more samples, but the disk has not taken its end: it is written once the disk takes it, and if \
+         the daemon is killed before, the capture goes on at the next start; see `storage` in the status"
+    )]
+    Unwritten {
+        /// The capture.
+        id: i64,
+    },
     /// The daemon is ending.
     #[error("the daemon is stopping")]
     Stopping,
@@ -101,7 +110,7 @@ impl CaptureControl {
 pub const IMPORT_PREFIX: &str = ".import-";
 
 /// A recording to be imported as a capture.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct ImportRequest {
     /// The path of its bytes.
     pub file: PathBuf,
@@ -120,6 +129,7 @@ pub struct ImportRequest {
     /// Name of the capture.
     pub name: Option<String>,
     /// Cancelled once no client waits for the import any more.
+    #[serde(skip)]
     pub abandoned: CancellationToken,
 }
 
@@ -216,6 +226,12 @@ pub enum ImportError {
     /// The name is invalid.
     #[error("{reason}")]
     NameRefused {
+        /// The reason.
+        reason: String,
+    },
+    /// The process that read it ended.
+    #[error("reading the recording failed, nothing of it was kept: {reason}; import it again")]
+    Process {
         /// The reason.
         reason: String,
     },

@@ -283,7 +283,7 @@ impl From<ImportError> for ApiError {
             ImportError::NameRefused { .. } => Self::bad_request(detail),
             // The disk is fine: the client should try again.
             ImportError::Stopping => Self { status: StatusCode::SERVICE_UNAVAILABLE, ..Self::busy(detail, 5) },
-            ImportError::Store { .. } => Self::unavailable(detail, 5),
+            ImportError::Store { .. } | ImportError::Process { .. } => Self::unavailable(detail, 5),
         }
     }
 }
@@ -296,7 +296,9 @@ impl From<ControlError> for ApiError {
                 Self::new(ProblemType::Conflict, detail)
             }
             ControlError::NameRefused { .. } => Self::bad_request(detail),
-            ControlError::Store { .. } | ControlError::Stopping => Self::unavailable(detail, 5),
+            ControlError::Store { .. } | ControlError::Unwritten { .. } | ControlError::Stopping => {
+                Self::unavailable(detail, 5)
+            }
         }
     }
 }

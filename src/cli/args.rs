@@ -522,6 +522,8 @@ pub enum Work {
         #[arg(long)]
         file: PathBuf,
     },
+    /// Read a recording for an import, as standard input requests it
+    Import,
     /// A background job
     Job {
         /// Its id

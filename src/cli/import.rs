@@ -151,7 +151,7 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, stated: &Given) ->
     if let ImportEnd::Created(id) = imported.end {
         crate::jobs::leave_for_daemon(store, id)?;
     }
-    Ok(imported.report())
+    Ok(imported.report)
 }
 
 /// Sends the recording's bytes to the daemon (address and token), which may not be able to read the user's files.

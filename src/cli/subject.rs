@@ -11,7 +11,7 @@ use crate::jobs::{Documents, JobError, JobKind, Plan, direct};
 use crate::store::{CaptureRow, Reader, Store, StoreOptions};
 use anyhow::Context as _;
 use imu_core::sample::{Channel, StatedSampling};
-use imu_files::recording::{KeepOn, RecordingError, Stamps};
+use imu_files::recording::{KeepOn, RecordingError};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -123,7 +123,7 @@ impl Subject {
         let reader = Reader::open(&database)?;
         let row = reader.capture(imported.end.id())?;
         let mut remarks = Vec::new();
-        if imported.info.stamps != Stamps::Unix {
+        if imported.report.stamps != "unix" {
             note_assumed_time(&file.display().to_string());
             remarks.push(
                 "The recording tells no time of day: its first sample counts as taken when this was made.".to_owned(),

@@ -2,6 +2,7 @@
 
 use super::Outcome;
 use super::args::{Work, WorkerArgs};
+use crate::daemon::import;
 use crate::process::{Confinement, confine};
 use crate::{gallery, jobs};
 use anyhow::Context as _;
@@ -14,6 +15,7 @@ pub(super) fn run(args: &WorkerArgs) -> anyhow::Result<Outcome> {
     match &args.work {
         Work::Png => gallery::apart::answer(std::io::stdin().lock(), out)?,
         Work::DiagnosisBody { file } => jobs::answer_diagnosis_body(file, out)?,
+        Work::Import => import::answer(std::io::stdin().lock(), out)?,
         Work::Job { id, database, file } => jobs::answer(database, file, *id, out)?,
     }
     Ok(Outcome::Done)

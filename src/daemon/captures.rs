@@ -188,8 +188,10 @@ impl Keeper {
         answer.await.map_err(|_| ControlError::Stopping)?;
         self.running = None;
         // A disk that refuses writes leaves the rest in memory; the capture is stopped nevertheless.
-        let _ = tokio::time::timeout(PATIENCE, self.analyse(id)).await;
-        Ok(())
+        match tokio::time::timeout(PATIENCE, self.analyse(id)).await {
+            Ok(Ok(())) => Ok(()),
+            _ => Err(ControlError::Unwritten { id }),
+        }
     }
 
     /// Handles a capture that the task no longer has. Once all is written, the database shows whether it has ended.

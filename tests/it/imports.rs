@@ -143,6 +143,59 @@ fn a_termination_ends_an_import_in_time_and_leaves_nothing_of_it() {
     }
 }
 
+/// Returns the process that reads a recording for this daemon.
+fn reader(daemon: &Process) -> Option<rustix::process::Pid> {
+    let is_reader = |pid: &i32| {
+        let text = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap_or_default();
+        text("cmdline").split('\0').any(|word| word == "import")
+            && text("status").contains(&format!("PPid:\t{}", daemon.id()))
+    };
+    let processes = std::fs::read_dir("/proc").ok()?.flatten();
+    let pid = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).find(is_reader)?;
+    rustix::process::Pid::from_raw(pid)
+}
+
+/// The process that reads a recording may be killed at any time: the import fails, and the daemon goes on.
+#[test]
+fn a_reader_that_is_killed_costs_its_import_alone() {
+    for stage in [Stage::Read, Stage::Written] {
+        let world = World::new();
+        let (mut daemon, mut client) = halfway(&world, stage);
+        let reader = reader(&daemon).unwrap();
+        rustix::process::kill_process(reader, rustix::process::Signal::KILL).unwrap();
+        assert_eq!(client.wait(Duration::from_secs(20)), Some(74), "{}", client.log());
+        let log = client.log();
+        assert!(log.contains("signal 9") && log.contains("import it again"), "{log}");
+        nothing_of_it(&world, &daemon);
+        let file = recording(&world, "desk.csv", 400);
+        let taken = import(&world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]);
+        assert_eq!(taken.status.code(), Some(0), "{}", stderr(&taken));
+        assert_eq!(world.get("/v1/captures/desk")["samples"], 400);
+        assert_eq!(daemon.terminate(), Some(0));
+    }
+}
+
+/// A few compressed bytes that become hundreds of megabytes are read in another process, which may have less memory.
+#[test]
+fn a_bag_of_one_long_name_takes_no_memory_of_the_recorder() {
+    let world = World::new();
+    let mut daemon = world.daemon(&listening(&world), &[]);
+    let file = world.path("long.mcap");
+    let options = mcap::WriteOptions::new().chunk_size(None);
+    let mut writer = options.create(std::io::BufWriter::new(std::fs::File::create(&file).unwrap())).unwrap();
+    writer.add_schema(&"n".repeat(220 << 20), "ros2msg", b"float64 x").unwrap();
+    writer.finish().unwrap();
+    drop(writer);
+    let refused = import(&world, &world.path("vn100d.toml"), &[file.to_str().unwrap()]);
+    assert_eq!(refused.status.code(), Some(1), "{}", stderr(&refused));
+    let status = std::fs::read_to_string(format!("/proc/{}/status", daemon.id())).unwrap();
+    let most: u64 =
+        status.lines().find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.parse().ok()).unwrap();
+    assert!(most < 128 << 10, "{most} kB; {}", stderr(&refused));
+    world.until("its file is removed", Duration::from_secs(20), || nothing_aside(&world), &daemon);
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
 /// Ctrl-C at `vn100d import` cancels the import. Meanwhile a second import must wait, and its message does not blame a
 /// missing daemon or a full disk.
 #[test]

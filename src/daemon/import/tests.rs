@@ -4,20 +4,24 @@ use super::*;
 use crate::clock::SystemClock;
 use crate::jobs::JobsOptions;
 use crate::store::StoreOptions;
+use imu_core::sample::StatedSampling;
+use imu_files::recording::{ColumnMap, MessageDefinition};
 use std::path::PathBuf;
 use vn100_testkit::ros2;
 
 /// An import that outlasts the daemon's patience finds the store closed; its client receives the answer that the daemon
-/// stops.
+/// stops. Unit tests have no program that could read the recording.
 #[test]
 fn an_import_that_fails_because_the_daemon_ends_reports_this_reason() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();
     let jobs = Jobs::start(&store, JobsOptions::default()).unwrap();
     let importer = DaemonImporter::new(store.clone(), jobs.clone(), Arc::new(SystemClock), 0);
-    let import = |file: &Path| {
+    let file = folder.path().join("desk.csv");
+    std::fs::write(&file, "time_s,gyro_x_rad_s\n0,1\n0.025,2\n0.05,1\n").unwrap();
+    let import = || {
         let request = ImportRequest {
-            file: file.to_owned(),
+            file: file.clone(),
             called: "desk.csv".to_owned(),
             name: None,
             rate_hz: None,
@@ -29,24 +33,13 @@ fn an_import_that_fails_because_the_daemon_ends_reports_this_reason() {
         };
         importer.import(request).unwrap_err()
     };
-    let missing = folder.path().join("none.csv");
-    let error = import(&missing);
-    assert!(matches!(error, control::ImportError::Recording { .. } | control::ImportError::Store { .. }), "{error}");
+    assert!(matches!(import(), control::ImportError::Process { .. }), "the daemon is not ending");
     jobs.stop();
     store.close().unwrap();
-    let (file, mut text) = (folder.path().join("desk.csv"), String::from("time_s,gyro_x_rad_s\n"));
-    for row in 0..400 {
-        text.push_str(&format!("{:.3},{}\n", f64::from(row) * 0.025, row % 7));
-    }
-    std::fs::write(&file, text).unwrap();
-    assert!(
-        matches!(import(&file), control::ImportError::Store { .. }),
-        "the store is closed, and the daemon is not ending"
-    );
+    let error = super::import(&store, &SystemClock, Source::of(&file), None, &mut |_, _| Ok(())).unwrap_err();
+    assert!(matches!(error, ImportError::Store(_)), "{error}");
     importer.call_off();
-    for file in [&file, &missing] {
-        assert!(matches!(import(file), control::ImportError::Stopping));
-    }
+    assert!(matches!(import(), control::ImportError::Stopping));
 }
 
 #[test]
@@ -70,6 +63,10 @@ fn a_name_after_the_file_is_one_that_a_capture_may_have_where_there_is_one() {
     for file in ["2024.csv", ".csv", "latest.txt", "/", ".."] {
         check_name(&name_of(Path::new(file))).unwrap_err();
     }
+}
+
+fn counts(imported: &Imported) -> (u64, u64, u64) {
+    (imported.report.samples, imported.report.missing, imported.report.gaps)
 }
 
 /// A world of one database.
@@ -120,7 +117,7 @@ fn the_same_file_read_the_same_way_is_one_capture_and_another_reading_another() 
     let file = world.file("desk.csv", foreign().as_bytes());
     let of = |pairs: &[&str]| world.import(&file, pairs, &[]).unwrap();
     let first = of(&["t=time_ms,gx=gyro_x_dps"]);
-    assert!(matches!(first.end, ImportEnd::Created(_)) && first.counts == (4000, 0, 0), "{first:?}");
+    assert!(matches!(first.end, ImportEnd::Created(_)) && counts(&first) == (4000, 0, 0), "{first:?}");
     let again = of(&["gx=gyro_x_dps", "t=time_ms"]);
     assert!(matches!(again.end, ImportEnd::Known(_)) && again.end.id() == first.end.id(), "{again:?}");
     let other = of(&["gx=gyro_y_dps", "t=time_ms"]);
@@ -149,13 +146,13 @@ fn what_a_killed_recorder_left_in_the_log_beside_a_bag_makes_it_another_recordin
     };
     log(40);
     let first = world.import(&file, &[], &[]).unwrap();
-    assert_eq!(first.counts, (41, 0, 0));
+    assert_eq!(counts(&first), (41, 0, 0));
     log(41);
     let second = world.import(&file, &[], &[]).unwrap();
-    assert!(matches!(second.end, ImportEnd::Created(_)) && second.counts == (42, 0, 0), "{second:?}");
+    assert!(matches!(second.end, ImportEnd::Created(_)) && counts(&second) == (42, 0, 0), "{second:?}");
     let again = world.import(&file, &[], &[]).unwrap();
     assert!(matches!(again.end, ImportEnd::Known(_)) && again.end.id() == second.end.id(), "{again:?}");
-    assert_eq!(again.counts, (42, 0, 0), "as the database has it");
+    assert_eq!(counts(&again), (42, 0, 0), "as the database has it");
     world.store.close().unwrap();
 }
 
@@ -178,7 +175,7 @@ fn a_message_that_the_bag_does_not_define_is_read_by_the_users_definition() {
     );
     let text = "std_msgs/Header header\nfloat64 gyro_x_rad_s\n";
     let first = world.import(&file, &[], &[("own_msgs/msg/Reading", text)]).unwrap();
-    assert_eq!((first.counts, first.info.rate_hz), ((40, 0, 0), 40.0));
+    assert_eq!((counts(&first), first.report.rate_hz), ((40, 0, 0), 40.0));
     let again = world.import(&file, &[], &[("own_msgs/Reading", text)]).unwrap();
     assert_eq!(again.end.id(), first.end.id());
     let other = world.import(&file, &[], &[("own_msgs/Reading", &text.replace("gyro_x", "gyro_y"))]).unwrap();
@@ -205,7 +202,7 @@ fn an_import_that_fails_on_its_way_leaves_nothing_in_the_database() {
     assert_eq!(["capture", "sample", "segment", "gap", "event", "channel"].map(|table| world.count(table)), [0; 6]);
     // It is not a known recording either.
     let taken = world.import(&file, &[], &[]).unwrap();
-    assert!(matches!(taken.end, ImportEnd::Created(_)) && taken.counts.0 == 60_000);
+    assert!(matches!(taken.end, ImportEnd::Created(_)) && taken.report.samples == 60_000);
     world.store.close().unwrap();
 }
 

@@ -73,3 +73,27 @@ fn a_full_disk_is_reported_at_once_costs_nothing_for_half_a_minute_and_one_gap_b
     watch.settle();
     stop_and_settle(&world, &mut daemon);
 }
+
+/// A capture that is stopped while the disk is full is not reported as written, and ends once there is room.
+#[test]
+fn a_capture_that_is_stopped_on_a_full_disk_is_not_reported_as_written() {
+    if !tools::root("a file system of its own is mounted") {
+        return;
+    }
+    let world = World::new();
+    let mount = Mount::tmpfs(&world, "16m");
+    let _sensor = world.emulate(FAST);
+    let mut daemon = start(&world, &[], "[sensor]\nrate-hz = 400\nbaud = 921600\n", &["--capture", "1h"]);
+    until_committed(&world, 400, START, &daemon);
+    let filler = fill(&mount.0);
+    until_state(&world, "storage_full", Duration::from_secs(30), &daemon);
+    let (code, body) = world.request("POST", "/v1/captures/latest/stop", "").unwrap();
+    assert_eq!(code, 503, "{body}");
+    assert!(body.contains("has not taken its end"), "{body}");
+    std::fs::remove_file(&filler).unwrap();
+    until_state(&world, "ok", Duration::from_secs(5), &daemon);
+    let ended = || (world.get("/v1/captures/latest")["state"] == "stopped").then_some(());
+    world.until("its end is written", Duration::from_secs(10), ended, &daemon);
+    assert_eq!(gaps(&world), Vec::<serde_json::Value>::new());
+    assert_eq!(daemon.terminate(), Some(0));
+}

@@ -198,7 +198,7 @@ fn names(channels: &[Channel]) -> String {
 }
 
 /// A set of channels, as bits in column order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub struct ChannelSet(u16);
 
 impl ChannelSet {

@@ -43,7 +43,7 @@ impl GapCause {
 }
 
 /// An interval with missing samples.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Gap {
     /// `seq` of the first sample after the gap: the gap lies between `before_seq − 1` and `before_seq`.
     /// Equal to the number of samples received so far; a gap at a capture's end has no sample after it.

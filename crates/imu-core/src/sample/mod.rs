@@ -16,8 +16,10 @@ pub use description::{
 pub use gap::{Gap, GapCause};
 pub use record::{DiscardCause, EventKind, EventRecord, Record, Segment, Timebase};
 
+use serde::{Deserialize, Serialize};
+
 /// One instant of physical values, in the sensor's units ([`Channel::unit`]).
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// The sensor's own clock (TimeStartup) in ns since its reset; absent in ASCII messages.
     pub device_time_ns: Option<u64>,

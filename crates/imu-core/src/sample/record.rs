@@ -25,7 +25,7 @@ pub enum Timebase {
 }
 
 /// The longest stretch without a gap, at one rate and one configuration.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Segment {
     /// Number within the capture, from 1; column `segment_id`.
     pub number: u32,
@@ -121,7 +121,7 @@ impl EventKind {
 }
 
 /// A notable event that is neither sample nor gap.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EventRecord {
     /// The time, UTC ns.
     pub utc_ns: i64,
@@ -144,7 +144,7 @@ pub enum CaptureEnd {
 }
 
 /// One entry of a capture's record.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Record {
     /// A new segment; its samples follow.
     Segment(Segment),
@@ -188,6 +188,7 @@ pub enum Record {
         since_seq: Option<u64>,
     },
     /// The sensor and its registers as read on (re)connection; stored with the capture.
+    #[serde(skip)]
     Configuration(Box<ConnectedSensor>),
     /// The end; only late discards of this capture follow.
     Ended {

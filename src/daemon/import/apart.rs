@@ -1,0 +1,124 @@
+//! Apart: a recording is read in a separate process with its own limits, which may be killed at any time. Files of others may be
+//! of any kind and size, and the recorder goes on whatever they do to their reader.
+
+use super::ImportError;
+use super::reading::{Facts, Source, Step, read};
+use crate::control::ImportRequest;
+use crate::process::{Child, Frame, FrameError, Received, write_frame};
+use imu_core::sample::Record;
+use imu_files::recording::{KeepOn, RecordingError};
+use serde::{Deserialize, Serialize};
+use std::io::{Read, Write};
+use std::time::Duration;
+
+/// The interval at which the parent checks whether the import is still wanted.
+const LOOK: Duration = Duration::from_millis(200);
+/// The limit of private writable memory: more than any recording that is read piece by piece needs.
+const MEMORY_BYTES: u64 = 192 << 20;
+/// The limit of processor time: 256 GiB of text at 10 MB/s.
+const PROCESSOR_S: u64 = 8 * 3600;
+/// A step larger than this is a fault of the program.
+const BODY_MAX: u64 = 64 << 20;
+
+/// What the child is asked for.
+#[derive(Debug, Serialize, Deserialize)]
+struct Order {
+    request: ImportRequest,
+    /// The time of the first sample of a recording without times, UTC ns.
+    started_utc_ns: i64,
+}
+
+/// The messages of the child. Records are the frame's body, as MessagePack.
+#[derive(Debug, Serialize, Deserialize)]
+enum Message {
+    Identified(String),
+    Found(Box<Facts>),
+    Records,
+    Ended(i64, [u64; 3]),
+    /// The recording cannot be read, for this reason.
+    Refused(String),
+    /// The file could not be read.
+    Unread(String),
+}
+
+/// Reads the recording of a request in a separate process. `take` receives each step and returns whether the next one is wanted.
+pub(super) fn read_apart(
+    request: &ImportRequest,
+    started_utc_ns: i64,
+    keep_on: &KeepOn,
+    take: &mut dyn FnMut(Step) -> Result<bool, ImportError>,
+) -> Result<(), ImportError> {
+    let process = |error: std::io::Error| ImportError::Process { reason: error.to_string() };
+    let mut child =
+        Child::<Message>::start(MEMORY_BYTES, PROCESSOR_S, &["import".as_ref()], BODY_MAX).map_err(process)?;
+    let order = serde_json::to_vec(&Order { request: request.clone(), started_utc_ns });
+    if let Some(mut stdin) = child.stdin() {
+        let order = order.map_err(|error| process(error.into()))?;
+        stdin.write_all(&order).map_err(process)?;
+    }
+    loop {
+        if !keep_on.is_wanted() {
+            // The child is killed as it is dropped.
+            return Err(RecordingError::Unwanted { file: request.file.clone() }.into());
+        }
+        let step = match child.receive(LOOK).map_err(process)? {
+            Received::Nothing => continue,
+            Received::Ended(ended) if ended.out_of_memory => {
+                let most = MEMORY_BYTES >> 20;
+                let reason = format!("reading {} takes more than {most} MiB of memory", request.file.display());
+                return Err(ImportError::Refused { reason });
+            }
+            Received::Ended(ended) => return Err(ImportError::Process { reason: ended.reason }),
+            Received::Frame(Frame { header, body }) => match header {
+                Message::Identified(fingerprint) => Step::Identified(fingerprint),
+                Message::Found(facts) => Step::Found(facts),
+                Message::Records => {
+                    let records: Result<Vec<Record>, _> = rmp_serde::from_slice(&body);
+                    Step::Records(records.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+                }
+                Message::Ended(last_utc_ns, counts) => Step::Ended(last_utc_ns, counts),
+                Message::Refused(reason) => return Err(ImportError::Refused { reason }),
+                Message::Unread(reason) => return Err(ImportError::Process { reason }),
+            },
+        };
+        let is_end = matches!(step, Step::Ended(..));
+        if !take(step)? || is_end {
+            return Ok(());
+        }
+    }
+}
+
+/// Reads a recording in this process, which [`read_apart`] has started, as `order` requests it, and writes its steps to `out`.
+///
+/// # Errors
+/// [`FrameError`], if the parent does not listen, or if the order cannot be read.
+pub fn answer(mut order: impl Read, mut out: impl Write) -> Result<(), FrameError> {
+    let mut text = Vec::new();
+    order.read_to_end(&mut text)?;
+    let Order { request, started_utc_ns } = serde_json::from_slice(&text)?;
+    let mut broken = None;
+    let mut send = |step: Step| {
+        let (message, body) = match step {
+            Step::Identified(fingerprint) => (Message::Identified(fingerprint), Vec::new()),
+            Step::Found(facts) => (Message::Found(facts), Vec::new()),
+            Step::Records(records) => {
+                let body = rmp_serde::to_vec(&records);
+                (Message::Records, body.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+            }
+            Step::Ended(last_utc_ns, counts) => (Message::Ended(last_utc_ns, counts), Vec::new()),
+        };
+        // A parent that does not listen needs no more.
+        broken = write_frame(&mut out, &message, &body).err();
+        Ok(broken.is_none())
+    };
+    let read =
+        Source::of_request(&request, KeepOn::default()).and_then(|source| read(source, started_utc_ns, &mut send));
+    match (read, broken) {
+        (_, Some(error)) => Err(error),
+        (Ok(()), None) => Ok(()),
+        (Err(error @ (ImportError::Read { .. } | ImportError::Process { .. })), None) => {
+            write_frame(&mut out, &Message::Unread(error.to_string()), &[])
+        }
+        (Err(error), None) => write_frame(&mut out, &Message::Refused(error.to_string()), &[]),
+    }
+}
