@@ -43,8 +43,8 @@ fn samples(world: &World, daemon: &Process, more: u64) {
 }
 
 /// Returns the outcome of a fault: s until the rate was right and an event reported it, gaps, samples missing, and the
-/// difference between the capture's sample time and the host's, s.
-fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64) {
+/// difference between the capture's sample time and the host's, s. With the number of events that report a reset.
+fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64, i64) {
     let world = World::new();
     let mut sensor = world.emulate(&["--faults", "-", "--baud", "921600"]);
     if mode.pin_in_use {
@@ -91,20 +91,22 @@ fn outcome(mode: &Mode, fault: &str, end_hz: f64) -> (f64, Vec<String>, i64, f64
                WHERE first_seq < before_seq ORDER BY segment_id DESC LIMIT 1)), 0) FROM gap)";
     let passed = "SELECT (max(host_mono_ns) - min(host_mono_ns)) / 1e9 + 0.02 FROM sample";
     let off = real(&world, had) - real(&world, passed);
-    (took, causes.collect(), integer(&world, "SELECT coalesce(sum(missing), 0) FROM gap"), off)
+    let resets = integer(&world, "SELECT count(*) FROM event WHERE kind = 'sensor_reset'");
+    (took, causes.collect(), integer(&world, "SELECT coalesce(sum(missing), 0) FROM gap"), off, resets)
 }
 
 /// Checks that every gap has this cause and that there are `at_least` of them. Configuring the sensor again may pause
 /// its output for less than a period.
 fn in_all_modes(fault: &str, end_hz: impl Fn(&Mode) -> f64, cause: &str, at_least: usize) {
     for mode in &MODES {
-        let (took, causes, missing, off_s) = outcome(mode, fault, end_hz(mode));
+        let (took, causes, missing, off_s, resets) = outcome(mode, fault, end_hz(mode));
         println!(
             "{fault}, {}: right after {took:.2} s, {missing} missing {causes:?}, sample time off by {:.0} ms",
             mode.name,
             off_s * 1e3
         );
         assert!(took <= 5.0, "{}: {took} s", mode.name);
+        assert_eq!(resets, i64::from(cause == "sensor_reset"), "{}: events of a reset", mode.name);
         assert!(causes.iter().all(|actual| actual.starts_with(cause)), "{}: {causes:?}", mode.name);
         let most = if mode.insists { at_least + 1 } else { at_least };
         assert!((at_least..=most).contains(&causes.len()), "{}: {causes:?}", mode.name);

@@ -285,7 +285,7 @@ impl Accountant {
             self.host_trouble = None;
         }
         let seen = match (self.timebase, sample.device_time_ns, sample.sync_count) {
-            _ if !self.rerun.is_empty() => self.observe_rerun(sample, out),
+            _ if !self.rerun.is_empty() => self.observe_rerun(sample, Self::observe, out),
             (Timebase::Device, Some(_), _) => self.observe_ticks(sample, out),
             (Timebase::SyncCounter, _, Some(_)) => self.observe_counted(sample, out),
             _ => {
@@ -301,7 +301,7 @@ impl Accountant {
         while self.held() > 0 {
             self.end_trial(out);
             self.release_all(out);
-            self.end_rerun(out);
+            self.end_rerun(Self::observe, out);
         }
     }
 

@@ -434,6 +434,98 @@ proptest! {
     }
 }
 
+/// What may happen to a line, one after the other.
+#[derive(Debug, Clone, Copy)]
+enum Happens {
+    Lost(u8),
+    Twice,
+    Swapped,
+    Late(u16),
+    Reset(u16),
+    Rate(u8),
+    Count(u8),
+    Interrupted,
+    Blamed,
+    Suspected,
+    Known,
+}
+
+fn happens() -> impl Strategy<Value = (u16, Happens)> {
+    let kind = prop_oneof![
+        (1..40_u8).prop_map(Happens::Lost),
+        Just(Happens::Twice),
+        Just(Happens::Swapped),
+        (1..4000_u16).prop_map(Happens::Late),
+        (0..3000_u16).prop_map(Happens::Reset),
+        (0..11_u8).prop_map(Happens::Rate),
+        (0..4_u8).prop_map(Happens::Count),
+        Just(Happens::Interrupted),
+        Just(Happens::Blamed),
+        Just(Happens::Suspected),
+        Just(Happens::Known),
+    ];
+    (0..200_u16, kind)
+}
+
+proptest! {
+    /// Whatever happens: each sample is taken once, in its order, or refused; none stays.
+    #[test]
+    fn each_sample_is_taken_or_refused(
+        timebase in proptest::sample::select(vec![Timebase::Device, Timebase::SyncCounter, Timebase::Arrival]),
+        rate in 0..11_usize,
+        events in proptest::collection::vec(happens(), 0..12),
+    ) {
+        const RATES_HZ: [f64; 11] = [1.0, 2.0, 4.0, 5.0, 10.0, 20.0, 25.0, 40.0, 50.0, 100.0, 200.0];
+        let (mut accountant, mut out) = (Accountant::new(RATES_HZ[rate], timebase), Vec::new());
+        let (mut rate_hz, mut at_ns, mut device_ns, mut count, mut per_message) = (RATES_HZ[rate], START_NS, 7_000_000_000_u64, 9_u32, 1_u8);
+        let (mut late_until, mut arrived, mut frame, mut refused) = (0, 0_u64, 0_u64, 0);
+        let mut taken_from = |accountant: &mut Accountant, at_ns: u64, late_until: u64, device_ns: u64, count: u32, out: &mut Vec<Record>| {
+            arrived = arrived.max(at_ns).max(late_until);
+            frame += 1;
+            let mut sample = Sample { frame, ..Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64) };
+            sample.device_time_ns = (timebase == Timebase::Device).then_some(device_ns);
+            sample.sync_count = (timebase == Timebase::SyncCounter).then_some(count);
+            refused += u64::from(matches!(accountant.observe(sample, out), Observation::Duplicate | Observation::OutOfOrder));
+        };
+        for (messages, event) in events.iter().copied().chain([(200, Happens::Known)]) {
+            for _ in 0..messages {
+                let period = period_ns(rate_hz) as u64;
+                (at_ns, device_ns, count) = (at_ns + period, device_ns + period, count.wrapping_add(per_message.into()));
+                taken_from(&mut accountant, at_ns, late_until, device_ns, count, &mut out);
+            }
+            let period = period_ns(rate_hz) as u64;
+            match event {
+                Happens::Lost(lost) => {
+                    (at_ns, device_ns) = (at_ns + u64::from(lost) * period, device_ns + u64::from(lost) * period);
+                    count = count.wrapping_add(u32::from(lost) * u32::from(per_message));
+                }
+                Happens::Twice => taken_from(&mut accountant, at_ns, late_until, device_ns, count, &mut out),
+                Happens::Swapped => {
+                    taken_from(&mut accountant, at_ns, late_until, device_ns + 2 * period, count + 2, &mut out);
+                    taken_from(&mut accountant, at_ns, late_until, device_ns + period, count + 1, &mut out);
+                    (device_ns, count) = (device_ns + 2 * period, count + 2);
+                }
+                Happens::Late(ms) => late_until = at_ns + u64::from(ms) * 1_000_000,
+                Happens::Reset(ms) => (at_ns, device_ns, count) = (at_ns + u64::from(ms) * 1_000_000, 10_000_000, 0),
+                Happens::Rate(rate) => rate_hz = RATES_HZ[usize::from(rate)],
+                Happens::Count(per) => per_message = per,
+                Happens::Interrupted => accountant.interrupt(GapCause::Unplugged, &mut out),
+                Happens::Blamed => accountant.blame_host(GapCause::HostStall, at_ns + 3_000_000_000),
+                Happens::Suspected => accountant.suspect(GapCause::Checksum),
+                Happens::Known => accountant.rate_known(rate_hz, &mut out),
+            }
+        }
+        accountant.settle(&mut out);
+        let refused = refused + accountant.take_refused().iter().map(|(_, _)| 1).sum::<u64>();
+        let taken: Vec<(u64, u64)> =
+            out.iter().filter_map(|record| if let Record::Sample { seq, sample, .. } = record { Some((*seq, sample.frame)) } else { None }).collect();
+        prop_assert_eq!((taken.len() as u64 + refused, accountant.received(), accountant.held()), (frame, taken.len() as u64, 0));
+        prop_assert!(taken.iter().enumerate().all(|(index, (seq, _))| *seq == index as u64));
+        prop_assert!(taken.windows(2).all(|pair| pair[0].1 < pair[1].1), "in the order of their arrival: {:?}", taken.windows(2).find(|pair| pair[0].1 >= pair[1].1));
+        prop_assert_eq!(accountant.missing(), gaps(&out).iter().map(|gap| gap.missing).sum::<u64>());
+    }
+}
+
 /// A sensor that is configured again sends its next message up to one period of its slower rate later.
 #[test]
 fn a_lower_rate_after_an_interruption_is_no_gap() {

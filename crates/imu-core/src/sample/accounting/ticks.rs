@@ -34,6 +34,9 @@ const AT_ONCE: f64 = 0.5;
 /// The maximum number of samples after a reset that are held.
 const RERUN_MAX: usize = 16_384;
 
+/// A way to take a sample.
+pub(super) type Observe = fn(&mut Accountant, Sample, &mut Vec<Record>) -> Observation;
+
 /// Samples in succession that do not come at the rate.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Trial {
@@ -129,6 +132,8 @@ impl Accountant {
                 observation => self.held_observation = Some(observation),
             }
         }
+        // Samples that follow must not overtake them.
+        self.end_rerun(Self::observe_step, out);
         self.host_trouble = now;
     }
 
@@ -168,7 +173,7 @@ impl Accountant {
 
     pub(super) fn observe_step(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
         if !self.rerun.is_empty() {
-            return self.observe_rerun(sample, out);
+            return self.observe_rerun(sample, Self::observe_step, out);
         }
         let Some(last) = self.last else {
             self.take(sample, out);
@@ -256,8 +261,9 @@ impl Accountant {
         (self.rate_hz / self.last_rate_hz - 1.0).abs() > RATE_SAME
     }
 
-    /// Handles samples after a reset. As long as they come at once, they were read late.
-    pub(super) fn observe_rerun(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
+    /// Handles samples after a reset. As long as they come at once, they were read late. `observe` takes them then: samples that
+    /// were held for another reason are not held again.
+    pub(super) fn observe_rerun(&mut self, sample: Sample, observe: Observe, out: &mut Vec<Record>) -> Observation {
         let before = self.rerun.last();
         let step_ns = before.and_then(|before| {
             self.ahead_ns((before.device_time_ns, before.sync_count), (sample.device_time_ns, sample.sync_count))
@@ -268,12 +274,12 @@ impl Accountant {
             self.rerun.push(sample);
             return Observation::Taken;
         }
-        self.end_rerun(out);
-        self.observe(sample, out)
+        self.end_rerun(observe, out);
+        observe(self, sample, out)
     }
 
     /// Takes the samples after a reset that were held.
-    pub(super) fn end_rerun(&mut self, out: &mut Vec<Record>) {
+    pub(super) fn end_rerun(&mut self, observe: Observe, out: &mut Vec<Record>) {
         let rerun = std::mem::take(&mut self.rerun);
         let ticks = |sample: &Sample| (sample.device_time_ns, sample.sync_count);
         let late_ns = rerun.first().zip(rerun.last()).map_or(0.0, |(first, end)| {
@@ -286,7 +292,7 @@ impl Accountant {
         }
         for sample in rerun {
             let frame = sample.frame;
-            match self.observe(sample, out) {
+            match observe(self, sample, out) {
                 Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
                 Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
                 Observation::Taken => {}
