@@ -5,7 +5,9 @@ use super::super::description::describe;
 use super::super::output::is_binary;
 use super::super::rate_meter::RateMeter;
 use super::configure::COUNT_REGISTERS;
-use super::{Action, Command, EventKind, GapCause, Output, Phase, RecorderAction, SensorState, Session, Step, Unit};
+use super::{
+    Action, Command, EventKind, GapCause, Output, Phase, RateDoubt, RecorderAction, SensorState, Session, Step, Unit,
+};
 use imu_core::units::period_ns;
 use vn100_proto::{FrameOptions, Measurement, MeasurementKind, frame_bytes};
 
@@ -115,7 +117,17 @@ impl Session {
             None => format!("the sensor sends {kind}"),
         };
         self.set_state(SensorState::UnexpectedFormat, Some(message.clone()));
-        actions.push(RecorderAction::Interrupt(GapCause::FormatChange).into());
+        // Messages have no clock that shows a reset; the time of a boot before them does.
+        let silence = RateDoubt::Open(since_ns.saturating_sub(self.last_sample_ns));
+        let was_reset = self.options.output == Output::Keep
+            && !is_binary(kind)
+            && self.accepted.is_some_and(|(accepted, rate_hz)| accepted != kind && silence.is_reset(rate_hz, rate_hz));
+        let cause = if was_reset { GapCause::SensorReset } else { GapCause::FormatChange };
+        actions.push(RecorderAction::Interrupt(cause).into());
+        if was_reset {
+            let message = format!("{message} after a silence, as if it had been reset");
+            actions.push(RecorderAction::Event(EventKind::SensorReset, message).into());
+        }
         if self.options.output == Output::Keep {
             actions.push(RecorderAction::Event(EventKind::Reconfigured, message).into());
             // Its output contradicts the count that its registers stated.

@@ -322,6 +322,34 @@ fn a_kept_count_that_vanishes_is_no_longer_relied_upon() {
     assert!(world.measured(ymr) && world.state() == SensorState::Streaming);
 }
 
+/// A kept binary output whose sensor is reset to the messages in its flash.
+#[test]
+fn a_kept_binary_output_that_becomes_messages_after_a_boot_was_reset() {
+    let ymr = ascii_kind(14).unwrap();
+    for (silence_ns, cause) in [(30_000_000, GapCause::FormatChange), (1_250_000_000, GapCause::SensorReset)] {
+        let mut world = World::new(Output::Keep);
+        world.sensor.registers.insert(6, "0".to_owned());
+        world.sensor.registers.insert(75, "1,20,01,0609".to_owned());
+        world.pass(1_000_000_000);
+        for _ in 0..40 {
+            world.pass(25_000_000);
+            assert!(world.measured(default_kind()), "{:?}", world.seen);
+        }
+        world.pass(silence_ns);
+        for _ in 0..120 {
+            world.measured(ymr);
+            world.pass(25_000_000);
+        }
+        assert!(world.seen.contains(&RecorderAction::Interrupt(cause).into()), "{silence_ns}: {:?}", world.seen);
+        let is_reset =
+            |action: &Action| matches!(action, Action::Record(RecorderAction::Event(EventKind::SensorReset, _)));
+        assert_eq!(
+            world.seen.iter().filter(|action| is_reset(action)).count(),
+            usize::from(silence_ns > 1_000_000_000)
+        );
+    }
+}
+
 #[test]
 fn another_unit_is_refused_and_reported() {
     let mut world = World::new(default_output());

@@ -52,9 +52,10 @@ pub(super) fn read_apart(
     let mut child =
         Child::<Message>::start(MEMORY_BYTES, PROCESSOR_S, &["import".as_ref()], BODY_MAX).map_err(process)?;
     let order = serde_json::to_vec(&Order { request: request.clone(), started_utc_ns });
+    let order = order.map_err(|error| process(error.into()))?;
     if let Some(mut stdin) = child.stdin() {
-        let order = order.map_err(|error| process(error.into()))?;
-        stdin.write_all(&order).map_err(process)?;
+        // A child that does not read it has ended, and its end has the reason.
+        let _ = stdin.write_all(&order);
     }
     loop {
         if !keep_on.is_wanted() {
