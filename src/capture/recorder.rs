@@ -304,22 +304,11 @@ impl Recorder {
         }
         self.counts.last_mono_ns = Some(sample.host_mono_ns);
         let utc_ns = sample.host_utc_ns;
-        match accountant.observe(sample, &mut self.scratch) {
-            Observation::Taken | Observation::RateChanged { .. } => {}
+        let observation = accountant.observe(sample, &mut self.scratch);
+        match observation {
             Observation::Duplicate => self.drop_frame(self.received, DiscardCause::Duplicate),
             Observation::OutOfOrder => self.drop_frame(self.received, DiscardCause::OutOfOrder),
-            Observation::AfterReset => out.push(Record::Event(EventRecord {
-                utc_ns,
-                kind: EventKind::SensorReset,
-                message: "the sensor's clock started again".to_owned(),
-                detail: None,
-            })),
-            Observation::ClockAhead(by_ns) => out.push(Record::Event(EventRecord {
-                utc_ns,
-                kind: EventKind::Warning,
-                message: format!("the sensor's clock jumped ahead by {:.3} s: a new epoch begins", by_ns as f64 / 1e9),
-                detail: Some(serde_json::json!({"sensor_clock_ahead_s": by_ns as f64 / 1e9})),
-            })),
+            _ => out.extend(event_of(observation, utc_ns)),
         }
         self.forward(out);
     }
@@ -455,6 +444,11 @@ impl Recorder {
     /// Passes on the accountant's records, up to the planned end.
     fn forward(&mut self, out: &mut Vec<Record>) {
         let records = std::mem::take(&mut self.scratch);
+        if let Some(accountant) = &mut self.accountant
+            && let (Some(observation), Some(last)) = (accountant.take_observation(), accountant.last())
+        {
+            out.extend(event_of(observation, last.host_utc_ns));
+        }
         for (frame, cause) in self.accountant.as_mut().map(Accountant::take_refused).unwrap_or_default() {
             self.drop_frame(frame, cause);
         }
@@ -520,6 +514,20 @@ impl Recorder {
             self.end(CaptureEnd::Complete, utc_ns);
         }
     }
+}
+
+/// Returns the event that reports an observation; `None` if it is none of the sensor's clock.
+fn event_of(observation: Observation, utc_ns: i64) -> Option<Record> {
+    let (kind, message, detail) = match observation {
+        Observation::AfterReset => (EventKind::SensorReset, "the sensor's clock started again".to_owned(), None),
+        Observation::ClockAhead(by_ns) => {
+            let by_s = by_ns as f64 / 1e9;
+            let message = format!("the sensor's clock jumped ahead by {by_s:.3} s: a new epoch begins");
+            (EventKind::Warning, message, Some(serde_json::json!({"sensor_clock_ahead_s": by_s})))
+        }
+        _ => return None,
+    };
+    Some(Record::Event(EventRecord { utc_ns, kind, message, detail }))
 }
 
 /// Returns the timebase of a capture whose last sample is this.

@@ -9,7 +9,7 @@ use super::{Context, Outcome, print_json, usage};
 use crate::gallery::{self, Window};
 use crate::jobs::{Documents, JobError, JobKind, read_diagnosis};
 use crate::page::{self, CaptureView, Figure};
-use crate::store::{DiagnosisRow, PageRequest};
+use crate::store::DiagnosisRow;
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
@@ -144,7 +144,7 @@ struct Diagnosed {
 impl Diagnosed {
     fn of(subject: &Subject) -> anyhow::Result<Self> {
         let (reader, mut own) = (&subject.reader, Self::default());
-        for mut row in reader.diagnoses(Some(subject.row.id), &PageRequest::first())?.rows {
+        for mut row in super::all(|page| reader.diagnoses(Some(subject.row.id), page))? {
             let job = &row.job;
             let result = job.result_id.filter(|_| own.ids.len() < ENCLOSED);
             match result.map(|id| reader.result(id)).transpose()?.flatten() {

@@ -97,6 +97,27 @@ fn a_sensor_that_stays_away_does_not_keep_the_capture_open() {
     assert_eq!(cause, Some(GapCause::Unplugged));
 }
 
+/// The first sample after a reset is held until the next one shows whether it was read late.
+#[test]
+fn a_reset_before_the_last_sample_is_reported_once() {
+    for more in [0, 1, 5] {
+        let (mut recorder, mut out) = (recorder(10), Vec::new());
+        for tick in 0..100 {
+            recorder.sample(sample(tick), &mut out);
+        }
+        for tick in 150..=150 + more {
+            let mut after = sample(tick);
+            after.device_time_ns = Some((tick - 149) * PERIOD_NS);
+            recorder.sample(after, &mut out);
+        }
+        recorder.stop(1_000_000_000 + (151 + more) * PERIOD_NS, 0, &mut out);
+        let is_reset =
+            |record: &&Record| matches!(record, Record::Event(EventRecord { kind: EventKind::SensorReset, .. }));
+        assert_eq!(out.iter().filter(is_reset).count(), 1, "{more}");
+        assert_eq!((recorder.counts().samples, recorder.counts().missing), (101 + more, 50), "{more}");
+    }
+}
+
 /// Samples that are held until their rate is known are the last ones, and a rate that was only announced measures no gap.
 #[test]
 fn a_closing_gap_begins_at_the_last_sample_and_has_its_rate() {

@@ -69,6 +69,12 @@ pub(super) fn read_apart(
                 let reason = format!("reading {} takes more than {most} MiB of memory", request.file.display());
                 return Err(ImportError::Refused { reason });
             }
+            // The next process would end in the same way.
+            Received::Ended(ended) if ended.out_of_time => {
+                let most = PROCESSOR_S / 3600;
+                let reason = format!("reading {} takes more than {most} h of processor time", request.file.display());
+                return Err(ImportError::Refused { reason });
+            }
             Received::Ended(ended) => return Err(ImportError::Process { reason: ended.reason }),
             Received::Frame(Frame { header, body }) => match header {
                 Message::Identified(fingerprint) => Step::Identified(fingerprint),

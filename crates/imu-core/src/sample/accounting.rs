@@ -120,6 +120,8 @@ pub struct Accountant {
     trial: Trial,
     /// The first samples of another run of the sensor's clock, which show how late the first one was read.
     rerun: Vec<Sample>,
+    /// The host's trouble when the first of them arrived.
+    rerun_trouble: Option<(GapCause, u64)>,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
     /// The observation at a held sample.
@@ -257,6 +259,11 @@ impl Accountant {
     /// Returns and clears the doubt about the rate, if any.
     pub fn take_doubt(&mut self) -> Option<RateDoubt> {
         self.doubt.take()
+    }
+
+    /// Returns the observation at a held sample that no later sample has returned, if any.
+    pub fn take_observation(&mut self) -> Option<Observation> {
+        self.held_observation.take()
     }
 
     /// Returns the measurements that were held and turned out to be no samples, since the last call: number and cause.

@@ -388,6 +388,7 @@ impl Accountant {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
         let first = self.first_of(rate_hz).min(self.first_by_count(rate_hz));
         let held = self.arrival.held.split_off(first);
+        let host_trouble = self.arrival.host_trouble;
         self.release_all(out);
         let last_due_ns = match (self.timebase, self.last) {
             (Timebase::SyncCounter, Some(last)) => last.host_mono_ns as f64,
@@ -410,7 +411,7 @@ impl Accountant {
                 true => (GapCause::SensorReset, away_ns),
                 false => (GapCause::RateChange, away_ns - longest + old_period),
             };
-            self.gap_by_host(&last, &first, away_ns, cause, out);
+            self.gap_by_host(&last, &first, away_ns, host_trouble.unwrap_or(cause), out);
         }
         self.rate_hz = rate_hz;
         self.open = None;

@@ -434,6 +434,26 @@ proptest! {
     }
 }
 
+/// What happens after the first sample of a reset is not the reset's cause.
+#[test]
+fn trouble_after_a_reset_is_the_cause_of_what_follows() {
+    let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Device), Vec::new());
+    let mut send = |accountant: &mut Accountant, at_ms: u64, device_ms: u64| {
+        let at_ns = START_NS + at_ms * 1_000_000;
+        let mut sample = Sample::at(at_ns, 1_800_000_000_000_000_000 + at_ns as i64);
+        sample.device_time_ns = Some(device_ms * 1_000_000);
+        accountant.observe(sample, &mut out);
+    };
+    (0..100).for_each(|tick| send(&mut accountant, 20 * tick, 5000 + 20 * tick));
+    send(&mut accountant, 3240, 20);
+    accountant.suspect(GapCause::Checksum);
+    send(&mut accountant, 3280, 60);
+    (1..50).for_each(|tick| send(&mut accountant, 3280 + 20 * tick, 60 + 20 * tick));
+    accountant.settle(&mut out);
+    let actual: Vec<_> = gaps(&out).iter().map(|gap| (gap.missing, gap.cause)).collect();
+    assert_eq!(actual, [(62, GapCause::SensorReset), (1, GapCause::Checksum)]);
+}
+
 /// What may happen to a line, one after the other.
 #[derive(Debug, Clone, Copy)]
 enum Happens {

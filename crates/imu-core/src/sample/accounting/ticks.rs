@@ -162,7 +162,8 @@ impl Accountant {
                     let device_ns = last.device_time_ns.zip(sample.device_time_ns);
                     // A gap has the rate of the samples before it.
                     let missing = (step_ns / old_period).round() as u64 - 1;
-                    let gap = self.gap(&last, &sample, device_ns, missing, false, GapCause::RateChange);
+                    let cause = host_trouble.unwrap_or(GapCause::RateChange);
+                    let gap = self.gap(&last, &sample, device_ns, missing, false, cause);
                     self.push_gap(gap, out);
                 }
             }
@@ -205,6 +206,9 @@ impl Accountant {
             if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
                 return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
             }
+            // The reset explains what was suspicious before it.
+            self.suspicion = None;
+            self.rerun_trouble = self.host_trouble;
             self.rerun.push(sample);
             return Observation::Taken;
         }
@@ -307,8 +311,10 @@ impl Accountant {
         let host_ns = host_elapsed_ns(&last, first.host_mono_ns, first.host_utc_ns);
         // The last sample before may have been read late as well.
         let away_ns = if is_one_boot(&last, &first) { (host_ns + self.late_ns - late_ns).max(0.0) } else { host_ns };
+        let suspicion = self.suspicion.take();
+        let host_trouble = std::mem::replace(&mut self.host_trouble, self.rerun_trouble);
         let observation = self.new_epoch(&last, first, (away_ns, GapCause::SensorReset), out);
-        self.late_ns = late_ns;
+        (self.late_ns, self.suspicion, self.host_trouble) = (late_ns, suspicion, host_trouble);
         self.held_observation = Some(observation);
     }
 
