@@ -148,7 +148,7 @@ fn reader(daemon: &Process) -> Option<rustix::process::Pid> {
     let is_reader = |pid: &i32| {
         let text = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).unwrap_or_default();
         text("cmdline").split('\0').any(|word| word == "import")
-            && text("status").contains(&format!("PPid:\t{}", daemon.id()))
+            && text("status").contains(&format!("PPid:\t{}\n", daemon.id()))
     };
     let processes = std::fs::read_dir("/proc").ok()?.flatten();
     let pid = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).find(is_reader)?;

@@ -16,6 +16,8 @@ mod arrival;
 #[cfg(test)]
 mod rate_tests;
 #[cfg(test)]
+mod stall_tests;
+#[cfg(test)]
 mod tests;
 mod ticks;
 

@@ -151,7 +151,7 @@ impl Accountant {
             if self.count_contradicts(late_from) {
                 self.timebase = Timebase::Arrival;
                 self.open = None;
-                self.doubt = Some(RateDoubt::Open(0));
+                self.doubt = Some(RateDoubt::Open(self.longest_silence_ns()));
             }
             let (mut late, host_trouble) = (self.arrival.held.split_off(late_from), self.arrival.host_trouble);
             self.release(out);
