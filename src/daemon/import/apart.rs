@@ -17,8 +17,8 @@ const LOOK: Duration = Duration::from_millis(200);
 const MEMORY_BYTES: u64 = 192 << 20;
 /// The limit of processor time: 256 GiB of text at 10 MB/s.
 const PROCESSOR_S: u64 = 8 * 3600;
-/// A step larger than this is a fault of the program.
-const BODY_MAX: u64 = 64 << 20;
+/// The maximum size of a step, which the daemon holds in memory: far more than its records or any recording's facts need.
+const BODY_MAX: u64 = 16 << 20;
 
 /// What the child is asked for.
 #[derive(Debug, Serialize, Deserialize)]
@@ -28,17 +28,17 @@ struct Order {
     started_utc_ns: i64,
 }
 
-/// The messages of the child. Records are the frame's body, as MessagePack.
+/// The messages of the child. What may be long is the frame's body: facts as JSON, records as MessagePack, reasons as text.
 #[derive(Debug, Serialize, Deserialize)]
 enum Message {
     Identified(String),
-    Found(Box<Facts>),
+    Found,
     Records,
     Ended(i64, [u64; 3]),
-    /// The recording cannot be read, for this reason.
-    Refused(String),
+    /// The recording cannot be read.
+    Refused,
     /// The file could not be read.
-    Unread(String),
+    Unread,
 }
 
 /// Reads the recording of a request in a separate process. `take` receives each step and returns whether the next one is wanted.
@@ -78,14 +78,17 @@ pub(super) fn read_apart(
             Received::Ended(ended) => return Err(ImportError::Process { reason: ended.reason }),
             Received::Frame(Frame { header, body }) => match header {
                 Message::Identified(fingerprint) => Step::Identified(fingerprint),
-                Message::Found(facts) => Step::Found(facts),
+                Message::Found => {
+                    let facts: Facts = serde_json::from_slice(&body).map_err(|error| process(error.into()))?;
+                    Step::Found(Box::new(facts))
+                }
                 Message::Records => {
                     let records: Result<Vec<Record>, _> = rmp_serde::from_slice(&body);
                     Step::Records(records.map_err(|error| ImportError::Process { reason: error.to_string() })?)
                 }
                 Message::Ended(last_utc_ns, counts) => Step::Ended(last_utc_ns, counts),
-                Message::Refused(reason) => return Err(ImportError::Refused { reason }),
-                Message::Unread(reason) => return Err(ImportError::Process { reason }),
+                Message::Refused => return Err(ImportError::Refused { reason: reason(&body) }),
+                Message::Unread => return Err(ImportError::Process { reason: reason(&body) }),
             },
         };
         let is_end = matches!(step, Step::Ended(..));
@@ -93,6 +96,10 @@ pub(super) fn read_apart(
             return Ok(());
         }
     }
+}
+
+fn reason(body: &[u8]) -> String {
+    String::from_utf8_lossy(body).into_owned()
 }
 
 /// Reads a recording in this process, which [`read_apart`] has started, as `order` requests it, and writes its steps to `out`.
@@ -107,7 +114,10 @@ pub fn answer(mut order: impl Read, mut out: impl Write) -> Result<(), FrameErro
     let mut send = |step: Step| {
         let (message, body) = match step {
             Step::Identified(fingerprint) => (Message::Identified(fingerprint), Vec::new()),
-            Step::Found(facts) => (Message::Found(facts), Vec::new()),
+            Step::Found(facts) => {
+                let body = serde_json::to_vec(&facts);
+                (Message::Found, body.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+            }
             Step::Records(records) => {
                 let body = rmp_serde::to_vec(&records);
                 (Message::Records, body.map_err(|error| ImportError::Process { reason: error.to_string() })?)
@@ -124,8 +134,8 @@ pub fn answer(mut order: impl Read, mut out: impl Write) -> Result<(), FrameErro
         (_, Some(error)) => Err(error),
         (Ok(()), None) => Ok(()),
         (Err(error @ (ImportError::Read { .. } | ImportError::Process { .. })), None) => {
-            write_frame(&mut out, &Message::Unread(error.to_string()), &[])
+            write_frame(&mut out, &Message::Unread, error.to_string().as_bytes())
         }
-        (Err(error), None) => write_frame(&mut out, &Message::Refused(error.to_string()), &[]),
+        (Err(error), None) => write_frame(&mut out, &Message::Refused, error.to_string().as_bytes()),
     }
 }

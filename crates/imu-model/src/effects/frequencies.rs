@@ -23,8 +23,13 @@ impl HalfAngle {
     pub fn of(frequency_hz: f64, rate_hz: f64) -> Self {
         let angle = PI * frequency_hz / rate_hz;
         let (sine, cosine) = angle.sin_cos();
-        Self { sine, cosine, tangent: angle.tan() }
+        Self { sine, cosine, tangent: warped(frequency_hz, rate_hz) }
     }
+}
+
+/// Returns the bilinear transform's image of a frequency.
+pub(super) fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
+    (PI * frequency_hz / rate_hz).tan()
 }
 
 impl Frequencies {

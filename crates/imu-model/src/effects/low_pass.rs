@@ -1,6 +1,7 @@
 //! Low pass: the sensor's bandwidth.
 
 use super::described::effect;
+use super::frequencies::warped;
 use super::spec::{FROM_ZERO, Form, Need, above};
 use super::{Effect, Frequencies, Record, Refusal, Sampler, Stage, Stream, White, each};
 use std::f64::consts::PI;
@@ -39,11 +40,6 @@ impl LowPass {
     }
 }
 
-/// Returns the bilinear transform's image of a frequency.
-fn warped(frequency_hz: f64, rate_hz: f64) -> f64 {
-    (PI * frequency_hz / rate_hz).tan()
-}
-
 impl Effect for LowPass {
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         Self::SPEC.below_nyquist("cutoff_hz", self.cutoff_hz, rate_hz)
@@ -65,7 +61,7 @@ impl Effect for LowPass {
         Some(Arc::new(Self { white_behind: 0.0, ..*self }))
     }
     fn sampler(&self, rate_hz: f64, record_length_s: f64, stream: Stream) -> Box<dyn Sampler> {
-        let warped = (PI * self.cutoff_hz / rate_hz).tan();
+        let warped = warped(self.cutoff_hz, rate_hz);
         let mut sections = Vec::new();
         if self.order % 2 == 1 {
             let below = 1.0 + warped;
