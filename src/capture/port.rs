@@ -230,6 +230,10 @@ mod tests {
     fn a_missing_port_and_a_file_that_is_no_port_are_distinguished() {
         let folder = tempfile::tempdir().unwrap();
         assert!(matches!(open(&folder.path().join("none"), 115_200), Err(OpenError::Gone { .. })));
+        let file = folder.path().join("night.csv");
+        std::fs::write(&file, "no port").unwrap();
+        let error = open(&file, 115_200).unwrap_err();
+        assert!(matches!(error, OpenError::Other { .. }), "{error}");
     }
 
     #[test]
