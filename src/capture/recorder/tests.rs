@@ -39,7 +39,9 @@ fn missing_samples_count_and_a_gap_is_cut_at_the_planned_end() {
         recorder.sample(sample(tick), &mut out);
     }
     recorder.interrupt(GapCause::Unplugged, &mut out);
+    // The second sample shows that the rate is the same after the gap.
     recorder.sample(sample(5000), &mut out);
+    recorder.sample(sample(5001), &mut out);
     assert!(recorder.has_ended());
     assert_eq!((recorder.counts().samples, recorder.counts().missing), (100, 300));
 }

@@ -24,7 +24,7 @@ mod ticks;
 pub use arrival::DOUBT_AGAIN_NS;
 
 use arrival::Arrival;
-use ticks::Trial;
+use ticks::{Rerun, Trial};
 
 use super::{DiscardCause, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::units::period_ns;
@@ -120,15 +120,14 @@ pub struct Accountant {
     on_time_ns: f64,
     /// Samples whose steps have one wrong length: another rate, or losses.
     trial: Trial,
-    /// The first samples of another run of the sensor's clock, which show how late the first one was read.
-    rerun: Vec<Sample>,
-    /// The host's trouble when the first of them arrived.
-    rerun_trouble: Option<(GapCause, u64)>,
+    rerun: Rerun,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
     /// The observation at a held sample.
     held_observation: Option<Observation>,
     arrival: Arrival,
+    /// Whether counted samples are taken whose rate is undecided.
+    undecided: bool,
     /// The doubt not yet passed to the caller that can query the sensor.
     doubt: Option<RateDoubt>,
     /// The host's own lateness in reading, ns: a shorter delay shows nothing about the sensor.
@@ -184,12 +183,12 @@ impl Accountant {
 
     /// Returns the number of samples that are held until it is known whether some are missing before them.
     pub fn held(&self) -> u64 {
-        (self.arrival.held.len() + self.trial.held.len() + self.rerun.len()) as u64
+        (self.arrival.held.len() + self.trial.held.len() + self.rerun.held.len()) as u64
     }
 
     /// Returns the frame number of the first held sample.
     pub fn held_from(&self) -> Option<u64> {
-        let held = [&self.rerun, &self.arrival.held, &self.trial.held];
+        let held = [&self.rerun.held, &self.arrival.held, &self.trial.held];
         held.into_iter().filter_map(|held| held.first()).map(|sample| sample.frame).min()
     }
 
@@ -294,7 +293,7 @@ impl Accountant {
             self.host_trouble = None;
         }
         let seen = match (self.timebase, sample.device_time_ns, sample.sync_count) {
-            _ if !self.rerun.is_empty() => self.observe_rerun(sample, Self::observe, out),
+            _ if !self.rerun.held.is_empty() => self.observe_rerun(sample, Self::observe, out),
             (Timebase::Device, Some(_), _) => self.observe_ticks(sample, out),
             (Timebase::SyncCounter, _, Some(_)) => self.observe_counted(sample, out),
             _ => {

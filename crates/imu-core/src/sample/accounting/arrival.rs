@@ -8,6 +8,7 @@
 //! numbers its messages by a separate clock, not by its rate ([`Timebase::SyncCounter`]), is also judged by its
 //! arrivals: the steps of such a count look like losses or repetitions if the rate differs.
 
+use super::ticks::RATE_STEPS_MIN;
 use super::{Accountant, DRIFT, Observation, RateDoubt, host_elapsed_ns};
 use crate::sample::{GapCause, Record, Sample, Timebase};
 use crate::units::period_ns;
@@ -25,6 +26,11 @@ const STEADY_MIN: usize = 4;
 const RATE_NS: f64 = 2e9;
 const RATE_CONFIRMED_NS: f64 = 3.5e9;
 const RATE_MIN: usize = 8;
+/// Counted samples belong to another rate if their counts lead or lag those of the present one by this many, advance by so
+/// many (neighbouring rates then differ by more than one), and their arrivals agree for this long, ns.
+const COUNT_EVIDENCE: f64 = 6.0;
+const COUNTS_MIN: f64 = 8.0;
+const COUNT_NS: f64 = 1e9;
 /// The share of arrivals that may be later than the jitter allows when they are compared with another rate.
 const RATE_LATE: f64 = 0.1;
 /// Rates that differ by less are equal, and a measured rate this close to one of the sensor's is that rate.
@@ -147,7 +153,15 @@ impl Accountant {
         }
         let span_ns = now_ns.saturating_sub(self.arrival.begun_ns);
         let longest_ns = HELD_NS.max(32.0 * self.host_jitter_ns);
-        if let Some(late_from) = self.steady_until() {
+        let counted = self.counted_rate().map(|rate_hz| (rate_hz, self.arrive_at(rate_hz)));
+        let awaits_count = match counted {
+            Some((_, agrees)) => agrees.is_none(),
+            None => self.count_lead().abs() >= COUNT_EVIDENCE && (span_ns as f64) < RATE_NS,
+        };
+        if let Some((rate_hz, Some(true))) = counted {
+            self.doubt = Some(RateDoubt::Changed(self.longest_silence_ns()));
+            self.adopt_arrivals(rate_hz, out);
+        } else if let (Some(late_from), false) = (self.steady_until(), awaits_count) {
             if self.count_contradicts(late_from) {
                 self.timebase = Timebase::Arrival;
                 self.open = None;
@@ -166,7 +180,7 @@ impl Accountant {
             // A count that is not used any more leaves samples undecided.
             self.arrival.held.append(&mut late);
         } else if span_ns as f64 > longest_ns || held.len() >= HELD_MAX {
-            self.release(out);
+            self.release_undecided(out);
         } else if let Some(rate_hz) = self.other_rate() {
             self.doubt = Some(RateDoubt::Changed(self.longest_silence_ns()));
             self.adopt_arrivals(rate_hz, out);
@@ -196,11 +210,68 @@ impl Accountant {
         advance.is_some_and(|advance| (advance - steps).abs() > 0.25 * steps + hidden)
     }
 
-    /// Releases the held samples until none is left.
+    /// Releases the held samples until none is left: nothing more comes that would decide about them.
     pub(super) fn release_all(&mut self, out: &mut Vec<Record>) {
-        while !self.arrival.held.is_empty() {
-            self.release(out);
+        if let Some(rate_hz) = self.counted_rate() {
+            self.adopt_arrivals(rate_hz, out);
         }
+        while !self.arrival.held.is_empty() {
+            self.release_undecided(out);
+        }
+    }
+
+    /// Returns the only rate whose messages have the counts of the last held samples, Hz, if it is another one: no loss removes
+    /// messages so regularly. The clock of the count may have changed instead ([`Self::arrive_at`]).
+    fn counted_rate(&self) -> Option<f64> {
+        if self.timebase != Timebase::SyncCounter {
+            return None;
+        }
+        let held = &self.arrival.held;
+        let counts: Vec<f64> = held
+            .iter()
+            .map(|sample| Some(f64::from(sample.sync_count?.wrapping_sub(held[0].sync_count?) as i32)))
+            .collect::<Option<_>>()?;
+        let others = MESSAGE_RATES_HZ.into_iter().filter(|rate_hz| (rate_hz / self.rate_hz - 1.0).abs() > RATE_NEAR);
+        let mut fitting = others.filter_map(|rate_hz| {
+            let advance = self.rate_hz / rate_hz;
+            let least = (COUNT_EVIDENCE / (advance - 1.0).abs()).max(COUNTS_MIN / advance).ceil();
+            let steps = RATE_STEPS_MIN.max(least as usize);
+            let from = counts.len().checked_sub(steps + 1)?;
+            let off = counts[from..].iter().enumerate().map(|(index, count)| count - index as f64 * advance);
+            let (low, high) =
+                off.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), off| (low.min(off), high.max(off)));
+            (high - low <= 1.0).then_some(rate_hz)
+        });
+        fitting.next().filter(|_| fitting.next().is_none())
+    }
+
+    /// Returns by how many the counts of the last held samples lead (or lag, below 0) those of messages of the present rate.
+    fn count_lead(&self) -> f64 {
+        let held = &self.arrival.held;
+        let first = held.len().checked_sub(RATE_STEPS_MIN + 1).map(|first| held[first].sync_count);
+        let advance = first.flatten().zip(held.last().and_then(|last| last.sync_count));
+        let lead = |(from, to): (u32, u32)| f64::from(to.wrapping_sub(from) as i32) - RATE_STEPS_MIN as f64;
+        advance.filter(|_| self.timebase == Timebase::SyncCounter).map_or(0.0, lead)
+    }
+
+    /// Releases held samples about which nothing decided. Counts that repeat so often do not count the messages.
+    fn release_undecided(&mut self, out: &mut Vec<Record>) {
+        if self.count_lead() <= -COUNT_EVIDENCE {
+            self.timebase = Timebase::Arrival;
+            self.open = None;
+        }
+        self.undecided = true;
+        self.release(out);
+        self.undecided = false;
+    }
+
+    /// Returns whether the held samples arrive at this rate, and not at the present one; `None` if they do not suffice.
+    fn arrive_at(&self, rate_hz: f64) -> Option<bool> {
+        let arrived = &self.arrival.held[self.tail(COUNT_NS, RATE_MIN)?..];
+        let span_ns = arrived.last()?.host_mono_ns.saturating_sub(arrived.first()?.host_mono_ns) as f64;
+        let measured_hz = 1e9 * (arrived.len() - 1) as f64 / span_ns;
+        let off = |other_hz: f64| (measured_hz / other_hz).ln().abs();
+        Some(off(rate_hz) < off(self.rate_hz))
     }
 
     /// Returns the index of the last held samples that span this time and are at least `least`; `None` if the held
@@ -285,6 +356,10 @@ impl Accountant {
         self.arrival.next_mono_ns = next_mono_ns;
         if self.timebase == Timebase::SyncCounter {
             self.observe_held(held, host_trouble, out);
+            // Samples that are still held must not overtake them.
+            while !self.rerun.held.is_empty() {
+                self.end_rerun(Self::observe_step, out);
+            }
             return;
         }
         let period = period_ns(self.rate_hz);

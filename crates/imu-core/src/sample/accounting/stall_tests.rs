@@ -297,3 +297,249 @@ fn a_reset_within_a_stall_is_measured_by_the_messages_that_came_late() {
         }
     }
 }
+
+/// Sends messages of a sensor with a clock: when they were sent, s, and what the clock shows, s. The host is stopped during the
+/// stalls, and then reads what waits in chunks of 50 messages, with 20 ms in between.
+fn read_late(
+    rate_hz: f64,
+    sent: impl IntoIterator<Item = (f64, f64)>,
+    stalls_s: &[std::ops::Range<f64>],
+    blamed: bool,
+) -> (Accountant, Vec<Record>) {
+    let (mut accountant, mut out) = (Accountant::new(rate_hz, Timebase::Device), Vec::new());
+    let (mut reads_from_s, mut chunk) = (0.0_f64, 0);
+    for (sent_s, clock_s) in sent {
+        let stall = stalls_s.iter().find(|stall| stall.contains(&sent_s));
+        reads_from_s = reads_from_s.max(stall.map_or(0.0, |stall| stall.end));
+        chunk = if sent_s < reads_from_s { chunk + 1 } else { 0 };
+        if chunk == 50 {
+            (reads_from_s, chunk) = (reads_from_s + 0.02, 0);
+        }
+        let arrived = START_NS + (1e9 * sent_s.max(reads_from_s)) as u64;
+        if let (Some(stall), true) = (stall, blamed) {
+            accountant.blame_host(GapCause::HostStall, START_NS + (1e9 * stall.end) as u64 + 3_000_000_000);
+        }
+        let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+        sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+        accountant.observe(sample, &mut out);
+    }
+    accountant.settle(&mut out);
+    (accountant, out)
+}
+
+/// Messages of one run of the sensor's clock: sent at the rate from a time on, for a duration, s; the clock shows `clock_s` first.
+fn run(rate_hz: f64, from_s: f64, length_s: f64, clock_s: f64) -> impl Iterator<Item = (f64, f64)> + Clone {
+    (0..(length_s * rate_hz).round() as u64).map(move |tick| {
+        let after_s = tick as f64 / rate_hz;
+        (from_s + after_s, clock_s + after_s)
+    })
+}
+
+/// A sensor that sends binary output after a boot is reset once or twice within a stall; the reader catches up in chunks.
+#[test]
+fn resets_within_a_stall_miss_what_the_sensor_did_not_send() {
+    for rate_hz in [10.0, 50.0, 100.0, 400.0] {
+        for second_s in [None, Some(0.6), Some(0.8), Some(1.6), Some(2.2)] {
+            let mut sent: Vec<_> = run(rate_hz, 0.0, 10.0, 1000.0).collect();
+            let boot_s = 1.25;
+            let mut missing = boot_s * rate_hz;
+            let end = second_s.map_or(10.0 + boot_s, |second_s: f64| {
+                sent.extend(run(rate_hz, 10.0 + boot_s, second_s, 1.0));
+                missing += boot_s * rate_hz;
+                10.0 + boot_s + second_s + boot_s
+            });
+            sent.extend(run(rate_hz, end, 20.0, 1.0));
+            let stall = 9.6..10.0 + boot_s + 3.4;
+            let (accountant, _) = read_late(rate_hz, sent.iter().copied(), &[stall], true);
+            let epochs = if second_s.is_some() { 3 } else { 2 };
+            let case = format!("{rate_hz} Hz, {second_s:?}: {} missing of {missing}", accountant.missing());
+            assert_eq!((accountant.received(), accountant.epoch()), (sent.len() as u64, epochs), "{case}");
+            assert!((accountant.missing() as f64 - missing).abs() <= 3.0 + 0.03 * rate_hz, "{case}");
+        }
+    }
+}
+
+/// A slow host reads each 0.4 s; the sensor's clock is set ahead meanwhile. Nothing is missing.
+#[test]
+fn a_clock_that_is_set_ahead_while_the_host_is_slow_is_no_loss() {
+    for rate_hz in [50.0, 100.0, 400.0] {
+        for set_s in [8.05, 8.2, 8.35] {
+            let sent = run(rate_hz, 0.0, set_s, 1000.0).chain(run(rate_hz, set_s, 10.0, 1000.9 + set_s));
+            let stalls: Vec<_> =
+                (0..20).map(|stall| 4.0 + 0.4 * f64::from(stall)..4.3 + 0.4 * f64::from(stall)).collect();
+            for blamed in [false, true] {
+                let (accountant, out) = read_late(rate_hz, sent.clone(), &stalls, blamed);
+                let case = format!("{rate_hz} Hz, {set_s} s, {blamed}: {:?}", gaps(&out));
+                assert_eq!(accountant.epoch(), 2, "{case}");
+                assert!(accountant.missing() as f64 <= 1.0 + 0.02 * rate_hz, "{case}");
+            }
+        }
+    }
+}
+
+/// The line lost samples while the rate changed: how many is not known exactly.
+#[test]
+fn a_gap_across_which_the_rate_changed_is_not_exact() {
+    for (from_hz, to_hz) in [(200.0, 400.0), (400.0, 200.0), (800.0, 100.0), (50.0, 40.0)] {
+        for cause in [None, Some(GapCause::HostStall)] {
+            for away_s in [0.5, 2.0] {
+                let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::Device), Vec::new());
+                let mut send = |accountant: &mut Accountant, (sent_s, clock_s): (f64, f64)| {
+                    let arrived = START_NS + (1e9 * sent_s) as u64;
+                    let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                    sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+                    accountant.observe(sample, &mut out);
+                };
+                run(from_hz, 0.0, 5.0, 1000.0).for_each(|sent| send(&mut accountant, sent));
+                if let Some(cause) = cause {
+                    accountant.interrupt(cause, &mut Vec::new());
+                }
+                let later = run(to_hz, 5.0 + away_s, 5.0, 1005.0 + away_s);
+                later.for_each(|sent| send(&mut accountant, sent));
+                accountant.settle(&mut out);
+                let case = format!("{from_hz} to {to_hz} Hz, {cause:?}, {away_s} s: {:?}", gaps(&out));
+                let [gap] = gaps(&out)[..] else { panic!("{case}") };
+                assert_eq!((gap.missing_exact, accountant.rate_hz()), (false, to_hz), "{case}");
+                assert!((gap.missing as f64 - away_s * from_hz).abs() <= from_hz / to_hz + 1.0, "{case}");
+                assert_eq!(gap.cause, cause.unwrap_or(GapCause::RateChange), "{case}");
+            }
+        }
+    }
+}
+
+/// Messages whose count was taken for theirs: the capture ends before their rate is decided.
+#[test]
+fn a_counted_rate_that_is_undecided_at_the_end_makes_no_exact_loss() {
+    for end_s in [0.1, 0.3, 0.5, 0.8] {
+        for to_hz in [25.0, 20.0, 40.0] {
+            let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::SyncCounter), Vec::new());
+            let sent = run(50.0, 0.0, 10.0, 0.0).chain(run(to_hz, 10.0, 1.0 + end_s, 10.0));
+            for (sent_s, clock_s) in sent {
+                let arrived_s = if (9.4..11.0).contains(&sent_s) { 11.0 } else { sent_s };
+                let arrived = START_NS + (1e9 * arrived_s) as u64;
+                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                sample.sync_count = Some((clock_s * 50.0 + 1e-6) as u32);
+                accountant.observe(sample, &mut out);
+            }
+            accountant.settle(&mut out);
+            let exact: u64 = gaps(&out).iter().filter(|gap| gap.missing_exact).map(|gap| gap.missing).sum();
+            assert_eq!(exact, 0, "{to_hz} Hz, {end_s} s: {:?}", gaps(&out));
+            assert!(to_hz != 25.0 || accountant.missing() == 0, "{end_s} s: {:?}", gaps(&out));
+        }
+    }
+}
+
+/// The rate of counted messages changes while the host reads each 0.4 s; the sensor answers.
+#[test]
+fn a_counted_rate_that_changes_while_the_host_is_slow_loses_nothing() {
+    for (from_hz, to_hz) in [
+        (50.0, 200.0),
+        (10.0, 100.0),
+        (25.0, 100.0),
+        (200.0, 50.0),
+        (100.0, 25.0),
+        (10.0, 4.0),
+        (40.0, 50.0),
+        (50.0, 40.0),
+        (1.0, 5.0),
+    ] {
+        for answers in [true, false] {
+            let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::SyncCounter), Vec::new());
+            let sent = run(from_hz, 0.0, 10.0, 0.0).chain(run(to_hz, 10.0, 10.0, 10.0));
+            let (mut changed, mut wrong) = (0, 0);
+            for (sent_s, clock_s) in sent {
+                let into_s = (sent_s - 8.0).rem_euclid(0.4);
+                let slow = (8.0..16.0).contains(&sent_s) && into_s < 0.3;
+                let arrived = START_NS + (1e9 * if slow { sent_s + 0.3 - into_s } else { sent_s }) as u64;
+                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                sample.sync_count = Some((clock_s * from_hz + 1e-6) as u32);
+                sample.frame = u64::from(sent_s >= 10.0);
+                changed += sample.frame;
+                accountant.observe(sample, &mut out);
+                if matches!(accountant.take_doubt(), Some(RateDoubt::Open(_))) && answers {
+                    accountant.rate_known(if sent_s < 10.0 { from_hz } else { to_hz }, &mut out);
+                }
+            }
+            accountant.settle(&mut out);
+            let mut rate = from_hz;
+            for record in &out {
+                match record {
+                    Record::Segment(segment) => rate = segment.rate_hz,
+                    Record::Sample { sample, .. } => {
+                        wrong += u64::from(rate != if sample.frame == 1 { to_hz } else { from_hz })
+                    }
+                    _ => {}
+                }
+            }
+            let refused = accountant.take_refused().len();
+            let case = format!(
+                "{from_hz} to {to_hz} Hz, {answers}: {wrong} of {changed} with the wrong rate, {refused} refused, {:?}",
+                rates(&out)
+            );
+            assert_eq!((accountant.missing(), refused, accountant.rate_hz()), (0, 0, to_hz), "{case}");
+            // A count shows another rate at its first step that is not one, unless it takes longer than samples are held.
+            assert!(from_hz == 1.0 || wrong as f64 <= 1.0 + 1.0 / (from_hz / to_hz - 1.0).abs(), "{case}");
+        }
+    }
+}
+
+/// A young sensor is reset again: its clock is ahead of the last sample's, and the line was interrupted.
+#[test]
+fn a_young_sensor_that_is_reset_again_is_measured_by_the_hosts_clock() {
+    // How long it ran, how long it was away, how old it is when its first sample comes, s; whether the host stands still from
+    // 0.3 s before the reset until 0.5 s before that sample.
+    for (ran_s, away_s, age_s, stalled) in
+        [(0.6, 2.3, 1.0, false), (0.3, 2.5, 0.5, false), (2.2, 4.0, 2.5, true), (1.0, 3.0, 1.5, true)]
+    {
+        for rate_hz in [20.0, 50.0, 200.0] {
+            let mut sent: Vec<_> = run(rate_hz, 0.0, 10.0, 1000.0).collect();
+            sent.extend(run(rate_hz, 11.25, ran_s, 0.1));
+            let end_s = 11.25 + ran_s;
+            let later: Vec<_> = run(rate_hz, end_s + away_s, 10.0, 0.1 + age_s).collect();
+            let (mut accountant, mut out) = (Accountant::new(rate_hz, Timebase::Device), Vec::new());
+            for (index, (sent_s, clock_s)) in sent.iter().chain(&later).copied().enumerate() {
+                // A sensor that sends again by itself interrupts nothing.
+                if index == sent.len() && age_s != 0.9 {
+                    accountant.interrupt(GapCause::Unplugged, &mut out);
+                }
+                let stall = end_s - 0.3..end_s + away_s - 0.5;
+                let arrived_s = if stalled && stall.contains(&sent_s) { stall.end } else { sent_s };
+                let arrived = START_NS + (1e9 * arrived_s) as u64;
+                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+                accountant.observe(sample, &mut out);
+            }
+            accountant.settle(&mut out);
+            let missing = (1.25 + away_s) * rate_hz;
+            let case = format!(
+                "{rate_hz} Hz, {ran_s} s, {away_s} s: {} of {missing} missing, {:?}",
+                accountant.missing(),
+                gaps(&out)
+            );
+            assert_eq!((accountant.epoch(), accountant.received()), (3, (sent.len() + later.len()) as u64), "{case}");
+            assert!((accountant.missing() as f64 - missing).abs() <= 3.0 + 0.02 * rate_hz, "{case}");
+            assert!(gaps(&out).iter().all(|gap| !gap.missing_exact), "{case}");
+        }
+    }
+}
+
+/// A clock that is set ahead by a second during an interruption or just after a stall: what is missing is not known exactly.
+#[test]
+fn a_clock_that_is_set_ahead_in_trouble_makes_no_exact_loss() {
+    let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Device), Vec::new());
+    for (sent_s, clock_s) in run(50.0, 0.0, 10.0, 1000.0).chain(run(50.0, 10.64, 10.0, 1011.64)) {
+        if sent_s == 10.64 {
+            accountant.interrupt(GapCause::Unplugged, &mut out);
+        }
+        let arrived = START_NS + (1e9 * sent_s) as u64;
+        let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+        sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+        accountant.observe(sample, &mut out);
+    }
+    accountant.settle(&mut out);
+    assert!(gaps(&out).iter().all(|gap| !gap.missing_exact), "{:?}", gaps(&out));
+    // Just after a stall.
+    let sent = run(50.0, 0.0, 10.0, 1000.0).chain(run(50.0, 10.0, 10.0, 1011.0));
+    let (accountant, out) = read_late(50.0, sent, &[8.2..9.8], true);
+    assert_eq!((accountant.epoch(), accountant.missing()), (2, 0), "{:?}", gaps(&out));
+}

@@ -58,10 +58,13 @@ fn a_duplicate_is_dropped_and_a_clock_that_starts_again_is_a_reset() {
     let mut after = sample(480, true, 0);
     after.device_time_ns = Some(1_000_000);
     accountant.observe(after, &mut out);
-    // The next sample shows that the first one after the reset was not read late.
-    let mut next = sample(481, true, 0);
-    next.device_time_ns = Some(26_000_000);
-    assert_eq!(accountant.observe(next, &mut out), Observation::AfterReset);
+    // The next samples show that the first one after the reset was not read late.
+    let next = [481, 482, 483].map(|tick| {
+        let mut next = sample(tick, true, 0);
+        next.device_time_ns = Some(1_000_000 + (tick - 480) * 25_000_000);
+        accountant.observe(next, &mut out)
+    });
+    assert_eq!(next, [Observation::Taken, Observation::AfterReset, Observation::Taken]);
     let gaps = gaps(&out);
     assert_eq!((gaps[0].missing, gaps[0].missing_exact, gaps[0].cause), (79, false, GapCause::SensorReset));
 }
@@ -268,7 +271,10 @@ fn an_interruption_names_the_cause_and_the_device_clock_counts() {
     accountant.observe(sample(0, true, 0), &mut out);
     accountant.interrupt(GapCause::Unplugged, &mut out);
     accountant.observe(sample(400, true, 0), &mut out);
-    assert_eq!((gaps(&out)[0].missing, gaps(&out)[0].cause), (399, GapCause::Unplugged));
+    // The next sample shows that the rate is the same.
+    accountant.observe(sample(401, true, 0), &mut out);
+    let [gap] = gaps(&out)[..] else { panic!("{out:?}") };
+    assert_eq!((gap.missing, gap.missing_exact, gap.cause), (399, true, GapCause::Unplugged));
 }
 
 #[test]
@@ -280,7 +286,13 @@ fn a_sensor_that_lost_power_while_unplugged_is_measured_by_the_host() {
     // An hour later, the clock is only 10 s ahead of its earlier value: it restarted.
     let mut back = sample(144_000, true, 0);
     back.device_time_ns = Some(15_000_000_000);
-    assert_eq!(accountant.observe(back, &mut out), Observation::AfterReset);
+    assert_eq!(accountant.observe(back, &mut out), Observation::Taken);
+    let next = [1, 2, 3].map(|tick| {
+        let mut next = sample(144_000 + tick, true, 0);
+        next.device_time_ns = Some(15_000_000_000 + tick * 25_000_000);
+        accountant.observe(next, &mut out)
+    });
+    assert!(next.contains(&Observation::AfterReset), "{next:?}");
     assert_eq!((gaps(&out)[0].missing, gaps(&out)[0].missing_exact), (143_999, false));
 }
 
@@ -350,6 +362,7 @@ fn a_resumed_capture_goes_on_in_a_new_segment_with_the_gap_counted() {
     let mut next = sample(400, true, 0);
     next.host_utc_ns = last.host_utc_ns + 10_000_000_000;
     accountant.observe(next, &mut out);
+    accountant.settle(&mut out);
     assert_eq!((accountant.received(), accountant.missing(), accountant.gaps()), (1001, 7 + 399, 3));
     assert_eq!(gaps(&out)[0].cause, GapCause::DaemonStopped);
     assert_eq!(seqs(&out), [(1000, 4)]);

@@ -12,25 +12,33 @@ const RATE_DIFFERS: f64 = 0.19;
 const RATE_SAME: f64 = 0.01;
 /// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
 /// so regularly. At 100 Hz the decision takes 0.12 s, at 20 Hz 0.6 s.
-const RATE_STEPS_MIN: usize = 12;
+pub(super) const RATE_STEPS_MIN: usize = 12;
 const RATE_TRIAL_NS: f64 = 1e8;
 /// No loss makes a step that is not a whole number of periods. This many such steps of one length in succession are
 /// another rate even if the stream was interrupted before the trial lasted long; one or two may be a wrong tick.
 const RATE_STEPS_UNEVEN: usize = 3;
 /// A longer step is not a rate, ns: register 7's lowest is 1 Hz.
 const RATE_STEP_MAX_NS: f64 = 1.5e9;
-/// After an interruption, device and host must agree on its length within this share (and [`EPOCH_SLACK_NS`]);
-/// otherwise the sensor lost power in between and its clock started again.
+/// After an interruption, device and host must agree on its length within this share and this time, ns. If less passed for the
+/// device, the sensor lost power in between and its clock started again; if more, its clock was set.
 const EPOCH_SHARE: f64 = 1e-3;
-const EPOCH_SLACK_NS: f64 = 2e9;
+const EPOCH_BEHIND_NS: f64 = 1e9;
+const EPOCH_AHEAD_NS: f64 = 2e9;
 
 /// After this time without a sample earlier than the quickest one before, the earliest possible arrival is known, ns.
 const LINE_NS: f64 = 1e9;
 /// Jitter does not explain a sample that comes earlier by more than this, ns.
 const EARLY_NS: f64 = 1e7;
+/// An interruption may change the latency, but not by more than this, ns.
+const EARLY_INTERRUPTED_NS: f64 = 2.5e8;
 
-/// Samples that follow within this share of the time between them were read late.
-const AT_ONCE: f64 = 0.5;
+/// Samples after a reset that have not come earlier than all before them for this long show how late the first one was
+/// read, ns of the host's clock. A reader that catches up pauses for 20 ms between two reads.
+const CAUGHT_UP_NS: f64 = 5e7;
+/// A sample has come earlier if it is earlier by more than this, ns.
+const EARLIER_NS: f64 = 5e6;
+/// Among samples after a reset, one whose clock is behind by more periods than this follows another reset.
+const REORDERED_PERIODS: f64 = 4.0;
 /// The maximum number of samples after a reset that are held.
 const RERUN_MAX: usize = 16_384;
 
@@ -45,6 +53,34 @@ pub(super) struct Trial {
     pub(super) step_ns: f64,
     /// The host's trouble when the first sample arrived.
     host_trouble: Option<GapCause>,
+}
+
+/// What happened to the sensor's clock before the samples that are held.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+enum Happened {
+    /// It went back.
+    #[default]
+    Reset,
+    /// It was set ahead of the host's by this much, ns; samples missing before have this cause.
+    Ahead(u64, GapCause),
+    /// It advanced, but may have been reset: how late the samples were read decides.
+    Undecided,
+}
+
+/// The first samples of another run of the sensor's clock, which show how late the first one was read. The clock may start
+/// again among them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Rerun {
+    pub(super) held: Vec<Sample>,
+    happened: Happened,
+    /// The host's trouble when the first sample arrived.
+    host_trouble: Option<(GapCause, u64)>,
+    /// How far the sensor's clock has advanced since the first sample, ns.
+    advance_ns: f64,
+    /// How late the first sample was read, as far as the held samples show, ns, and the monotonic time of the one that
+    /// shows it.
+    late_ns: f64,
+    shown_mono_ns: u64,
 }
 
 impl Accountant {
@@ -65,7 +101,7 @@ impl Accountant {
     /// Handles samples with the sensor's ticks: a step that is not one period is the first of another rate, or a gap.
     /// The samples are held until the following steps decide.
     pub(super) fn observe_ticks(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
-        let explained = self.interrupted.is_some() || self.suspicion.is_some();
+        let explained = self.trial.held.is_empty() && (self.interrupted.is_some() || self.suspicion.is_some());
         let earlier = match (self.trial.held.last(), self.last) {
             (Some(held), _) => (held.device_time_ns, held.sync_count),
             (None, Some(last)) => (last.device_time_ns, last.sync_count),
@@ -82,10 +118,13 @@ impl Accountant {
             && (step_ns / period_ns(self.rate_hz) - 1.0).abs() > RATE_DIFFERS
             && !explained;
         let begun = self.trial.held.len();
-        let goes_on = differs && (begun < 2 || same(self.trial.step_ns));
+        // The first sample after a gap may be the first of another rate.
+        let is_gap = begun == 0 && step_ns > 1.5 * period_ns(self.rate_hz) && !differs;
+        let goes_on = is_gap || (differs && (begun < 2 || same(self.trial.step_ns)));
         if !goes_on {
             self.end_trial(out);
-            if !differs {
+            // A sample must not overtake those that are held after a reset.
+            if !differs || !self.rerun.held.is_empty() {
                 return self.observe_step(sample, out);
             }
         } else if begun == 1 {
@@ -125,55 +164,41 @@ impl Accountant {
                 self.observe_arrival(sample, out);
                 continue;
             }
-            match self.observe_step(sample, out) {
-                Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
-                Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
-                Observation::Taken => {}
-                observation => self.held_observation = Some(observation),
-            }
+            let observation = self.observe_step(sample, out);
+            self.note_held(frame, observation);
         }
-        // Samples that follow must not overtake them.
-        self.end_rerun(Self::observe_step, out);
         self.host_trouble = now;
+    }
+
+    /// Keeps the observation at a sample that was held, for the caller.
+    fn note_held(&mut self, frame: u64, observation: Observation) {
+        match observation {
+            Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
+            Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
+            Observation::Taken => {}
+            observation => self.held_observation = Some(observation),
+        }
     }
 
     /// Adopts another rate: the steps have one length, which is its period, from the first held sample on.
     pub(super) fn adopt_rate(&mut self, out: &mut Vec<Record>) -> Observation {
         let host_trouble = self.trial.host_trouble;
         let held = std::mem::take(&mut self.trial.held);
-        let old_period = period_ns(self.rate_hz);
         let measured_hz = 1e9 / self.trial.step_ns;
         let near_hz = IMU_RATE_HZ / (IMU_RATE_HZ / measured_hz).round().max(1.0);
         let to_hz = if (near_hz / measured_hz - 1.0).abs() < 0.01 { near_hz } else { measured_hz };
         let from_hz = std::mem::replace(&mut self.rate_hz, to_hz);
         self.open = None;
-        if to_hz == self.last_rate_hz {
-            // Another rate was announced and never came: steps of one period, from the last sample on, show the missing
-            // samples.
-            self.observe_held(held, host_trouble, out);
-            return Observation::RateChanged { from_hz, to_hz };
+        // If another rate was announced and never came, steps of one period show what is missing from the last sample on.
+        if to_hz != self.last_rate_hz {
+            self.suspect(GapCause::RateChange);
         }
-        for (index, sample) in held.into_iter().enumerate() {
-            if let (0, Some(last)) = (index, self.last) {
-                // Between the two rates, more than one period of the slower rate is a gap.
-                let tick = (sample.device_time_ns, sample.sync_count);
-                let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
-                if (step_ns / old_period.max(period_ns(to_hz))).round() > 1.0 {
-                    let device_ns = last.device_time_ns.zip(sample.device_time_ns);
-                    // A gap has the rate of the samples before it.
-                    let missing = (step_ns / old_period).round() as u64 - 1;
-                    let cause = host_trouble.unwrap_or(GapCause::RateChange);
-                    let gap = self.gap(&last, &sample, device_ns, missing, false, cause);
-                    self.push_gap(gap, out);
-                }
-            }
-            self.take(sample, out);
-        }
+        self.observe_held(held, host_trouble, out);
         Observation::RateChanged { from_hz, to_hz }
     }
 
     pub(super) fn observe_step(&mut self, sample: Sample, out: &mut Vec<Record>) -> Observation {
-        if !self.rerun.is_empty() {
+        if !self.rerun.held.is_empty() {
             return self.observe_rerun(sample, Self::observe_step, out);
         }
         let Some(last) = self.last else {
@@ -189,7 +214,6 @@ impl Accountant {
             self.take(sample, out);
             return Observation::Taken;
         };
-        let device_ns = last.device_time_ns.zip(sample.device_time_ns);
         if ahead_ns <= 0 {
             let back = ahead_ns.unsigned_abs();
             self.backward += 1;
@@ -208,32 +232,47 @@ impl Accountant {
             }
             // The reset explains what was suspicious before it.
             self.suspicion = None;
-            self.rerun_trouble = self.host_trouble;
-            self.rerun.push(sample);
-            return Observation::Taken;
+            return self.hold_rerun(sample, Happened::Reset);
         }
         let step_ns = ahead_ns as f64;
         // A restarted clock is behind the host's. If the sensor's clock is ahead, the host's clock stood still or was
         // stepped.
-        if self.interrupted.is_some() && host_ns - step_ns > EPOCH_SLACK_NS + EPOCH_SHARE * host_ns {
-            return self.new_epoch(&last, sample, (host_ns, GapCause::SensorReset), out);
+        let is_away = self.interrupted.is_some() || step_ns > 1.5 * period;
+        if is_away && self.is_behind(host_ns + self.late_before(&last, &sample), step_ns) {
+            return self.hold_rerun(sample, Happened::Undecided);
         }
+        self.observe_ahead(sample, last, step_ns, out)
+    }
+
+    /// Returns how late the last sample before this one was read, ns; 0 if that is of no importance now.
+    fn late_before(&self, last: &Position, sample: &Sample) -> f64 {
+        if is_one_boot(last, sample) { self.late_ns } else { 0.0 }
+    }
+
+    /// Takes a sample of the same run of the sensor's clock, or the first one after it was set ahead.
+    fn observe_ahead(&mut self, sample: Sample, last: Position, step_ns: f64, out: &mut Vec<Record>) -> Observation {
+        let period = period_ns(self.rate_hz);
+        let host_ns = host_elapsed_ns(&last, sample.host_mono_ns, sample.host_utc_ns);
+        let device_ns = last.device_time_ns.zip(sample.device_time_ns);
         // No sample comes before its time. If the host's monotonic clock has not advanced as far, the sensor's clock
         // was set.
+        let mut is_early = false;
         if is_one_boot(&last, &sample) {
             // A sample that was read late may be followed at once by a much later one.
             let late_ns = self.late_ns + host_ns - step_ns;
             let early_ns = -late_ns - self.host_jitter_ns;
-            let undisturbed = self.interrupted.is_none() && self.host_trouble.is_none();
-            let known_ns = if undisturbed && self.on_line_ns >= LINE_NS {
+            let is_known = self.on_line_ns >= LINE_NS;
+            let known_ns = if is_known && self.interrupted.is_none() {
                 (0.5 * (step_ns - period)).max(EARLY_NS)
             } else {
-                EPOCH_SLACK_NS + EPOCH_SHARE * host_ns
+                EPOCH_AHEAD_NS + EPOCH_SHARE * host_ns
             };
             if step_ns > 1.5 * period && early_ns > known_ns {
-                self.new_epoch(&last, sample, (host_ns, self.cause()), out);
-                return Observation::ClockAhead(-late_ns as u64);
+                return self.hold_rerun(sample, Happened::Ahead(-late_ns as u64, self.cause()));
             }
+            // The clock may have been set ahead by less than is certain.
+            let least_ns = if self.interrupted.is_none() { EARLY_NS } else { EARLY_INTERRUPTED_NS };
+            is_early = is_known && early_ns > least_ns;
             self.on_line_ns = if early_ns > EARLY_NS { 0.0 } else { self.on_line_ns + step_ns };
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
             self.note_lateness(self.late_ns, step_ns);
@@ -250,7 +289,8 @@ impl Accountant {
         }
         if steps > 1 {
             let missing = if changes { (step_ns / before).round() as u64 } else { steps } - 1;
-            let gap = self.gap(&last, &sample, device_ns, missing, !changes, self.cause());
+            let exact = !changes && !is_early && !self.undecided;
+            let gap = self.gap(&last, &sample, device_ns, missing, exact, self.cause());
             self.push_gap(gap, out);
         } else if (periods - 1.0).abs() > RATE_DIFFERS {
             // No sample is missing, but the samples of one segment are a period apart.
@@ -265,18 +305,48 @@ impl Accountant {
         (self.rate_hz / self.last_rate_hz - 1.0).abs() > RATE_SAME
     }
 
-    /// Handles samples after a reset. As long as they come at once, they were read late. `observe` takes them then: samples that
-    /// were held for another reason are not held again.
+    /// Holds the first sample of another run of the sensor's clock.
+    fn hold_rerun(&mut self, sample: Sample, happened: Happened) -> Observation {
+        self.rerun = Rerun {
+            happened,
+            host_trouble: self.host_trouble,
+            shown_mono_ns: sample.host_mono_ns,
+            held: vec![sample],
+            ..Rerun::default()
+        };
+        // What was suspicious before belongs to the first sample.
+        if happened != Happened::Undecided {
+            self.suspicion = None;
+        }
+        Observation::Taken
+    }
+
+    /// Returns how far the sensor's clock advanced from one sample to the next, ns: 0 if it started again in between, and `None` if
+    /// that is undecided.
+    fn advance_ns(&self, before: &Sample, sample: &Sample) -> Option<f64> {
+        let ticks = |sample: &Sample| (sample.device_time_ns, sample.sync_count);
+        let step_ns = self.ahead_ns(ticks(before), ticks(sample))?;
+        let reordered_ns = (REORDERED_PERIODS * period_ns(self.rate_hz)).min(REORDER_WINDOW_NS as f64);
+        (step_ns > 0 || step_ns.unsigned_abs() as f64 > reordered_ns).then_some(step_ns.max(0) as f64)
+    }
+
+    /// Handles samples after a reset. As long as each of them is earlier than those before, they were read late. `observe` takes
+    /// them then: samples that were held for another reason are not held again.
     pub(super) fn observe_rerun(&mut self, sample: Sample, observe: Observe, out: &mut Vec<Record>) -> Observation {
-        let before = self.rerun.last();
-        let step_ns = before.and_then(|before| {
-            self.ahead_ns((before.device_time_ns, before.sync_count), (sample.device_time_ns, sample.sync_count))
-        });
-        let passed_ns = before.map_or(0, |before| sample.host_mono_ns.saturating_sub(before.host_mono_ns)) as f64;
-        let at_once = step_ns.is_some_and(|step_ns| step_ns > 0 && passed_ns < AT_ONCE * step_ns as f64);
-        if at_once && self.interrupted.is_none() && self.rerun.len() < RERUN_MAX {
-            self.rerun.push(sample);
-            return Observation::Taken;
+        let advance_ns = self.rerun.held.last().and_then(|before| self.advance_ns(before, &sample));
+        let first_mono_ns = self.rerun.held.first().map_or(0, |first| first.host_mono_ns);
+        let Rerun { held, advance_ns: so_far_ns, late_ns, shown_mono_ns, .. } = &mut self.rerun;
+        if let (Some(advance_ns), true) = (advance_ns, held.len() < RERUN_MAX) {
+            *so_far_ns += advance_ns;
+            let shown_ns = *so_far_ns - sample.host_mono_ns.saturating_sub(first_mono_ns) as f64;
+            if shown_ns > *late_ns + EARLIER_NS.max(self.host_jitter_ns) {
+                (*late_ns, *shown_mono_ns) = (shown_ns, sample.host_mono_ns);
+            }
+            let since_ns = sample.host_mono_ns.saturating_sub(*shown_mono_ns) as f64;
+            if since_ns < CAUGHT_UP_NS.max(2.0 * self.host_jitter_ns) {
+                held.push(sample);
+                return Observation::Taken;
+            }
         }
         self.end_rerun(observe, out);
         observe(self, sample, out)
@@ -284,38 +354,60 @@ impl Accountant {
 
     /// Takes the samples after a reset that were held.
     pub(super) fn end_rerun(&mut self, observe: Observe, out: &mut Vec<Record>) {
-        let rerun = std::mem::take(&mut self.rerun);
-        let ticks = |sample: &Sample| (sample.device_time_ns, sample.sync_count);
-        let late_ns = rerun.first().zip(rerun.last()).map_or(0.0, |(first, end)| {
-            let passed_ns = end.host_mono_ns.saturating_sub(first.host_mono_ns) as f64;
-            self.ahead_ns(ticks(first), ticks(end)).map_or(0.0, |ahead_ns| ahead_ns as f64 - passed_ns)
-        });
-        let mut rerun = rerun.into_iter();
-        if let Some(first) = rerun.next() {
-            self.begin_rerun(first, late_ns.max(0.0), out);
+        let Rerun { held, mut happened, host_trouble, .. } = std::mem::take(&mut self.rerun);
+        // How late each sample was read: each later one shows that it was at least as late.
+        let mut late_ns = vec![0.0_f64; held.len()];
+        let mut begins = vec![true; held.len()];
+        for index in (1..held.len()).rev() {
+            let (before, sample) = (&held[index - 1], &held[index]);
+            let advance_ns = self.advance_ns(before, sample).unwrap_or(0.0);
+            begins[index] = advance_ns == 0.0;
+            let passed_ns = sample.host_mono_ns.saturating_sub(before.host_mono_ns) as f64;
+            late_ns[index - 1] = (late_ns[index] + advance_ns - passed_ns).max(0.0);
         }
-        for sample in rerun {
-            let frame = sample.frame;
-            match observe(self, sample, out) {
-                Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
-                Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
-                Observation::Taken => {}
-                observation => self.held_observation = Some(observation),
+        for (sample, (late_ns, begins)) in held.into_iter().zip(late_ns.into_iter().zip(begins)) {
+            if begins {
+                // Samples of the run before must not be overtaken.
+                self.settle(out);
+                self.begin_rerun(sample, late_ns, std::mem::take(&mut happened), host_trouble, out);
+                continue;
             }
+            let frame = sample.frame;
+            let observation = observe(self, sample, out);
+            self.note_held(frame, observation);
         }
     }
 
     /// Takes the first sample of another run of the sensor's clock, which was read this late.
-    fn begin_rerun(&mut self, first: Sample, late_ns: f64, out: &mut Vec<Record>) {
+    fn begin_rerun(
+        &mut self,
+        first: Sample,
+        late_ns: f64,
+        happened: Happened,
+        trouble: Option<(GapCause, u64)>,
+        out: &mut Vec<Record>,
+    ) {
         let Some(last) = self.last else { return self.take(first, out) };
         let host_ns = host_elapsed_ns(&last, first.host_mono_ns, first.host_utc_ns);
         // The last sample before may have been read late as well.
         let away_ns = if is_one_boot(&last, &first) { (host_ns + self.late_ns - late_ns).max(0.0) } else { host_ns };
+        let tick = (first.device_time_ns, first.sync_count);
+        let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
+        if happened == Happened::Undecided && !self.is_behind(away_ns, step_ns) {
+            let frame = first.frame;
+            let observation = self.observe_ahead(first, last, step_ns, out);
+            self.note_held(frame, observation);
+            return;
+        }
         let suspicion = self.suspicion.take();
-        let host_trouble = std::mem::replace(&mut self.host_trouble, self.rerun_trouble);
-        let observation = self.new_epoch(&last, first, (away_ns, GapCause::SensorReset), out);
+        let host_trouble = std::mem::replace(&mut self.host_trouble, trouble);
+        let cause = if let Happened::Ahead(_, cause) = happened { cause } else { GapCause::SensorReset };
+        let observation = self.new_epoch(&last, first, (away_ns, cause), out);
         (self.late_ns, self.suspicion, self.host_trouble) = (late_ns, suspicion, host_trouble);
-        self.held_observation = Some(observation);
+        self.held_observation = Some(match happened {
+            Happened::Ahead(ahead_ns, _) => Observation::ClockAhead(ahead_ns + late_ns as u64),
+            Happened::Reset | Happened::Undecided => observation,
+        });
     }
 
     /// Takes the first sample of another run of the sensor's clock. `host_ns` is the time since the last one by the host's clock,
@@ -343,5 +435,10 @@ impl Accountant {
         self.gap_by_host(last, &sample, host_ns, cause, out);
         self.take(sample, out);
         Observation::AfterReset
+    }
+
+    /// Returns whether the sensor's clock advanced by so much less than the host's that it started again in between.
+    fn is_behind(&self, host_ns: f64, step_ns: f64) -> bool {
+        host_ns - step_ns > EPOCH_BEHIND_NS.max(2.0 * self.host_jitter_ns) + EPOCH_SHARE * host_ns
     }
 }
