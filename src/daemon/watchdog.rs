@@ -5,8 +5,9 @@
 //! systemd restarts the daemon.
 
 use crate::store::Store;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
@@ -46,10 +47,31 @@ pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken)
     }
 }
 
-/// Notifies systemd; without systemd nothing happens.
+/// Messages that wait for systemd; further ones are dropped.
+const WAITING_MAX: usize = 16;
+
+/// Messages for systemd, for a thread of their own: a send blocks for as long as the manager does not read its socket.
+static MESSAGES: LazyLock<Option<SyncSender<String>>> = LazyLock::new(|| {
+    let (sender, messages) = sync_channel::<String>(WAITING_MAX);
+    let send = move || {
+        for message in messages {
+            if let Err(error) = sd_notify::notify(&[sd_notify::NotifyState::Custom(&message)]) {
+                tracing::debug!(%error, "systemd was not notified");
+            }
+        }
+    };
+    std::thread::Builder::new().name("systemd".to_owned()).spawn(send).is_ok().then_some(sender)
+});
+
+/// Notifies systemd, and returns at once; without systemd nothing happens.
 pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
-    if let Err(error) = sd_notify::notify(states) {
-        tracing::debug!(%error, "systemd was not told");
+    if std::env::var_os("NOTIFY_SOCKET").is_none() {
+        return;
+    }
+    let lines: Vec<String> = states.iter().map(ToString::to_string).collect();
+    let queued = MESSAGES.as_ref().map(|messages| messages.try_send(lines.join("\n")));
+    if !matches!(queued, Some(Ok(()))) {
+        tracing::debug!("a message to systemd was dropped: systemd does not read its socket");
     }
 }
 

@@ -238,8 +238,8 @@ impl Manager {
         count
     }
 
-    /// Reads the daemon's messages from now on, as systemd does: the socket holds ten, and a daemon that sends more
-    /// waits.
+    /// Reads the daemon's messages from now on, as systemd does: the socket holds ten, and further ones wait or are
+    /// dropped.
     fn listens(&self) -> Arc<Mutex<String>> {
         let messages = Arc::new(Mutex::new(String::new()));
         let (socket, weak) = (self.socket.try_clone().unwrap(), Arc::downgrade(&messages));

@@ -6,7 +6,7 @@ use crate::world::{Process, World, program, vn100d};
 use rusqlite::types::Value;
 use rustix::process::Signal;
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Asserts that the sensor's output was restored: ASCII, as before the daemon configured it.
 fn assert_restored(world: &World) {
@@ -122,4 +122,24 @@ fn under_a_manager_a_hangup_reads_the_configuration_again_and_a_wrong_one_change
     assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
     assert_eq!(world.query("SELECT missing FROM capture")[0][0], Value::Integer(0));
     assert_eq!(messages.lock().unwrap().matches("RELOADING=1").count(), 3, "{}", messages.lock().unwrap());
+}
+
+/// A manager's socket holds ten messages. Further ones wait or are dropped; nothing else waits with them.
+#[test]
+fn a_manager_that_does_not_read_its_socket_delays_no_request() {
+    let world = World::new();
+    let _sensor = world.emulate(&[]);
+    let manager = Manager::new(&world);
+    let mut daemon = manager.daemon(&world, "", &["--capture", "5h"]);
+    world.until_more_samples(40, &daemon);
+    for _ in 0..30 {
+        daemon.signal(Signal::HUP);
+        std::thread::sleep(Duration::from_millis(100));
+        let asked = Instant::now();
+        world.get("/v1/status");
+        assert!(asked.elapsed() < Duration::from_secs(2), "{:?}", asked.elapsed());
+    }
+    world.until_more_samples(40, &daemon);
+    assert_eq!(daemon.terminate(), Some(0), "{}", daemon.log());
+    assert_eq!(world.query("SELECT missing FROM capture")[0][0], Value::Integer(0));
 }
