@@ -145,16 +145,6 @@ impl<'a> Series<'a> {
         self.samples.len()
     }
 
-    /// Returns whether there are no samples.
-    pub fn is_empty(&self) -> bool {
-        self.samples.is_empty()
-    }
-
-    /// Returns the original samples.
-    pub fn samples(&self) -> &[f64] {
-        &self.samples
-    }
-
     /// Returns the data that a law is fitted to, with the bins' actual power.
     pub fn data(&self) -> Data<'_> {
         self.data_of(&self.power)

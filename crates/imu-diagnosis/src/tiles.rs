@@ -89,11 +89,6 @@ impl Tiles {
         }
     }
 
-    /// Returns the nats in total.
-    pub fn total(&self) -> f64 {
-        self.excess.iter().sum()
-    }
-
     /// Returns the rectangle of tiles that holds most of the excess for its size.
     pub fn heaviest(&self) -> Option<Rectangle> {
         let bands = self.edges_hz.len().checked_sub(1).filter(|bands| *bands > 0)?;

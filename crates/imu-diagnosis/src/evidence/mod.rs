@@ -1,13 +1,13 @@
 //! Evidence: the gain of each effect for a series, in nats, with the noise fitted again beside it.
 
-pub mod declared;
-pub mod leaps;
-pub mod level;
-pub mod line;
-pub mod loudness;
-pub mod outlier;
-pub mod peaks;
-pub mod spectral;
+pub(super) mod declared;
+pub(super) mod leaps;
+pub(super) mod level;
+pub(super) mod line;
+pub(super) mod loudness;
+pub(super) mod outlier;
+pub(super) mod peaks;
+pub(super) mod spectral;
 
 use super::explanation::Explanation;
 use super::report::Sense;

@@ -18,22 +18,22 @@
 //! 6. Named effects are scored on held-out blocks of time and ranked with those that were found in the noise
 //!    ([`compose`]).
 
-pub mod align;
+mod align;
 mod compose;
 mod felt;
-pub mod groups;
+mod groups;
 mod lateness;
 mod noise;
 mod places;
 mod poses;
 mod quasi_static;
 mod reference;
-pub mod residuals;
-pub mod rests;
+mod residuals;
+mod rests;
 #[cfg(test)]
 mod round_trip;
 mod rounds;
-pub mod select;
+mod select;
 mod settle;
 mod together;
 mod tumble;

@@ -1,7 +1,7 @@
 //! The omnibus: whether a residual is white, normal and stationary, without reference to a particular alternative.
 
 pub(super) mod component;
-pub mod crosstalk;
+pub(super) mod crosstalk;
 mod flashes;
 mod rectangles;
 mod sweep;

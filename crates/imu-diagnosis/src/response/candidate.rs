@@ -5,7 +5,7 @@ use imu_model::effects::triad::{
     Axes, Bias, CrossAxisSensitivity, GSensitivity, Latency, Misalignment, Saturation, ScaleFactor,
     ScaleFactorNonlinearity,
 };
-use imu_model::effects::{EffectKind, Refusal, TriadEffect};
+use imu_model::effects::{EffectKind, TriadEffect};
 use std::sync::Arc;
 
 /// A standard error of a fraction or an angle above which a motion carries no information about it. Sensors are made to 1–2 %,
@@ -101,13 +101,6 @@ impl Candidate {
                 effect.parameters().into_iter().take(count).map(|(name, _)| name.to_owned()).collect()
             }
         }
-    }
-
-    /// Checks whether the effect may stand on `triad` with its fixed parameters.
-    pub(super) fn check(self, triad: Triad) -> Result<(), Refusal> {
-        // A range of 0 is not a saturation; any other range describes the same triad.
-        let start = if self == Self::Saturation { vec![1.0] } else { Vec::new() };
-        self.make(&start).check(triad)
     }
 
     /// Returns whether a regression fits the candidate: the response without memory is linear in its coefficients.

@@ -1,12 +1,9 @@
 //! Time: the reference as the triad feels it, delayed by a latency, a clock's offset and a clock's rate.
 //!
 //! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that
-//! clock: both make the triad late. Two triads can, if their delays differ ([`Lateness::of`]): their common delay
-//! counts as the clock's offset, and the excess of one as its latency. If both are late by the same latency, the record
-//! does not show it.
+//! clock: both make the triad late. Two triads can, if their delays differ ([`crate::motion::lateness`]).
 
-use super::{Confounding, Estimate, NORMAL_95, Openness};
-use imu_core::sample::Triad;
+use super::{Confounding, Openness};
 use imu_model::effects::triad::{Axes, DelayLine};
 use imu_model::simulator::Motion;
 use realfft::RealFftPlanner;
@@ -26,46 +23,6 @@ impl Clock {
     pub const SHARED: Self = Self { offset_unknown: false, rate_unknown: false };
     /// A separate clock.
     pub const SEPARATE: Self = Self { offset_unknown: true, rate_unknown: true };
-}
-
-/// The joint result of two triads' delays against one reference.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Lateness {
-    /// By how much the reference is early for both, s: the smaller of the two delays.
-    pub offset_s: f64,
-    /// The standard error of the offset, s.
-    pub offset_error_s: f64,
-    /// The triad that is later than the other beyond chance (95 %), with its excess and the standard error of that, s:
-    /// its latency, if the other has none.
-    pub latency: Option<(Triad, f64, f64)>,
-}
-
-impl Lateness {
-    /// Combines the delays of two triads, each fitted with [`Clock::SEPARATE`]; their noises are independent. If the
-    /// delays agree, the offset is their weighted mean. `None` if a delay was not found.
-    ///
-    /// The two rates of the clock agree as well; a difference beyond their errors is a sign that the triads do not
-    /// share the reference.
-    pub fn of(first: (Triad, &Estimate), second: (Triad, &Estimate)) -> Option<Self> {
-        let (first_error, second_error) = (first.1.standard_error?, second.1.standard_error?);
-        let difference = first.1.value - second.1.value;
-        let error = first_error.hypot(second_error);
-        if difference.abs() <= NORMAL_95 * error || error <= 0.0 {
-            let (one, other) = (first_error.powi(-2), second_error.powi(-2));
-            let weighted = (one * first.1.value + other * second.1.value) / (one + other);
-            let agreed = weighted.is_finite();
-            return Some(Self {
-                offset_s: if agreed { weighted } else { 0.5 * (first.1.value + second.1.value) },
-                offset_error_s: if agreed { (one + other).sqrt().recip() } else { 0.0 },
-                latency: None,
-            });
-        }
-        let (early, early_error, late) = match difference > 0.0 {
-            true => (second.1.value, second_error, first.0),
-            false => (first.1.value, first_error, second.0),
-        };
-        Some(Self { offset_s: early, offset_error_s: early_error, latency: Some((late, difference.abs(), error)) })
-    }
 }
 
 /// Returns the quantities that one triad cannot determine about a separate clock.
@@ -181,26 +138,5 @@ mod tests {
             let found = coarse(columns.each_ref().map(Vec::as_slice), &input, [1.0; 3], 60);
             assert!((found - f64::from(lag)).abs() <= 1.0, "{lag}: {found}");
         }
-    }
-
-    #[test]
-    fn what_two_triads_share_is_the_clocks_offset_and_the_rest_a_latency() {
-        let delay = |value, error| Estimate {
-            effect: None,
-            parameter: "offset_s".into(),
-            value,
-            known: 0.0,
-            standard_error: Some(error),
-            ci95: None,
-        };
-        let (gyro, accel) = ((Triad::Gyro, &delay(0.020, 1e-4)), (Triad::Accel, &delay(0.0201, 1e-4)));
-        let common = Lateness::of(gyro, accel).unwrap();
-        assert_eq!(common.latency, None);
-        assert!((common.offset_s - 0.02005).abs() < 1e-12);
-        let apart = Lateness::of(gyro, (Triad::Accel, &delay(0.024, 1e-4))).unwrap();
-        assert_eq!(apart.offset_s, 0.020);
-        let (triad, excess_s, error_s) = apart.latency.unwrap();
-        assert_eq!(triad, Triad::Accel);
-        assert!((excess_s - 0.004).abs() < 1e-12 && (error_s - 1.414e-4).abs() < 1e-7);
     }
 }

@@ -51,7 +51,7 @@ impl NoiseLaw {
     ///
     /// # Errors
     /// [`ResponseError::NoDensity`] if a channel is missing or has noise whose density does not follow from its
-    /// parameters alone, and the errors of [`NoiseLaw::new`].
+    /// parameters alone, [`ResponseError::Density`] for a density that is not above 0.
     pub fn of_model(model: &SensorModel, triad: Triad, rate_hz: f64, samples: usize) -> Result<Self, ResponseError> {
         let record = Record { rate_hz, samples: samples as u64 };
         // Without B and K the density has a value at 0.
@@ -61,8 +61,7 @@ impl NoiseLaw {
                 (of.b, of.k) = (0.0, 0.0);
             }
         }
-        let mut axes = Vec::with_capacity(3);
-        for channel in triad.channels() {
+        let [x, y, z] = triad.channels().map(|channel| {
             let none = ResponseError::NoDensity { channel };
             let Some(of) = model.channels.get(&channel) else { return Err(none) };
             let spectrum = Spectrum::new(model, channel, record);
@@ -70,38 +69,9 @@ impl NoiseLaw {
             let densities: Option<Vec<f64>> = (1..samples).map(|place| spectrum.psd(frequency_hz(place))).collect();
             let at_zero = Spectrum::new(&stationary, channel, record).psd(LOWEST / record.length_s());
             let (Some(densities), Some(at_zero)) = (densities, at_zero) else { return Err(none) };
-            axes.push(AxisLaw::new(channel, rate_hz, &densities, at_zero, of.b, of.k)?);
-        }
-        let axes = axes.try_into().map_err(|_| ResponseError::Triad { found: triad })?;
-        Ok(Self { axes })
-    }
-
-    /// Returns the law of these two-sided densities (U²/Hz, all noise included) at rate·k/2n, k = 1 … n − 1, one list
-    /// per axis, with the quantities that the mean needs in addition: the stationary noise's density at 0 (U²/Hz,
-    /// without B and K), B (U) and K (U/√s).
-    ///
-    /// # Errors
-    /// [`ResponseError::Density`] for a density that is not above 0, [`ResponseError::Length`] if lists differ in
-    /// length.
-    pub fn new(
-        triad: Triad,
-        rate_hz: f64,
-        densities: [&[f64]; 3],
-        at_zero: [f64; 3],
-        b: [f64; 3],
-        k: [f64; 3],
-    ) -> Result<Self, ResponseError> {
-        let expected = densities[0].len();
-        let mut axes = Vec::with_capacity(3);
-        for (axis, channel) in triad.channels().into_iter().enumerate() {
-            let found = densities[axis].len();
-            if found != expected {
-                return Err(ResponseError::Length { what: "densities", expected, found });
-            }
-            axes.push(AxisLaw::new(channel, rate_hz, densities[axis], at_zero[axis], b[axis], k[axis])?);
-        }
-        let axes = axes.try_into().map_err(|_| ResponseError::Triad { found: triad })?;
-        Ok(Self { axes })
+            AxisLaw::new(channel, rate_hz, &densities, at_zero, of.b, of.k)
+        });
+        Ok(Self { axes: [x?, y?, z?] })
     }
 
     /// Returns the number of samples in a record.
@@ -279,7 +249,5 @@ mod tests {
         assert!(matches!(none, ResponseError::Density { channel: Channel::GyroX, .. }), "{none}");
         let missing = NoiseLaw::of_model(&model(1.0, 0.0, 0.0), Triad::Accel, 20.0, 64).unwrap_err();
         assert_eq!(missing, ResponseError::NoDensity { channel: Channel::AccelX });
-        let short = NoiseLaw::new(Triad::Gyro, 20.0, [&[1.0, 1.0], &[1.0], &[1.0]], [1.0; 3], [0.0; 3], [0.0; 3]);
-        assert!(matches!(short, Err(ResponseError::Length { expected: 2, found: 1, .. })));
     }
 }

@@ -88,13 +88,6 @@ impl Normal {
         inverse
     }
 
-    /// Returns the singular values of the informative columns, each of length 1; the largest first.
-    pub(super) fn singular_values(&self) -> Vec<f64> {
-        let mut values: Vec<f64> = self.values.iter().map(|value| value.max(0.0).sqrt()).collect();
-        values.sort_by(|one, other| other.total_cmp(one));
-        values
-    }
-
     /// Returns the columns without information.
     pub(super) fn unseen(&self) -> Vec<usize> {
         (0..self.scales.len()).filter(|place| self.scales[*place] <= 0.0).collect()
@@ -159,8 +152,7 @@ mod tests {
         assert_eq!(normal.unseen(), [4]);
         assert_eq!(normal.open_groups(), [[0, 1]]);
         assert_eq!(normal.faint_groups(), [[2, 3]]);
-        let largest = normal.singular_values()[0];
-        assert!((largest - 2.0_f64.sqrt()).abs() < 1e-9, "{largest}");
+        assert!((normal.largest() - 2.0).abs() < 1e-9, "{}", normal.largest());
         let inverse = normal.inverse();
         assert!((inverse[(5, 5)] * 1e-18 - 1.0).abs() < 1e-9);
         // The joint effect of both columns of a pair is still known.

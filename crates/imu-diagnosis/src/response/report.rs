@@ -6,7 +6,6 @@ use super::design::{Design, Slot, State};
 use super::solution::{Search, Solution};
 use super::{Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock};
 use imu_model::effects::EffectKind;
-use nalgebra::{DMatrix, DVector};
 
 /// Returns the complete report of a solution.
 pub(super) fn report(
@@ -44,42 +43,17 @@ pub(super) fn report(
             Estimate { effect, parameter, value, known: before, standard_error, ci95 }
         })
         .collect();
-    let (_, before) = search.residual(known);
     let n = record.reference.len() as f64;
     let squares = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
-    let gain = |axis: usize| {
-        let share = 1.0 - left_out[axis] as f64 / n;
-        0.5 * share * (squares(&before[axis]) - squares(&solution.residual[axis]))
-    };
-    let rows: Vec<Vec<f64>> = covariance
-        .row_iter()
-        .enumerate()
-        .map(|(row, of)| {
-            let seen = |column: &usize| !open.contains(&row) && !open.contains(column);
-            (0..of.len()).map(|column| if seen(&column) { of[column] } else { 0.0 }).collect()
-        })
-        .collect();
     Fit {
-        fitted: fitted(request, design, &solution.state, &estimates, &rows, clipping),
-        gain_nats: (0..3).map(gain).sum(),
+        fitted: fitted(request, design, &solution.state, clipping),
         // A bridge leaves almost no signal.
         misfit: std::array::from_fn(|axis| squares(&solution.residual[axis]) / (n - left_out[axis] as f64)),
-        residual: std::array::from_fn(|axis| {
-            let pairs = record.samples[axis].iter().zip(&solution.response[axis]);
-            let mut values: Vec<f64> = pairs.map(|(shown, response)| shown - response).collect();
-            search.whitening.bridges[axis].fill(&mut values);
-            values
-        }),
         confounded: statements(record, request, design, solution, &estimates),
-        singular_values: solution.normal.singular_values(),
-        covariance: rows,
         estimates,
         response: solution.response.clone(),
         clipping,
-        left_out,
         stretches: search.whitening.bridges.each_ref().map(Bridges::stretches),
-        converged: solution.converged,
-        steps: solution.steps,
     }
 }
 
@@ -97,14 +71,7 @@ fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (Option<Effe
     }
 }
 
-fn fitted(
-    request: &Request<'_>,
-    design: &Design<'_>,
-    state: &State,
-    estimates: &[Estimate],
-    covariance: &[Vec<f64>],
-    clipping: Option<Clipping>,
-) -> Vec<Fitted> {
+fn fitted(request: &Request<'_>, design: &Design<'_>, state: &State, clipping: Option<Clipping>) -> Vec<Fitted> {
     let mut linear = 0;
     let mut all = Vec::new();
     for candidate in request.candidates {
@@ -126,25 +93,9 @@ fn fitted(
                 (candidate.make(coefficients), place..place + coefficients.len())
             }
         };
-        let gain_nats = loss(places.clone(), estimates, covariance);
-        all.push(Fitted { effect, places, gain_nats });
+        all.push(Fitted { effect, places });
     }
     all
-}
-
-/// Returns ½ (β − known)ᵀ C⁻¹ (β − known) over the parameters of these places that are not left open.
-fn loss(places: std::ops::Range<usize>, estimates: &[Estimate], covariance: &[Vec<f64>]) -> f64 {
-    let seen: Vec<usize> = places.filter(|place| estimates[*place].standard_error.is_some_and(|e| e > 0.0)).collect();
-    let errors: Vec<f64> = seen.iter().map(|place| covariance[*place][*place].sqrt()).collect();
-    let correlation = DMatrix::from_fn(seen.len(), seen.len(), |row, column| {
-        covariance[seen[row]][seen[column]] / (errors[row] * errors[column])
-    });
-    let moved = seen.iter().zip(&errors).map(|(place, error)| {
-        let estimate = &estimates[*place];
-        (estimate.value - estimate.known) / error
-    });
-    let moved = DVector::from_iterator(seen.len(), moved);
-    correlation.cholesky().map_or(0.0, |root| 0.5 * moved.dot(&root.solve(&moved)))
 }
 
 fn statements(

@@ -38,8 +38,6 @@ pub(super) struct Solution {
     pub(super) residual: [Vec<f64>; 3],
     pub(super) columns: Columns,
     pub(super) normal: Normal,
-    pub(super) converged: bool,
-    pub(super) steps: usize,
 }
 
 fn squares(residual: &[Vec<f64>; 3]) -> f64 {
@@ -189,8 +187,7 @@ impl Search<'_, '_> {
         let (mut columns, mut normal) = self.linearised(&state);
         let mut linear_at_s = state.delay_s;
         let mut last = f64::INFINITY;
-        let (mut steps, mut converged) = (0, false);
-        while steps < STEPS_MAX {
+        for _ in 0..STEPS_MAX {
             let pulled = &known * DVector::from_iterator(slots.len(), slots.iter().map(|slot| state.value(*slot)));
             let mut gradient = Whitening::gradient(&columns, &residual) - &pulled;
             let mut step: DVector<f64> = normal.inverse() * &gradient;
@@ -205,7 +202,6 @@ impl Search<'_, '_> {
             }
             let length = gradient.dot(&step);
             last = length;
-            steps += 1;
             let before = squares(&residual) + beside(&state);
             let accepted = (0..HALVINGS).find_map(|halvings| {
                 let to = state.stepped(&slots, step.as_slice(), 0.5_f64.powi(halvings as i32));
@@ -216,10 +212,9 @@ impl Search<'_, '_> {
             let Some((to, after, rest)) = accepted else { break };
             (state, response, residual) = (to, after, rest);
             if length < DONE {
-                converged = true;
                 break;
             }
         }
-        Solution { state, response, residual, columns, normal, converged, steps }
+        Solution { state, response, residual, columns, normal }
     }
 }
