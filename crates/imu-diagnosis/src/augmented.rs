@@ -61,7 +61,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 // The first shared noise of all channels has one source, the second another: earlier sources are not this
                 // channel's.
                 let with = |shared: &Shared| {
-                    shared.parts.iter().any(|(index, _)| found.channels[*index].prepared.channel == one.channel)
+                    shared.parts.iter().any(|part| found.channels[part.index].prepared.channel == one.channel)
                 };
                 let before = found.shared.iter().position(with).unwrap_or(0);
                 (0..before).for_each(|_| channel.push_effect(Arc::new(CommonMode { sigma: 0.0 }), &[]));

@@ -1,6 +1,6 @@
 //! Calibration: records of a model's noise alone, of a record's own length, and the chance findings of a diagnosis in them.
 
-use super::diagnose::Workers;
+use super::diagnose::{Workers, gathered};
 use super::error::DiagnosisError;
 use super::evidence::{self, Kind};
 use super::explanation::Explanation;
@@ -147,27 +147,21 @@ impl Nulls {
         workers: &dyn Workers,
         each: &(dyn Fn(usize) -> bool + Sync),
     ) -> Result<Option<Vec<Chance>>, DiagnosisError> {
-        let places: Vec<Mutex<Option<Result<Chance, DiagnosisError>>>> =
-            (0..records).map(|_| Mutex::new(None)).collect();
         let done = Mutex::new((0, true));
-        workers.each(records, &|index| {
+        let all = gathered(workers, records, |index| {
             if !done.lock().unwrap_or_else(PoisonError::into_inner).1 {
-                return;
+                return None;
             }
             let found = self.chance(index);
-            *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
             let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
             done.0 += 1;
             done.1 &= each(done.0);
+            Some(found)
         });
         if !done.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
             return Ok(None);
         }
-        let mut all = Vec::with_capacity(records);
-        for place in places {
-            all.extend(place.into_inner().unwrap_or_else(PoisonError::into_inner).transpose()?);
-        }
-        Ok(Some(all))
+        all.map(|all| all.into_iter().flatten().collect()).transpose()
     }
 }
 
@@ -175,19 +169,18 @@ impl Nulls {
 /// the shipped table.
 pub fn tails(all: &[Chance], samples: usize) -> Tails {
     let mut tails = Tails::shipped(samples);
-    for (kind, tail) in &mut tails.kinds {
-        let values: Vec<f64> =
-            all.iter().flat_map(|of| &of.kinds).filter(|(own, _)| own == kind).map(|(_, value)| *value).collect();
+    let again = |tail: &mut Tail, values: Vec<f64>| {
         if values.iter().any(|value| *value > 0.0) {
             *tail = Tail::of(&values).unwrap_or(*tail);
         }
+    };
+    for (kind, tail) in &mut tails.kinds {
+        let of = all.iter().flat_map(|of| &of.kinds).filter(|(own, _)| own == kind);
+        again(tail, of.map(|(_, value)| *value).collect());
     }
     for (statistic, tail) in &mut tails.statistics {
         let of = all.iter().flat_map(|of| &of.statistics).filter(|(own, _)| own == statistic);
-        let values: Vec<f64> = of.map(|(_, value)| *value).collect();
-        if values.iter().any(|value| *value > 0.0) {
-            *tail = Tail::of(&values).unwrap_or(*tail);
-        }
+        again(tail, of.map(|(_, value)| *value).collect());
     }
     tails
 }

@@ -147,22 +147,12 @@ struct Remains {
 
 /// Returns the places where something remains, and how much of it.
 fn remnants(found: &Found, remains: &Remains, unexplained: &[(Channel, Oddity)]) -> Vec<Remnant> {
-    let of_unexplained = unexplained.iter().map(|(channel, of)| Remnant {
-        channel: *channel,
-        nats: of.nats,
-        p_value: (-of.nats).exp(),
-        is_gap: false,
-    });
-    let of_statistics = remains.rarest.iter().map(|(channel, (nats, p_value))| Remnant {
-        channel: *channel,
-        nats: remainder::bounded(*nats, found.samples as f64),
-        p_value: *p_value,
-        is_gap: false,
-    });
+    let remnant = |channel: Channel, nats: f64, p_value: f64| Remnant { channel, nats, p_value, is_gap: false };
+    let of_unexplained = unexplained.iter().map(|(channel, of)| remnant(*channel, of.nats, (-of.nats).exp()));
     let mut remnants: Vec<Remnant> = of_unexplained.collect();
-    for of in of_statistics {
-        if remnants.iter().all(|other| other.channel != of.channel) {
-            remnants.push(of);
+    for (channel, (half_square, p_value)) in &remains.rarest {
+        if remnants.iter().all(|other| other.channel != *channel) {
+            remnants.push(remnant(*channel, remainder::bounded(*half_square, found.samples as f64), *p_value));
         }
     }
     remnants
@@ -360,18 +350,9 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
             let is_off = if capture > 0.0 { apart > OFF * spread } else { declared > high };
             if !within && is_off {
                 let ratio = (declared > 0.0 && capture > 0.0).then(|| capture / declared);
-                let channel = of.prepared.channel.name().to_owned();
-                let nats = of.held[level];
-                let parameter = parameter.into();
-                off.push(Parameter {
-                    channel,
-                    parameter,
-                    model: declared,
-                    capture,
-                    ratio,
-                    nats,
-                    ci95: Some([low, high]),
-                });
+                let (channel, parameter) = (of.prepared.channel.name().to_owned(), parameter.into());
+                let (nats, ci95) = (of.held[level], Some([low, high]));
+                off.push(Parameter { channel, parameter, model: declared, capture, ratio, nats, ci95 });
             }
         }
     }
@@ -390,14 +371,19 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
     off
 }
 
-/// Returns the parameters of effects by channel, as a list if a channel has several.
-fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
+/// Returns lists of named values by channel.
+fn by_channel(entries: impl Iterator<Item = (Channel, Vec<(&'static str, Value)>)>) -> BTreeMap<String, Vec<Value>> {
     let mut lists: BTreeMap<String, Vec<Value>> = BTreeMap::new();
-    for (channel, effect) in effects {
-        let entry: Map<String, Value> =
-            effect.parameters().into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+    for (channel, values) in entries {
+        let entry: Map<String, Value> = values.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
         lists.entry(channel.name().to_owned()).or_default().push(entry.into());
     }
+    lists
+}
+
+/// Returns the parameters of effects by channel, as a list if a channel has several.
+fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>)>) -> BTreeMap<String, Value> {
+    let lists = by_channel(effects.map(|(channel, effect)| (channel, effect.parameters())));
     let alone = |(channel, mut list): (String, Vec<Value>)| {
         let only = if list.len() == 1 { list.pop() } else { None };
         (channel, only.unwrap_or(Value::Array(list)))
@@ -418,15 +404,11 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
             let sensors = group.iter().filter(|of| of.sense != Sense::Superfluous).map(|of| (of.channel, &of.effect));
             let models = group.iter().filter_map(|of| Some((of.channel, &of.declared.as_ref()?.1)));
             let channels: BTreeSet<&str> = group.iter().map(|of| of.channel.name()).collect();
-            let mut uncertainty: Map<String, Value> = Map::new();
-            for of in group.iter().filter(|of| !of.ci95.is_empty()) {
-                let entry: Map<String, Value> =
-                    of.ci95.iter().map(|(name, ends)| ((*name).to_owned(), serde_json::json!(ends))).collect();
-                let list = uncertainty.entry(of.channel.name()).or_insert_with(|| Value::Array(Vec::new()));
-                if let Value::Array(list) = list {
-                    list.push(entry.into());
-                }
-            }
+            let intervals = group.iter().filter(|of| !of.ci95.is_empty()).map(|of| {
+                let pairs = of.ci95.iter().map(|(name, ends)| (*name, serde_json::json!(ends)));
+                (of.channel, pairs.collect())
+            });
+            let uncertainty = by_channel(intervals).into_iter().map(|(channel, list)| (channel, list.into())).collect();
             let confidence = group.iter().map(|of| of.confidence).fold(0.0, f64::max);
             let mut evidence: Vec<String> = group.iter().flat_map(|of| of.evidence.clone()).collect();
             let mut seen = BTreeSet::new();

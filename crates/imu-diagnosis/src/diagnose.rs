@@ -20,7 +20,7 @@ use super::recording::Recording;
 use super::remainder::MATERIAL;
 use super::report::Diagnosis;
 use super::search::{self, FREE, Step};
-use super::series::Series;
+use super::series::{Series, Setting};
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
@@ -47,6 +47,20 @@ impl Workers for Alone {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
         (0..count).for_each(work);
     }
+}
+
+/// Returns the results of `work` for all numbers below `count`, in order; `None` if the workers left some out.
+pub(super) fn gathered<T: Send>(
+    workers: &dyn Workers,
+    count: usize,
+    work: impl Fn(usize) -> T + Sync,
+) -> Option<Vec<T>> {
+    let places: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::new(None)).collect();
+    workers.each(count, &|index| {
+        let done = work(index);
+        *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(done);
+    });
+    places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
 }
 
 /// The inputs of a diagnosis besides record and model.
@@ -185,19 +199,14 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let wanted = |kind: Kind| options.wants(kind.effect());
     let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
     let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
-    let places: Vec<Mutex<Option<(Findings, Whitened)>>> = ready.channels.iter().map(|_| Mutex::new(None)).collect();
-    options.workers.each(ready.channels.len(), &|index| {
-        let found = explain(&ready, sim, index, &prices, &halves, options.believed);
-        *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(found);
-    });
-    let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
-    let both: Vec<(Findings, Whitened)> = done.collect::<Option<_>>().ok_or(DiagnosisError::CalledOff)?;
+    let explained = |index: usize| explain(&ready, sim, index, &prices, &halves, options.believed);
+    let both = gathered(options.workers, ready.channels.len(), explained).ok_or(DiagnosisError::CalledOff)?;
     let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
     let shared = shared::shared(&whitened, price);
     let linked = |i: usize, j: usize| {
-        let has = |of: &Shared, at: usize| of.parts.iter().any(|(own, _)| *own == at);
+        let has = |of: &Shared, at: usize| of.parts.iter().any(|part| part.index == at);
         shared.iter().any(|of| has(of, i) && has(of, j))
     };
     let residuals: Vec<Vec<f64>> = whitened.into_iter().map(|of| of.residual).collect();
@@ -249,8 +258,7 @@ fn explain(
         if prepared.has.contains(&kind)
             && let Some(candidate) = evidence(&series)
         {
-            series.explanation = candidate.explanation;
-            series.rebuild(false);
+            series.adopt(candidate.explanation);
         }
     }
     let Explanation { law, courses, loud, scedasticity, .. } = as_declared.clone();
@@ -305,13 +313,7 @@ fn explain(
     let whole = Whole {
         samples: &prepared.samples,
         halves,
-        base: &base,
-        declared: &prepared.spectral,
-        wandering: &prepared.wandering,
-        priors: series.priors,
-        rate_hz: ready.rate_hz,
-        reach: prepared.reach,
-        owner: prepared.channel as u32,
+        setting: Setting { white: known.law.levels[0], priors: series.priors, ..setting },
         known: &known,
         found: &found,
     };

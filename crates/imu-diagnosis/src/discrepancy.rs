@@ -1,5 +1,6 @@
 //! Discrepancy: the size of the gap, before and after, on the half of the record from which no number was fitted.
 
+use super::averages::quantile;
 use super::diagnose::{Findings, Found};
 use super::holdout::BLOCKS;
 use super::named::Named;
@@ -50,12 +51,10 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
             [0.0, lost].map(|lost| ratio(&|block| weights[block], lost))
         };
         let (low, high): (Vec<f64>, Vec<f64>) = (0..DRAWS).map(draw).map(|[low, high]| (low, high)).unzip();
-        let quantile = |mut draws: Vec<f64>, share: f64| {
-            draws.retain(|value| value.is_finite());
-            draws.sort_unstable_by(f64::total_cmp);
-            draws.get((share * draws.len() as f64) as usize).copied().unwrap_or(0.0)
+        let end = |draws: Vec<f64>, share: f64| {
+            quantile(draws.into_iter().filter(|value| value.is_finite()).collect(), share).unwrap_or(0.0)
         };
-        [quantile(low, 0.025), quantile(high, 0.975)]
+        [end(low, 0.025), end(high, 0.975)]
     });
     Discrepancy {
         unit: "nats/sample".into(),

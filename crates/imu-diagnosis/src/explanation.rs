@@ -152,6 +152,12 @@ impl Explanation {
             && (self.tails.is_some(), self.spikes.is_some()) == (other.tails.is_some(), other.spikes.is_some())
     }
 
+    /// Keeps those stretches behind the first `known` that `is_kept` holds for.
+    pub(super) fn retain_loud(&mut self, known: usize, is_kept: impl Fn(&Loud) -> bool) {
+        let own = self.loud.split_off(known.min(self.loud.len()));
+        self.loud.extend(own.into_iter().filter(is_kept));
+    }
+
     /// Leaves out more samples.
     pub fn leave_out(&mut self, places: impl IntoIterator<Item = usize>) {
         self.outliers.extend(places);

@@ -4,6 +4,7 @@
 //! change the measured magnitude by some percent, depending on the pose. A magnitude far outside the range of the rest
 //! of the record comes from the surroundings; it is not an effect of the sensor that a simulator could have.
 
+use super::averages::median;
 use super::recording::Recording;
 use imu_core::sample::Triad;
 
@@ -51,8 +52,7 @@ impl Disturbed {
 /// On BROAD's trial 28 (Laidig et al. 2021, Data 6(7):72) this finds the two passes of the magnet, and nothing in 01,
 /// 24 and 26 (docs/motion-diagnosis.md).
 pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
-    let columns: Option<Vec<&[f64]>> = Triad::Mag.channels().into_iter().map(|channel| real.values(channel)).collect();
-    let Some(columns) = columns else { return Vec::new() };
+    let Some(columns) = real.triad(Triad::Mag) else { return Vec::new() };
     let size = ((PART_S * real.rate_hz) as usize).max(1);
     let magnitude = |t: usize| columns.iter().map(|values| values[t] * values[t]).sum::<f64>().sqrt();
     let parts: Vec<Option<f64>> = (0..real.len() / size)
@@ -65,12 +65,13 @@ pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
             (2 * there.len() > size).then(|| there.iter().sum::<f64>() / there.len() as f64)
         })
         .collect();
-    let known: Vec<f64> = parts.iter().flatten().copied().collect();
+    let mut known: Vec<f64> = parts.iter().flatten().copied().collect();
     if known.len() < LEAST {
         return Vec::new();
     }
-    let middle = median(known.clone());
-    let scatter = AS_DEVIATION * median(known.iter().map(|value| (value - middle).abs()).collect());
+    let middle = median(&mut known);
+    known.iter_mut().for_each(|value| *value = (*value - middle).abs());
+    let scatter = AS_DEVIATION * median(&mut known);
     let least = (FAR[0] * scatter).max(FAR[1] * middle);
     let mut found: Vec<(usize, usize, f64)> = Vec::new();
     for (place, value) in parts.iter().enumerate().filter_map(|(place, value)| Some((place, (*value)?))) {
@@ -96,11 +97,6 @@ pub fn disturbed(real: &Recording) -> Vec<Disturbed> {
         scatter_gauss: scatter,
     };
     found.into_iter().map(stretch).collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

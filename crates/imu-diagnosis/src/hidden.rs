@@ -1,7 +1,11 @@
 //! Hidden effects: effects that look like others as long as they are not known.
 
 use super::course::Course;
-use super::evidence::{self, Candidate, Kind};
+use super::evidence::Kind::{
+    self, BiasStep, Bursts, HeavyTails, LowPass, MovingAverage, Spikes, Tone, VarianceInterval, VariancePerDegree,
+    VarianceProfile,
+};
+use super::evidence::{self, Candidate};
 use super::prices::Prices;
 use super::search::{Step, leave_rises_out, more_tones};
 use super::series::Series;
@@ -11,21 +15,11 @@ use super::series::Series;
 /// of the spectrum, as filters do. A few values that are far out look like tails, or behind a filter like bursts. Loud
 /// stretches look like tails.
 const HIDDEN: [(Kind, &[Kind]); 5] = [
-    (
-        Kind::BiasStep,
-        &[
-            Kind::Spikes,
-            Kind::HeavyTails,
-            Kind::Bursts,
-            Kind::VarianceInterval,
-            Kind::VarianceProfile,
-            Kind::VariancePerDegree,
-        ],
-    ),
-    (Kind::Tone, &[Kind::LowPass, Kind::MovingAverage]),
-    (Kind::Spikes, &[Kind::Bursts]),
-    (Kind::VarianceInterval, &[Kind::HeavyTails]),
-    (Kind::Bursts, &[Kind::HeavyTails]),
+    (BiasStep, &[Spikes, HeavyTails, Bursts, VarianceInterval, VarianceProfile, VariancePerDegree]),
+    (Tone, &[LowPass, MovingAverage]),
+    (Spikes, &[Bursts]),
+    (VarianceInterval, &[HeavyTails]),
+    (Bursts, &[HeavyTails]),
 ];
 
 /// Returns the effect that takes precedence over the one that would be chosen because it removes that effect's gain.
@@ -50,7 +44,7 @@ pub(super) fn instead(
         of.of_model.is_none() && hides && !is_known && of.gain > prices.of(of.kind) + LARGE
     };
     all.into_iter().filter(may_be).find_map(|of| {
-        if of.kind == Kind::BiasStep && !lasts(series, &of) {
+        if of.kind == BiasStep && !lasts(series, &of) {
             return None;
         }
         let mut beside = series.clone();
@@ -59,11 +53,11 @@ pub(super) fn instead(
         beside.explanation.spikes = series.explanation.spikes;
         beside.rebuild(false);
         match of.kind {
-            Kind::BiasStep => leave_rises_out(&mut beside),
-            Kind::Tone => more_tones(&mut beside, prices, &mut Vec::new()),
+            BiasStep => leave_rises_out(&mut beside),
+            Tone => more_tones(&mut beside, prices, &mut Vec::new()),
             _ => {}
         }
-        if of.kind == Kind::Tone && !is_loud(&beside, series.explanation.sines.len()) {
+        if of.kind == Tone && !is_loud(&beside, series.explanation.sines.len()) {
             return None;
         }
         let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
@@ -93,8 +87,8 @@ fn lasts(series: &Series<'_>, of: &Candidate) -> bool {
 /// Returns the gain of a filter, or of an effect on single samples and their variance.
 fn gain_of(kind: Kind, series: &Series<'_>) -> f64 {
     let found: Vec<Candidate> = match kind {
-        Kind::LowPass => evidence::spectral::low_pass(series).into_iter().collect(),
-        Kind::MovingAverage => evidence::spectral::moving_average(series).into_iter().collect(),
+        LowPass => evidence::spectral::low_pass(series).into_iter().collect(),
+        MovingAverage => evidence::spectral::moving_average(series).into_iter().collect(),
         _ => evidence::of_squares(series),
     };
     found.into_iter().filter(|of| of.kind == kind).map(|of| of.gain).fold(0.0, f64::max)

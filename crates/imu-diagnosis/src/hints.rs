@@ -9,62 +9,47 @@ use imu_model::simulator::SensorModel;
 /// Maximum distance of a ratio from a meaningful one, ln: a model is rarely nearer to its sensor than that.
 const NEAR: f64 = 0.12;
 
-/// The possible meaning of a ratio of the capture's value over the model's.
-struct Meaning {
-    ratio: f64,
-    kind: HintKind,
-    text: String,
-}
-
-fn unit(ratio: f64, text: &str) -> Meaning {
-    Meaning { ratio, kind: HintKind::Unit, text: text.to_owned() }
-}
-
-/// Returns the meanings of a ratio of N on a triad.
-fn meanings(triad: Option<Triad>, rate_hz: f64) -> Vec<Meaning> {
+/// Returns the meanings of a ratio of the capture's N over the model's on a triad.
+fn meanings(triad: Triad, rate_hz: f64) -> Vec<(f64, HintKind, String)> {
     /// Standard gravity, m/s² (CGPM 1901).
     const G: f64 = 9.806_65;
     let degree = std::f64::consts::PI / 180.0;
     let root = rate_hz.sqrt();
-    let of_rate = |ratio: f64, text: &str| Meaning { ratio, kind: HintKind::SqrtRate, text: text.to_owned() };
-    let mut all = Vec::new();
-    if root.ln().abs() > 2.0 * NEAR {
-        all.push(of_rate(
-            1.0 / root,
-            "the model's value looks like the standard deviation of a sample: divide it by √rate",
-        ));
-        all.push(of_rate(
-            root,
-            "the model's value looks like a density that was divided by √rate: multiply it by √rate",
-        ));
-    }
-    all.extend(match triad {
-        Some(Triad::Accel) => vec![
-            unit(G, "the model's value looks like one in g/√Hz"),
-            unit(1e-3 * G, "the model's value looks like one in mg/√Hz"),
-            unit(1e-6 * G, "the model's value looks like one in µg/√Hz"),
-            unit(1.0 / G, "the recording's values look like ones in g"),
-            unit(1e3 / G, "the recording's values look like ones in mg"),
+    let by_rate = [
+        (1.0 / root, "the model's value looks like the standard deviation of a sample: divide it by √rate"),
+        (root, "the model's value looks like a density that was divided by √rate: multiply it by √rate"),
+    ];
+    let units = match triad {
+        Triad::Accel => vec![
+            (G, "the model's value looks like one in g/√Hz"),
+            (1e-3 * G, "the model's value looks like one in mg/√Hz"),
+            (1e-6 * G, "the model's value looks like one in µg/√Hz"),
+            (1.0 / G, "the recording's values look like ones in g"),
+            (1e3 / G, "the recording's values look like ones in mg"),
         ],
-        Some(Triad::Gyro) => vec![
-            unit(degree, "the model's value looks like one in °/s/√Hz"),
-            unit(degree / 60.0, "the model's value looks like one in °/√h"),
-            unit(degree / 3600.0, "the model's value looks like one in °/h/√Hz"),
-            unit(1.0 / degree, "the recording's values look like ones in °/s"),
+        Triad::Gyro => vec![
+            (degree, "the model's value looks like one in °/s/√Hz"),
+            (degree / 60.0, "the model's value looks like one in °/√h"),
+            (degree / 3600.0, "the model's value looks like one in °/h/√Hz"),
+            (1.0 / degree, "the recording's values look like ones in °/s"),
         ],
-        Some(Triad::Mag) => vec![
-            unit(1e4, "the model's value looks like one in T/√Hz"),
-            unit(1e-2, "the model's value looks like one in µT/√Hz"),
-            unit(1e-4, "the recording's values look like ones in T"),
-            unit(1e2, "the recording's values look like ones in µT"),
+        Triad::Mag => vec![
+            (1e4, "the model's value looks like one in T/√Hz"),
+            (1e-2, "the model's value looks like one in µT/√Hz"),
+            (1e-4, "the recording's values look like ones in T"),
+            (1e2, "the recording's values look like ones in µT"),
         ],
         _ => Vec::new(),
+    };
+    let scales = [(1e3, "1000"), (1e-3, "1/1000"), (60.0, "60"), (1.0 / 60.0, "1/60")];
+    let is_far = root.ln().abs() > 2.0 * NEAR;
+    let by_rate =
+        by_rate.into_iter().filter(|_| is_far).map(|(ratio, text)| (ratio, HintKind::SqrtRate, text.to_owned()));
+    let units = units.into_iter().map(|(ratio, text)| (ratio, HintKind::Unit, text.to_owned()));
+    let scales = scales.into_iter().map(|(ratio, name)| {
+        (ratio, HintKind::Scale, format!("the recording's value is {name} times the model's: a prefix or a minute"))
     });
-    for (ratio, name) in [(1e3, "1000"), (1e-3, "1/1000"), (60.0, "60"), (1.0 / 60.0, "1/60")] {
-        let text = format!("the recording's value is {name} times the model's: a prefix or a minute");
-        all.push(Meaning { ratio, kind: HintKind::Scale, text });
-    }
-    all
+    by_rate.chain(units).chain(scales).collect()
 }
 
 /// Returns the possible meanings of the sizes of the differences.
@@ -88,11 +73,11 @@ fn of_ratios(triad: Triad, found: &Found, sim: &SensorModel, parameters: &[Param
     };
     let logarithms: Option<Vec<f64>> = compared().map(|channel| Some(ratio(channel)?.ln())).collect();
     let logarithms = logarithms.filter(|of| !of.is_empty())?;
-    let is = |meaning: &Meaning| logarithms.iter().all(|of| (of - meaning.ratio.ln()).abs() < NEAR);
-    let likely: Vec<Meaning> = meanings(Some(triad), sim.rate_hz).into_iter().filter(is).collect();
+    let is = |(ratio, ..): &(f64, HintKind, String)| logarithms.iter().all(|of| (of - ratio.ln()).abs() < NEAR);
+    let likely: Vec<(f64, HintKind, String)> = meanings(triad, sim.rate_hz).into_iter().filter(is).collect();
     let channels: Vec<&str> = compared().map(Channel::name).collect();
-    let texts: Vec<&str> = likely.iter().map(|meaning| meaning.text.as_str()).collect();
-    Some(Hint { about: format!("{} N", channels.join(", ")), kind: likely.first()?.kind, text: texts.join("; or ") })
+    let texts: Vec<&str> = likely.iter().map(|(.., text)| text.as_str()).collect();
+    Some(Hint { about: format!("{} N", channels.join(", ")), kind: likely.first()?.1, text: texts.join("; or ") })
 }
 
 /// Returns hints for N of three axes that are those of the model in another order.

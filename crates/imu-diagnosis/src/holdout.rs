@@ -2,8 +2,8 @@
 
 use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud};
-use super::law::{Law, Priors, Term};
-use super::series::{BaseOf, Series, Setting};
+use super::law::Law;
+use super::series::{Series, Setting};
 use super::transform::Cosines;
 use statrs::function::gamma::ln_gamma;
 
@@ -62,20 +62,8 @@ pub struct Whole<'a> {
     pub samples: &'a [f64],
     /// The halves.
     pub halves: &'a Halves,
-    /// The spectra.
-    pub base: BaseOf<'a>,
-    /// The model's own spectral effects.
-    pub declared: &'a [(usize, Term)],
-    /// Bands with the spectra of its wandering lines.
-    pub wandering: &'a [Term],
-    /// The priors of the levels.
-    pub priors: Priors,
-    /// Samples per second.
-    pub rate_hz: f64,
-    /// Samples that the model's filters reach.
-    pub reach: usize,
-    /// The channel's number.
-    pub owner: u32,
+    /// The data of the whole record.
+    pub setting: Setting<'a>,
     /// The model's own explanation.
     pub known: &'a Explanation,
     /// The complete explanation that was found.
@@ -164,19 +152,8 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let total = whole.samples.len();
     let middle = total / 2;
     let Halves { ranges: halves, transforms, courses } = whole.halves;
-    let setting = |half: usize| Setting {
-        courses: &courses[half],
-        base: whole.base,
-        declared: whole.declared,
-        wandering: whole.wandering,
-        white: whole.known.law.levels[0],
-        priors: whole.priors,
-        rate_hz: whole.rate_hz,
-        // A half names no effects.
-        bursts: &[],
-        reach: whole.reach,
-        owner: whole.owner,
-    };
+    // A half names no effects.
+    let setting = |half: usize| Setting { courses: &courses[half], bursts: &[], ..whole.setting };
     let (first, second) = (setting(0), setting(1));
     let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
     let known = |half: usize| part(whole.known, halves[half].0, halves[half].1, total);

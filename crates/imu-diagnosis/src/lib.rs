@@ -35,6 +35,7 @@
 //! ```
 
 mod augmented;
+mod averages;
 mod bands;
 #[cfg(test)]
 mod both_ways;

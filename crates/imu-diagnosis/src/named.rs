@@ -10,6 +10,7 @@ use super::pairs;
 use super::prepare::Prepared;
 use super::recording::Recording;
 use super::report::Sense;
+use super::shared::Part;
 use super::translate::{self, Translated, Units};
 use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
@@ -40,10 +41,9 @@ pub(super) struct Named {
 impl Named {
     /// Creates an effect that the model lacks, as certain as effects that are read off values and stamps.
     pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
-        let sense = Sense::Missing;
         Self {
             channel,
-            sense,
+            sense: Sense::Missing,
             declared: None,
             effect,
             gain,
@@ -125,15 +125,13 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
             }
             let declared = place.and_then(|place| Some((place, model.effects.get(place)?.clone())));
             Named {
-                channel: of.prepared.channel,
                 sense: if declared.is_some() { Sense::Size } else { Sense::Missing },
                 declared,
-                effect: effect.clone(),
-                gain,
                 p_value: same(*kind).map(|step| step.chance(level)).fold(1.0, f64::min),
                 confidence: confidence(margin),
                 evidence,
                 ci95: ci95.clone(),
+                ..Named::missing(of.prepared.channel, effect.clone(), gain)
             }
         })
         .collect::<Vec<Named>>();
@@ -215,14 +213,14 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for shared in &found.shared {
-        for ((index, part), sizes) in shared.parts.iter().zip(&shared.ci95) {
-            let of = &found.channels[*index];
+        for Part { index, size: part, ci95, .. } in shared.parts.iter().copied() {
+            let of = &found.channels[index];
             let has = sim.channels.get(&of.prepared.channel);
             if has.is_some_and(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::CommonMode)) {
                 return Vec::new();
             }
             let gain = shared.gain / shared.parts.len() as f64;
-            let mut ends = sizes.map(|size| size * part.signum() * of.white);
+            let mut ends = ci95.map(|size| size * part.signum() * of.white);
             ends.sort_unstable_by(f64::total_cmp);
             named.push(Named {
                 evidence: vec![format!(
@@ -262,18 +260,8 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     const LONGEST: usize = 3;
     /// Minimum jitter that is named, as a part of a period.
     const JITTER: f64 = 0.01;
-    let (mut runs, mut dropped, mut run) = (0, 0, 0);
-    for missing in real.missing.iter().copied().chain([false]) {
-        if missing {
-            run += 1;
-        } else {
-            if (1..=LONGEST).contains(&run) {
-                runs += 1;
-                dropped += run;
-            }
-            run = 0;
-        }
-    }
+    let drops = real.missing.chunk_by(|a, b| a == b).filter(|run| run[0] && run.len() <= LONGEST);
+    let (runs, dropped) = drops.fold((0, 0), |(runs, dropped), run| (runs + 1, dropped + run.len()));
     let stamps = stamps(real);
     let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::Timing));
     if has {
@@ -298,7 +286,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     if drop_probability > 0.0 {
         evidence.push(format!("{dropped} samples are missing, one by one"));
     }
-    let gain = 10.0 * runs as f64 + if jitter_s > 0.0 { real.len() as f64 } else { 0.0 };
+    let gain = 10.0 * f64::from(runs) + if jitter_s > 0.0 { real.len() as f64 } else { 0.0 };
     vec![Named {
         evidence,
         ci95: [("jitter_s", jitter_s), ("drop_probability", drop_probability)]

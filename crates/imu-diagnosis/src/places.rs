@@ -216,13 +216,8 @@ fn of_remnant(of: &Remnant, own: &Findings, found: &Found, real: &Recording) -> 
             (spot, if of.is_gap { of.nats } else { one.excess }, channels * one.p_value)
         }
         None => {
-            let spot = Spot {
-                band_hz: [0.0, 0.5 * real.rate_hz],
-                time_s: [0.0, real.length_s()],
-                weight: 1.0,
-                is_louder: true,
-            };
-            (spot, of.nats, of.p_value)
+            let (band_hz, time_s) = ([0.0, 0.5 * real.rate_hz], [0.0, real.length_s()]);
+            (Spot { band_hz, time_s, weight: 1.0, is_louder: true }, of.nats, of.p_value)
         }
     };
     place(of.channel, Of::Remainder, spot, nats, p_value, real)

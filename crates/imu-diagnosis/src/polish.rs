@@ -68,18 +68,14 @@ fn play(series: &mut Series<'_>, known: usize) {
     for by in [1.25, 1.1, 1.04] {
         for share in [by, 1.0 / by] {
             let Course::Follows(Follow::Play(width)) = series.explanation.courses[at].0 else { return };
-            let mut other = series.clone();
-            other.explanation.courses[at].0 = Course::Follows(Follow::Play(width * share));
-            other.rebuild(false);
+            let other = series.changed(|of| of.courses[at].0 = Course::Follows(Follow::Play(width * share)));
             if other.fitted.log_posterior > series.fitted.log_posterior {
                 *series = other;
             }
         }
     }
     if let Some(line) = place(series, |of| *of == Course::Temperature) {
-        let mut other = series.clone();
-        other.explanation.courses.remove(line);
-        other.rebuild(false);
+        let other = series.changed(|of| of.courses.remove(line));
         if series.fitted.log_posterior - other.fitted.log_posterior < LEAST {
             *series = other;
         }

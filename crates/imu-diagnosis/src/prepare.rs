@@ -1,5 +1,6 @@
 //! Preparation: turns a recording and a model into series of samples in which the model's own effects are explained.
 
+use super::averages::{mean, median};
 use super::course::{Course, Courses};
 use super::declared::courses::shifts_of;
 use super::dither;
@@ -204,7 +205,7 @@ pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Chan
         }
         // A channel with a few values that are not numbers is accepted without these values. A channel with many of
         // them is refused.
-        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !is_missing(real, *t)).collect();
+        let bad: Vec<usize> = (0..n).filter(|t| !values[*t].is_finite() && !real.is_missing(*t)).collect();
         if let Some(index) = bad.first().copied().filter(|first| bad.len() * 10 > n || values[*first].is_infinite()) {
             let value = &values[index];
             return Err(DiagnosisError::NotFinite { channel: channel.to_string(), value: *value, index });
@@ -221,19 +222,15 @@ pub(super) fn comparable(real: &Recording, sim: &SensorModel) -> Result<Vec<Chan
     Ok(wanted)
 }
 
-fn is_missing(real: &Recording, t: usize) -> bool {
-    real.is_missing(t)
-}
-
 /// Returns the temperature with its gaps filled, smoothed if it moves in steps, and the step, °C. `None` if the
 /// temperature is constant.
 pub(super) fn temperature(real: &Recording) -> Option<(Vec<f64>, f64)> {
     let read = real.temperature_c.as_ref().filter(|read| read.len() == real.len())?;
     let mut filled = read.clone();
     let mut last =
-        read.iter().enumerate().find(|(t, value)| value.is_finite() && !is_missing(real, *t)).map(|(_, v)| *v)?;
+        read.iter().enumerate().find(|(t, value)| value.is_finite() && !real.is_missing(*t)).map(|(_, v)| *v)?;
     for (t, value) in filled.iter_mut().enumerate() {
-        if value.is_finite() && !is_missing(real, t) {
+        if value.is_finite() && !real.is_missing(t) {
             last = *value;
         } else {
             *value = last;
@@ -301,7 +298,7 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
         let sent = |channel: &Channel| real.sent(*channel).or_else(|| real.values(*channel));
         let columns: Vec<&[f64]> = group.iter().filter_map(sent).collect();
         let mut of = facts::repeats(&columns);
-        of.places.retain(|t| !is_missing(real, *t) && !is_missing(real, t - 1));
+        of.places.retain(|t| !real.is_missing(*t) && !real.is_missing(t - 1));
         if of.gain > PROOF && of.places.len() >= 3 {
             found.push((group, of));
         }
@@ -356,14 +353,10 @@ fn channel_of(
     let coarse =
         step.and_then(|step| Some((step, rounded::white_of(values, step, &outliers, density * sim.rate_hz.sqrt())?)));
     let mut samples = values.to_vec();
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let shifts = shifts_of(model, values.len(), sim.rate_hz, temperature.map(mean));
     subtract_others(&mut samples, model, &shifts, sim.rate_hz, temperature);
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
-    let mut middle = there.clone();
-    let half = middle.len() / 2;
-    let (_, level, _) = middle.select_nth_unstable_by(half, f64::total_cmp);
-    let level = *level;
+    let level = median(&mut there.clone());
     let white = coarse.map_or_else(|| scale_of(&there), |(_, white)| white.deviation);
     let declared = density * sim.rate_hz.sqrt();
     let most = if declared > 0.0 && coarse.is_none() { LOUDER * declared } else { f64::INFINITY };
@@ -377,8 +370,7 @@ fn channel_of(
     outliers.sort_unstable();
     outliers.dedup();
     let square = |value: f64| if value > 0.0 { 2.0 * (value / scale).ln() } else { -60.0 };
-    let mean_c =
-        temperature.map_or(USUAL_TEMPERATURE_C, |values| values.iter().sum::<f64>() / values.len().max(1) as f64);
+    let mean_c = temperature.map_or(USUAL_TEMPERATURE_C, mean);
     let white_shift = white_shift(model, mean_c);
     let levels = [square(density) + white_shift, square(model.b), square(model.k)];
     let prior = |level: f64, sd: f64| (level > -50.0).then_some((level, sd));
@@ -499,11 +491,10 @@ pub(super) fn scale_of(values: &[f64]) -> f64 {
     let rms = |of: &[f64]| (0.5 * of.iter().map(|d| d * d).sum::<f64>() / of.len().max(1) as f64).sqrt();
     let all = rms(&distances);
     let most = (MOST * distances.len() as f64) as usize;
-    let (middle, most) = (distances.len() / 2, most.min(distances.len() - 1));
+    let most = most.min(distances.len() - 1);
     let (lower, ..) = distances.select_nth_unstable_by(most, f64::total_cmp);
     let trimmed = rms(lower) / OF_MOST;
-    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
-    let robust = *median / (0.674_49 * 2f64.sqrt());
+    let robust = median(&mut distances) / (0.674_49 * 2f64.sqrt());
     // If half the neighbours are equal, a step is wider than the noise.
     match (robust > 0.2 * trimmed, trimmed > 0.0) {
         (true, _) if robust > 0.0 => robust,

@@ -58,29 +58,42 @@ pub struct Tails {
     pub statistics: BTreeMap<Statistic, Tail>,
 }
 
+/// Defines what a diagnosis examines: each with a property, and with the tail of its value in records of noise alone, as
+/// offsets at the lengths of the shipped table, and a scale.
+macro_rules! with_tails {
+    ($(#[$about:meta])* $all:ident; $(#[$what:meta])* $property:ident -> $of:ty;
+     $($(#[$meta:meta])* $one:ident: $value:expr, $offsets:expr, $scale:literal;)+) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum $all {
+            $($(#[$meta])* $one,)+
+        }
+
+        impl $all {
+            /// Lists all of them.
+            pub const ALL: [Self; [$(stringify!($one)),+].len()] = [$(Self::$one),+];
+
+            $(#[$what])*
+            pub fn $property(self) -> $of {
+                match self {
+                    $(Self::$one => $value,)+
+                }
+            }
+
+            /// Returns offsets and scale of the tail of the value in noise alone.
+            pub(crate) fn tail(self) -> ([f64; 3], f64) {
+                match self {
+                    $(Self::$one => ($offsets, $scale),)+
+                }
+            }
+        }
+    };
+}
+pub(crate) use with_tails;
+
 /// Lengths of the shipped table, samples.
 const LENGTHS: [f64; 3] = [8193.0, 65_536.0, 720_000.0];
-
-const STATISTICS: [(Statistic, [f64; 3], f64); 18] = [
-    (Statistic::Kurtosis, [-0.5, -0.5, -0.5], 1.0),
-    (Statistic::Skewness, [-0.4, -0.4, -0.4], 1.1),
-    (Statistic::Tiles, [0.0, 0.0, 0.0], 1.15),
-    (Statistic::Tile, [3.9, 4.2, 4.5], 1.1),
-    (Statistic::Octave, [2.7, 2.8, 3.4], 1.1),
-    (Statistic::Stretch, [3.5, 3.3, 3.3], 1.15),
-    (Statistic::OctaveKurtosis, [-0.3, -0.3, -0.2], 1.1),
-    (Statistic::Clusters, [0.0, 0.4, 0.4], 1.65),
-    (Statistic::FineBand, [2.9, 4.9, 7.2], 1.1),
-    (Statistic::FineBands, [-0.5, -0.5, -0.5], 1.2),
-    (Statistic::Modulation, [8.1, 10.3, 12.8], 1.1),
-    (Statistic::Echo, [6.2, 8.3, 8.4], 1.1),
-    (Statistic::Rectangle, [7.5, 9.8, 11.9], 1.15),
-    (Statistic::Component, [0.0, 0.0, 0.0], 1.3),
-    (Statistic::Atom, [0.0, 0.0, 0.0], 1.0),
-    (Statistic::Sweep, [9.5, 11.7, 13.9], 1.1),
-    (Statistic::Flashes, [1.2, 1.3, 1.5], 1.3),
-    (Statistic::Crosstalk, [7.1, 8.3, 8.6], 1.15),
-];
 
 /// Interpolates linearly in ln of the samples between the table's lengths, and extrapolates beyond them.
 fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
@@ -93,10 +106,10 @@ fn between(offsets: [f64; LENGTHS.len()], samples: usize) -> f64 {
 impl Tails {
     /// Returns the tails of the table, for records of `samples`.
     pub fn shipped(samples: usize) -> Self {
-        let tail = |offsets, scale| Tail { offset: between(offsets, samples), scale };
+        let tail = |(offsets, scale)| Tail { offset: between(offsets, samples), scale };
         Self {
-            kinds: Kind::ALL.into_iter().map(|kind| (kind, tail(kind.tail().0, kind.tail().1))).collect(),
-            statistics: STATISTICS.into_iter().map(|(of, offsets, scale)| (of, tail(offsets, scale))).collect(),
+            kinds: Kind::ALL.into_iter().map(|kind| (kind, tail(kind.tail()))).collect(),
+            statistics: Statistic::ALL.into_iter().map(|of| (of, tail(of.tail()))).collect(),
         }
     }
 

@@ -40,6 +40,12 @@ impl Recording {
         self.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| values.as_slice())
     }
 
+    /// Returns the values of all axes of a triad; `None` if the recording lacks one.
+    pub(super) fn triad(&self, triad: Triad) -> Option<[&[f64]; 3]> {
+        let [x, y, z] = triad.channels().map(|channel| self.values(channel));
+        Some([x?, y?, z?])
+    }
+
     /// Returns the values that the sensor sent, if the channel's values are the remainder beyond a response to a
     /// motion.
     pub fn sent(&self, channel: Channel) -> Option<&[f64]> {

@@ -106,8 +106,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         }
         let (step, chosen) = hidden::instead(series, prices, &steps, &step, others).unwrap_or((step, chosen));
         let before = (step.kind == Kind::BiasStep).then(|| series.clone());
-        series.explanation = chosen.explanation;
-        series.rebuild(false);
+        series.adopt(chosen.explanation);
         let kind = step.kind;
         steps.push(step);
         match kind {
@@ -320,11 +319,7 @@ fn restore_samples(series: &mut Series<'_>, steps: &mut Vec<Step>, start: &Expla
     let own = &mut series.explanation;
     (own.outliers, own.spikes, own.tails) = (start.outliers.clone(), start.spikes, start.tails);
     own.leave_out(left_out.iter().copied());
-    let mut at = 0;
-    own.loud.retain(|loud| {
-        at += 1;
-        at <= start.loud.len() || loud.is_interval(samples, bursts)
-    });
+    own.retain_loud(start.loud.len(), |loud| loud.is_interval(samples, bursts));
     series.rebuild(false);
     leave_rises_out(series);
 }
@@ -336,8 +331,7 @@ fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step
         let others = candidates.clone();
         let Some((step, chosen)) = best_of(candidates, prices, steps) else { break };
         let (step, chosen) = hidden::instead(series, prices, steps, &step, others).unwrap_or((step, chosen));
-        series.explanation = chosen.explanation;
-        series.rebuild(false);
+        series.adopt(chosen.explanation);
         let kind = step.kind;
         steps.push(step);
         match kind {
@@ -375,8 +369,7 @@ fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
         let more = evidence::loudness::intervals(series).into_iter().find(|of| of.kind == Kind::Bursts);
         let Some(more) = more.filter(|of| of.gain > prices.of(Kind::Bursts) + CLEAR) else { return };
         step.gain += more.gain;
-        series.explanation = more.explanation;
-        series.rebuild(false);
+        series.adopt(more.explanation);
     }
 }
 
@@ -416,8 +409,7 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
     if let Some((step, place)) = choose(&candidates, prices)
         && let Some(best) = candidates.into_iter().nth(place)
     {
-        series.explanation = best.explanation;
-        series.rebuild(false);
+        series.adopt(best.explanation);
         let simpler = match (step.kind, steps[at].kind) {
             (Kind::MovingAverage, Kind::LowPass) => BOXCAR,
             (Kind::LowPass, Kind::MovingAverage) => -BOXCAR,
@@ -436,17 +428,7 @@ fn other_filter(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
 fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     /// Nats by which it has to be better.
     const CLEARLY: f64 = 3.0;
-    let replaced = |kind: Kind| {
-        let spectral = [
-            Kind::GaussMarkov,
-            Kind::QuantizationNoise,
-            Kind::LowPass,
-            Kind::MovingAverage,
-            Kind::Resonance,
-            Kind::Slope,
-        ];
-        spectral.contains(&kind)
-    };
+    let replaced = Kind::is_spectral;
     let (own, price) = steps
         .iter()
         .filter(|step| replaced(step.kind))
@@ -466,8 +448,7 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         *series = kept;
         return;
     };
-    series.explanation = slope.explanation;
-    series.rebuild(false);
+    series.adopt(slope.explanation);
     steps.retain(|step| !replaced(step.kind));
     let price = prices.of(Kind::Slope);
     steps.push(Step { kind: Kind::Slope, gain: slope.gain, price, others: Vec::new(), of_model: None });
@@ -489,8 +470,7 @@ fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
         return;
     };
     let kind = other.kind;
-    series.explanation = other.explanation;
-    series.rebuild(false);
+    series.adopt(other.explanation);
     let better = series.fitted.log_posterior - kept.fitted.log_posterior;
     if better - prices.of(kind) + prices.of(step.kind) > CLEARLY {
         (step.kind, step.gain, step.price) = (kind, step.gain + better, prices.of(kind));
@@ -509,8 +489,7 @@ pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
         if tone.gain < price + CLEAR {
             break;
         }
-        series.explanation = tone.explanation;
-        series.rebuild(false);
+        series.adopt(tone.explanation);
         steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new(), of_model: None });
     }
 }

@@ -19,6 +19,7 @@ use std::collections::BTreeSet;
 pub type BaseOf<'a> = &'a (dyn Fn(&Grid, &BTreeSet<usize>) -> Base + Sync);
 
 /// The data of the whole record.
+#[derive(Clone, Copy)]
 pub struct Setting<'a> {
     /// The courses.
     pub courses: &'a Courses,
@@ -193,6 +194,20 @@ impl<'a> Series<'a> {
         }
         self.refine_means();
         self.measure_loud();
+    }
+
+    /// Builds the state again with another explanation.
+    pub(super) fn adopt(&mut self, explanation: Explanation) {
+        self.explanation = explanation;
+        self.rebuild(false);
+    }
+
+    /// Returns the series with a changed explanation.
+    pub(super) fn changed<T>(&self, change: impl FnOnce(&mut Explanation) -> T) -> Self {
+        let mut other = self.clone();
+        change(&mut other.explanation);
+        other.rebuild(false);
+        other
     }
 
     /// Whitens the samples less the explanation by the present law.

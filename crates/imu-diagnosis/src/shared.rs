@@ -43,14 +43,23 @@ impl Whitened {
 /// Noise that channels share.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shared {
-    /// Index of each channel and the part of its white noise's standard deviation that is shared, with its sign.
-    pub parts: Vec<(usize, f64)>,
-    /// Standard errors of the parts.
-    pub errors: Vec<f64>,
-    /// 95 % intervals of the parts' sizes.
-    pub ci95: Vec<[f64; 2]>,
+    /// The channels' parts.
+    pub parts: Vec<Part>,
     /// Nats gained.
     pub gain: f64,
+}
+
+/// The shared part of a channel's white noise.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part {
+    /// Index of the channel.
+    pub index: usize,
+    /// Part of the standard deviation, with its sign.
+    pub size: f64,
+    /// Standard error of the part.
+    pub error: f64,
+    /// 95 % interval of the part without its sign.
+    pub ci95: [f64; 2],
 }
 
 /// Returns the noise that channels share, if it is worth `price` nats per pair: one source for each group of channels
@@ -102,12 +111,7 @@ fn with_part(mut of: Shared) -> Shared {
     /// The smallest part that counts, and the same in standard errors.
     const LEAST: f64 = 0.02;
     const ERRORS: f64 = 4.0;
-    let counts: Vec<bool> =
-        of.parts.iter().zip(&of.errors).map(|((_, part), e)| part.abs() > LEAST.max(ERRORS * e)).collect();
-    let keep = |index: usize| counts.get(index).copied().unwrap_or(false);
-    of.parts = of.parts.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, part)| part).collect();
-    of.errors = of.errors.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, e)| e).collect();
-    of.ci95 = of.ci95.into_iter().enumerate().filter(|(index, _)| keep(*index)).map(|(_, ends)| ends).collect();
+    of.parts.retain(|part| part.size.abs() > LEAST.max(ERRORS * part.error));
     of
 }
 
@@ -149,7 +153,7 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
             weight(i, j) * parts[i] * parts[j]
         }
     });
-    let errors = match (count, normal.try_inverse()) {
+    let errors: Vec<f64> = match (count, normal.try_inverse()) {
         (2, _) => {
             let r = parts[0] * parts[1];
             parts.iter().map(|part| (1.0 - r * r) / n.sqrt() / (2.0 * part.abs())).collect()
@@ -157,8 +161,13 @@ fn source(members: &[usize], correlation: &DMatrix<f64>, n: f64) -> Shared {
         (_, Some(inverse)) => (0..count).map(|at| inverse[(at, at)].max(0.0).sqrt()).collect(),
         (_, None) => vec![1.0; count],
     };
-    let ci95 = parts.iter().zip(&errors).map(|(part, error)| interval(*part, *error, count, n)).collect();
-    Shared { parts: members.iter().copied().zip(parts).collect(), errors, ci95, gain }
+    let parts = members.iter().zip(parts.into_iter().zip(errors)).map(|(index, (size, error))| Part {
+        index: *index,
+        size,
+        error,
+        ci95: interval(size, error, count, n),
+    });
+    Shared { parts: parts.collect(), gain }
 }
 
 /// Returns the 95 % interval of a part's size among `count` channels. The white noise's own size is known to 1 in
@@ -200,9 +209,9 @@ mod tests {
         let all = shared(&channels, 10.0);
         let found = &all[0];
         assert_eq!(all.len(), 1);
-        assert_eq!(found.parts.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [0, 2, 3]);
-        for ((_, part), truth) in found.parts.iter().zip([0.5, -0.3, 0.4]) {
-            assert!((part - truth).abs() < 0.03, "{found:?}");
+        assert_eq!(found.parts.iter().map(|part| part.index).collect::<Vec<_>>(), [0, 2, 3]);
+        for (part, truth) in found.parts.iter().zip([0.5, -0.3, 0.4]) {
+            assert!((part.size - truth).abs() < 0.03, "{found:?}");
         }
         assert_eq!(shared(&channels[1..2], 10.0), []);
         assert_eq!(shared(&[of(5, 0.0), of(6, 0.0)], 10.0), []);
@@ -227,8 +236,8 @@ mod tests {
         let found = shared(&[of(0, &one, 0.8), of(1, &one, 0.8), of(2, &other, 0.8), of(3, &other, -0.8)], 10.0);
         assert_eq!(found.len(), 2);
         for (of, signs) in found.iter().zip([[1.0, 1.0], [1.0, -1.0]]) {
-            for ((_, part), sign) in of.parts.iter().zip(signs) {
-                assert!((part * sign - 0.8).abs() < 0.02, "{found:?}");
+            for (part, sign) in of.parts.iter().zip(signs) {
+                assert!((part.size * sign - 0.8).abs() < 0.02, "{found:?}");
             }
             // −n/2·ln(1 − r²), r = 0.64.
             assert!((of.gain / (n as f64 * 0.2636) - 1.0).abs() < 0.05, "{found:?}");

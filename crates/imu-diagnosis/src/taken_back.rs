@@ -46,11 +46,9 @@ pub(super) fn weak_stretches(series: &mut Series<'_>, steps: &mut Vec<Step>, kno
     let is_named = |kind: Kind| steps.iter().any(|step| step.kind == kind && step.of_model.is_none());
     let (bursts, intervals) = (is_named(Kind::Bursts), is_named(Kind::VarianceInterval));
     let before = series.explanation.loud.len();
-    let mut place = 0;
-    series.explanation.loud.retain(|loud| {
-        place += 1;
+    series.explanation.retain_loud(known, |loud| {
         let named = if loud.is_interval(samples, bursts_of_model) { intervals } else { bursts };
-        place <= known || (named && loud.gain() >= evidence::loudness::price_of_one(samples))
+        named && loud.gain() >= evidence::loudness::price_of_one(samples)
     });
     if series.explanation.loud.len() == before {
         return;
@@ -119,18 +117,11 @@ pub(super) fn tails_and_bursts_again(
         if !beside {
             continue;
         }
-        let mut without = series.clone();
-        if kind == Kind::HeavyTails {
-            without.explanation.tails = start.tails;
-        } else {
-            let (samples, known, bursts) = (series.len(), start.loud.len(), series.setting().bursts);
-            let mut place = 0;
-            without.explanation.loud.retain(|loud| {
-                place += 1;
-                place <= known || loud.is_interval(samples, bursts)
-            });
-        }
-        without.rebuild(false);
+        let (samples, bursts) = (series.len(), series.setting().bursts);
+        let without = series.changed(|of| match kind {
+            Kind::HeavyTails => of.tails = start.tails,
+            _ => of.retain_loud(start.loud.len(), |loud| loud.is_interval(samples, bursts)),
+        });
         let again = evidence::of_samples(&without).into_iter().find(|of| of.kind == kind);
         if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
             *series = without;
@@ -157,9 +148,7 @@ pub(super) fn drop_minor_steps(series: &mut Series<'_>, known: usize) {
     let mut at = known;
     while at < series.explanation.courses.len() {
         if is_minor(&series.explanation.courses, at) {
-            let mut without = series.clone();
-            without.explanation.courses.remove(at);
-            without.rebuild(false);
+            let mut without = series.changed(|of| of.courses.remove(at));
             leave_rises_out(&mut without);
             if without.fitted.log_posterior > series.fitted.log_posterior - WORTH {
                 *series = without;

@@ -1,5 +1,6 @@
 //! Zero rows: rows that are not measurements, because the writer of the recording filled them with zeros.
 
+use super::averages::median;
 use super::prepare::scale_of;
 use super::recording::Recording;
 use std::borrow::Cow;
@@ -14,13 +15,11 @@ pub(super) fn rows(real: &Recording) -> Vec<usize> {
     let is_far = |values: &[f64]| {
         let others = values.iter().enumerate().filter(|(t, value)| value.is_finite() && rows.binary_search(t).is_err());
         let mut there: Vec<f64> = others.map(|(_, value)| *value).collect();
-        let middle = there.len() / 2;
         if there.len() < 3 {
             return false;
         }
         let deviation = scale_of(&there);
-        let (_, median, _) = there.select_nth_unstable_by(middle, f64::total_cmp);
-        median.abs() > FAR * deviation
+        median(&mut there).abs() > FAR * deviation
     };
     let is_known = !rows.is_empty() && rows.len() * 2 < real.len();
     if is_known && real.channels.iter().any(|(_, values)| is_far(values)) { rows } else { Vec::new() }

@@ -1,5 +1,6 @@
 //! Courses: a model's drifts, steps and changes of variance, compared with those of a channel.
 
+use crate::averages::mean;
 use crate::course::{Course, Follow};
 use crate::evidence::Kind;
 use crate::evidence::loudness;
@@ -140,7 +141,6 @@ pub(crate) fn strip(of: &mut Prepared, off: &[Off]) {
 /// about another temperature than the record's mean, which courses do not include.
 pub(crate) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64, about_c: Option<&[f64]>) -> f64 {
     let about = about_c.unwrap_or_default();
-    let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let own = of.shifts.iter().filter_map(|(place, course, factor)| {
         let effect = model?.effects.get(*place)?;
         let number = |name: &str| effect.number(name).unwrap_or_default();
@@ -148,11 +148,11 @@ pub(crate) fn constant(of: &Prepared, model: Option<&ChannelModel>, mean_c: f64,
         match course {
             Course::Temperature => Some(number("per_c") * off_c + number("per_c2") * off_c * off_c),
             Course::Follows(Follow::Play(play_c)) => {
-                let behind = mean(Follow::Play(*play_c).raw(about));
+                let behind = mean(&Follow::Play(*play_c).raw(about));
                 Some(number("per_c") * (off_c + behind) + number("per_c2") * off_c * off_c)
             }
             // Factors are in the series' scale.
-            Course::Follows(way) => Some(of.scale * factor * mean(way.raw(about))),
+            Course::Follows(way) => Some(of.scale * factor * mean(&way.raw(about))),
             _ => None,
         }
     });

@@ -96,21 +96,13 @@ pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
             // Behind the model's filters, almost nothing remains of the line; a line on the channel has another cause.
             return None;
         }
-        let (sense, difference) = match is_there {
-            true => (Sense::Size, "with another amplitude than the model's"),
-            false => (Sense::Superfluous, "without the model's line"),
-        };
+        let difference = if is_there { "with another amplitude than the model's" } else { "without the model's line" };
         let evidence = format!("{channel}: {otherwise:.0} nats more {difference}, its phase fitted");
         Some(Named {
-            channel,
-            sense,
-            declared: Some((place, effect.clone())),
-            effect: if is_there { found } else { effect.clone() },
-            gain: otherwise,
             p_value: by_chance(otherwise),
             confidence: 0.99,
-            evidence: vec![evidence],
             ci95: if is_there { ci95 } else { Vec::new() },
+            ..values::named(channel, (place, effect), is_there.then_some(found), otherwise, evidence)
         })
     };
     model.effects.iter().enumerate().filter_map(named).collect()
@@ -138,7 +130,7 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
     let channel = of.prepared.channel;
     let superfluous = of.steps.iter().filter_map(|step| {
         let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
-        let effect = model.effects.get(place)?.clone();
+        let effect = model.effects.get(place)?;
         let next = step.others.first().map_or(0.0, |(_, score)| *score);
         let margin = step.gain - step.price - next;
         let evidence = format!(
@@ -148,15 +140,9 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
             step.price
         );
         Some(Named {
-            channel,
-            sense: Sense::Superfluous,
-            declared: Some((place, effect.clone())),
-            effect,
-            gain: step.gain,
             p_value: step.chance(level),
             confidence: crate::named::confidence(margin),
-            evidence: vec![evidence],
-            ci95: Vec::new(),
+            ..values::named(channel, (place, effect), None, step.gain, evidence)
         })
     });
     superfluous.collect()
@@ -167,20 +153,10 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
 pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
     let channel = of.prepared.channel;
     let named = |one: &courses::Off| {
-        let effect = model.effects.get(one.place)?.clone();
-        let name = effect.name();
-        let evidence = format!("{channel}: {:.0} nats more with another {name} than the model's", one.otherwise);
-        Some(Named {
-            channel,
-            sense: Sense::Superfluous,
-            declared: Some((one.place, effect.clone())),
-            effect,
-            gain: one.otherwise,
-            p_value: by_chance(one.otherwise),
-            confidence: 0.99,
-            evidence: vec![evidence],
-            ci95: Vec::new(),
-        })
+        let (effect, gain) = (model.effects.get(one.place)?, one.otherwise);
+        let evidence = format!("{channel}: {gain:.0} nats more with another {} than the model's", effect.name());
+        let named = values::named(channel, (one.place, effect), None, gain, evidence);
+        Some(Named { p_value: by_chance(gain), confidence: 0.99, ..named })
     };
     of.off.iter().filter_map(named).collect()
 }

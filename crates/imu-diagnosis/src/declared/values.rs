@@ -6,6 +6,7 @@ use crate::facts::Stamps;
 use crate::named::{MATERIAL_STEP, Named};
 use crate::prepare;
 use crate::report::Sense;
+use crate::shared::Part;
 use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
 use imu_model::effects::{Effect, EffectKind, HeavyTails, HeldSamples, Resolution, Saturation, Spikes, Timing};
@@ -16,7 +17,7 @@ use std::sync::Arc;
 const OFF: f64 = 12.0;
 
 /// Returns a finding at the place of a model's effect that the sensor does not have, or has with other numbers.
-fn named(
+pub(super) fn named(
     channel: Channel,
     declared: (usize, &Arc<dyn Effect>),
     found: Option<Arc<dyn Effect>>,
@@ -158,7 +159,7 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 }
 
 /// Shared noise of a model's channel: place, effect, standard deviation, and share of all white noise of the channel.
-type Part<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
+type Stated<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
 
 /// Reports noise that channels share, if it is more or less than the model states.
 pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
@@ -166,7 +167,7 @@ pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     const MOST: f64 = 0.9;
     let samples = found.samples as f64;
     let mut all = Vec::new();
-    let declared: Vec<Option<Part<'_>>> = found
+    let declared: Vec<Option<Stated<'_>>> = found
         .channels
         .iter()
         .map(|of| {
@@ -183,15 +184,14 @@ pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
         .collect();
     for (index, of) in found.channels.iter().enumerate() {
         let Some((place, effect, sigma, part)) = declared[index] else { continue };
-        let other = found.shared.iter().flat_map(|shared| shared.parts.iter().zip(&shared.errors));
-        let own = other.filter(|((at, _), _)| *at == index).map(|((_, part), error)| (*part, *error)).next();
+        let own = found.shared.iter().flat_map(|shared| &shared.parts).find(|part| part.index == index);
         // The model's shares with the others: a correlation r gives −n/2·ln(1 − r²).
         let others = declared.iter().enumerate().filter(|(other, _)| *other != index);
         let most = others.filter_map(|(_, of)| of.map(|(.., part)| part.abs())).fold(0.0, f64::max);
         let expected = -0.5 * samples * (-(part * most).clamp(-0.99, 0.99).powi(2)).ln_1p();
         let channel = of.prepared.channel;
         let (there, nats, evidence) = match own {
-            Some((found, error)) => {
+            Some(&Part { size: found, error, .. }) => {
                 if part.abs() > MOST && found.abs() > MOST {
                     continue;
                 }

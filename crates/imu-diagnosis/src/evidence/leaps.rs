@@ -1,5 +1,7 @@
 //! Leaps: steps of the level that are visible without a law of the noise, which such steps distort.
 
+use crate::averages::median;
+
 /// Samples between the starts of blocks, and samples in a block.
 const STRIDE: usize = 32;
 const BLOCK: usize = 64;
@@ -74,11 +76,6 @@ pub fn is_lasting(values: &[f64], at: usize, size: f64) -> bool {
     let before = level(at.saturating_sub(STRIDE + LONG), at.saturating_sub(STRIDE));
     let behind = level((at + STRIDE).min(values.len()), (at + STRIDE + LONG).min(values.len()));
     before.zip(behind).is_some_and(|(before, behind)| ((behind - before) / size - 1.0).abs() < 0.5)
-}
-
-pub(super) fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -19,20 +19,18 @@ fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {
 
 /// Searches for a ramp.
 pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
-    if has(series, |course| *course == Course::Ramp) {
-        return None;
-    }
-    let drift = series.with_courses(&[Course::Ramp]);
-    Some(candidate(series, Kind::RateRamp, &[Course::Ramp], drift))
+    of_course(series, Kind::RateRamp, Course::Ramp)
 }
 
 /// Searches for an influence of the temperature.
 pub fn temperature(series: &Series<'_>) -> Option<Candidate> {
-    if series.setting().courses.temperature().is_none() || has(series, |course| *course == Course::Temperature) {
-        return None;
-    }
-    let drift = series.with_courses(&[Course::Temperature]);
-    Some(candidate(series, Kind::TemperatureBias, &[Course::Temperature], drift))
+    series.setting().courses.temperature()?;
+    of_course(series, Kind::TemperatureBias, Course::Temperature)
+}
+
+fn of_course(series: &Series<'_>, kind: Kind, course: Course) -> Option<Candidate> {
+    let is_new = !has(series, |own| *own == course);
+    is_new.then(|| candidate(series, kind, &[course], series.with_courses(&[course])))
 }
 
 /// Searches for an influence of the temperature other than an immediate straight line, beside that line.

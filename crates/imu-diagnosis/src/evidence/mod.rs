@@ -10,80 +10,52 @@ pub(super) mod peaks;
 pub(super) mod spectral;
 
 use super::explanation::Explanation;
+use super::prices::with_tails;
 use super::report::Sense;
 use super::series::Series;
 use imu_model::effects::EffectKind;
-use serde::{Deserialize, Serialize};
 
-/// Defines the kinds, each with its effect and the tail of its gain in records of noise alone: offsets at the lengths
-/// of [`crate::prices`], and a scale.
-macro_rules! kinds {
-    ($($(#[$meta:meta])* $kind:ident: $effect:ident, $offsets:expr, $scale:literal;)+) => {
-        /// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Kind {
-            $($(#[$meta])* $kind,)+
-        }
-
-        impl Kind {
-            /// All kinds.
-            pub const ALL: [Self; [$(stringify!($kind)),+].len()] = [$(Self::$kind),+];
-
-            /// Returns the documented effect.
-            pub fn effect(self) -> EffectKind {
-                match self {
-                    $(Self::$kind => EffectKind::$effect,)+
-                }
-            }
-
-            /// Returns offsets and scale of the tail of the kind's gain in noise alone.
-            pub(super) fn tail(self) -> ([f64; 3], f64) {
-                match self {
-                    $(Self::$kind => ($offsets, $scale),)+
-                }
-            }
-        }
-    };
-}
-
-kinds! {
+with_tails! {
+    /// A kind of cause, as far as the search distinguishes them. Several kinds may be one effect of docs/formats.md.
+    Kind;
+    /// Returns the documented effect.
+    effect -> EffectKind;
     /// A constant drift.
-    RateRamp: RateRamp, [0.0, 0.0, 0.0], 1.0;
+    RateRamp: EffectKind::RateRamp, [0.0, 0.0, 0.0], 1.0;
     /// The level follows the temperature.
-    TemperatureBias: TemperatureBias, [0.0, 0.0, 0.0], 1.0;
+    TemperatureBias: EffectKind::TemperatureBias, [0.0, 0.0, 0.0], 1.0;
     /// An exponential settling.
-    WarmUp: WarmUp, [0.5, 0.5, 0.5], 1.0;
+    WarmUp: EffectKind::WarmUp, [0.5, 0.5, 0.5], 1.0;
     /// Jumps of the level.
-    BiasStep: BiasStep, [4.4, 5.6, 7.1], 1.0;
+    BiasStep: EffectKind::BiasStep, [4.4, 5.6, 7.1], 1.0;
     /// A sine.
-    Tone: Tone, [9.9, 12.0, 14.4], 1.05;
+    Tone: EffectKind::Tone, [9.9, 12.0, 14.4], 1.05;
     /// A narrow band of noise.
-    Resonance: Resonance, [6.2, 7.2, 8.0], 1.05;
+    Resonance: EffectKind::Resonance, [6.2, 7.2, 8.0], 1.05;
     /// Exponentially correlated noise.
-    GaussMarkov: GaussMarkov, [0.3, 0.5, 0.6], 1.0;
+    GaussMarkov: EffectKind::GaussMarkov, [0.3, 0.5, 0.6], 1.0;
     /// White angle noise.
-    QuantizationNoise: QuantizationNoise, [-0.3, -0.3, -0.3], 1.0;
+    QuantizationNoise: EffectKind::QuantizationNoise, [-0.3, -0.3, -0.3], 1.0;
     /// A Butterworth filter.
-    LowPass: LowPass, [0.0, 0.0, 0.0], 1.15;
+    LowPass: EffectKind::LowPass, [0.0, 0.0, 0.0], 1.15;
     /// A boxcar filter.
-    MovingAverage: MovingAverage, [0.0, 0.0, 0.0], 1.0;
+    MovingAverage: EffectKind::MovingAverage, [0.0, 0.0, 0.0], 1.0;
     /// Rare outliers.
-    Spikes: Spikes, [0.0, 0.0, 0.0], 1.0;
+    Spikes: EffectKind::Spikes, [0.0, 0.0, 0.0], 1.0;
     /// Student's t.
-    HeavyTails: HeavyTails, [0.0, 0.0, 0.0], 1.0;
+    HeavyTails: EffectKind::HeavyTails, [0.0, 0.0, 0.0], 1.0;
     /// Stretches of extra noise.
-    Bursts: Bursts, [8.0, 10.3, 12.4], 1.2;
+    Bursts: EffectKind::Bursts, [8.0, 10.3, 12.4], 1.2;
     /// One stretch of another variance.
-    VarianceInterval: VarianceChange, [8.0, 10.3, 12.4], 1.2;
+    VarianceInterval: EffectKind::VarianceChange, [8.0, 10.3, 12.4], 1.2;
     /// Variance by temperature.
-    VariancePerDegree: VarianceChange, [0.0, 0.0, 0.0], 1.0;
+    VariancePerDegree: EffectKind::VarianceChange, [0.0, 0.0, 0.0], 1.0;
     /// Variance over time.
-    VarianceProfile: VarianceChange, [6.9, 6.9, 6.9], 1.35;
+    VarianceProfile: EffectKind::VarianceChange, [6.9, 6.9, 6.9], 1.35;
     /// The level follows the temperature with play, its square, or its rate.
-    TemperatureCurve: TemperatureBias, [0.3, 0.5, 0.6], 1.0;
+    TemperatureCurve: EffectKind::TemperatureBias, [0.3, 0.5, 0.6], 1.0;
     /// A density as another power of the frequency.
-    Slope: PowerLaw, [0.0, 0.2, 0.4], 1.0;
+    Slope: EffectKind::PowerLaw, [0.0, 0.2, 0.4], 1.0;
 }
 
 impl Kind {
@@ -91,6 +63,12 @@ impl Kind {
     /// evidence.
     pub fn is_marginal(self) -> bool {
         matches!(self, Self::Spikes | Self::HeavyTails | Self::Bursts)
+    }
+
+    /// Returns whether the kind shapes the spectrum.
+    pub fn is_spectral(self) -> bool {
+        use Kind::{GaussMarkov, LowPass, MovingAverage, QuantizationNoise, Resonance, Slope};
+        matches!(self, GaussMarkov | QuantizationNoise | LowPass | MovingAverage | Resonance | Slope)
     }
 
     /// Returns whether a series may have several effects of this kind.

@@ -1,6 +1,7 @@
 //! Outliers and tails: the distribution of the residual's single samples.
 
 use super::{Candidate, Kind};
+use crate::averages::median;
 use crate::explanation::{Explanation, SpikeLaw};
 use crate::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
@@ -30,10 +31,7 @@ impl Mixture {
         let plain = squares.iter().sum::<f64>() / n;
         let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
         // The start is the median, so that many outliers do not hide themselves.
-        let mut sorted = squares.to_vec();
-        let middle = sorted.len() / 2;
-        let (_, median, _) = sorted.select_nth_unstable_by(middle, f64::total_cmp);
-        let mut core = *median / 0.454_936;
+        let mut core = median(&mut squares.to_vec()) / 0.454_936;
         let mut share = (squares.iter().filter(|a| **a > 12.0 * core).count() as f64 / n).clamp(2.0 / n, LARGEST_SHARE);
         let mut wide = 40.0 * core;
         let mut gain = f64::NEG_INFINITY;

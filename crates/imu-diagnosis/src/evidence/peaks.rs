@@ -1,6 +1,6 @@
 //! Peaks: single samples so far out that they are visible without a law of the noise, which such samples distort.
 
-use super::leaps::median;
+use crate::averages::median;
 
 /// A sample is compared with the median of this many samples on either side.
 const HALF: usize = 16;

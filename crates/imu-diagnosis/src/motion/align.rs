@@ -8,9 +8,10 @@
 use super::reference::Reference;
 use crate::error::DiagnosisError;
 use crate::recording::Recording;
+use crate::response::clock::latest;
+use crate::response::input;
 use imu_core::sample::Triad;
 use imu_model::simulator::{Motion, SensorModel};
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 /// Number of the record's periods by which the length of a reference on the same clock may differ.
@@ -116,42 +117,16 @@ fn begin_s(real: &Recording, reference: &Reference, triads: &[Triad]) -> f64 {
     let mut near = 0;
     let motions: Vec<Motion> = (0..rows).map(|index| reference.at(index as f64 / rate_hz, &mut near)).collect();
     let length = (real.len() + rows).next_power_of_two();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
-    let spectrum = |differences: &[f64]| {
-        let mut padded = forward.make_input_vec();
-        padded[..differences.len()].copy_from_slice(differences);
-        let mut spectrum = forward.make_output_vec();
-        // This fails only for buffers of a wrong length; these are the plan's own.
-        let _ = forward.process(&mut padded, &mut spectrum);
-        spectrum
-    };
-    let mut sum = vec![Complex::new(0.0, 0.0); length / 2 + 1];
-    for triad in triads {
-        for (axis, channel) in triad.channels().into_iter().enumerate() {
-            let shown = differences(real.values(channel).unwrap_or_default().iter().copied());
-            let felt = differences(motions.iter().map(|motion| match triad {
-                Triad::Gyro => motion.gyro_rad_s[axis],
-                _ => motion.accel_m_s2[axis],
-            }));
-            let square: f64 = shown.iter().map(|value| value * value).sum();
-            if square <= 0.0 {
-                continue;
-            }
-            for (sum, (shown, felt)) in sum.iter_mut().zip(spectrum(&shown).iter().zip(&spectrum(&felt))) {
-                *sum += shown * felt.conj() / square.sqrt();
-            }
-        }
-    }
-    sum[0].im = 0.0;
-    sum[length / 2].im = 0.0;
-    let mut correlation = backward.make_output_vec();
-    let _ = backward.process(&mut sum, &mut correlation);
+    let axes = triads.iter().flat_map(|triad| triad.channels().into_iter().enumerate().map(move |of| (*triad, of)));
+    let pairs = axes.filter_map(|(triad, (axis, channel))| {
+        let shown = differences(real.values(channel).unwrap_or_default().iter().copied());
+        let felt = differences(motions.iter().map(|motion| input(triad, motion)[axis]));
+        let square: f64 = shown.iter().map(|value| value * value).sum();
+        (square > 0.0).then_some((shown, felt, move |product: Complex<f64>| product / square.sqrt()))
+    });
     // Lag: the record's sample index less the reference's row index at the same instant.
     let lags = -(rows as i64 - 1)..real.len() as i64;
-    let at = |lag: &i64| correlation[lag.rem_euclid(length as i64) as usize];
-    let best = lags.max_by(|one, other| at(one).total_cmp(&at(other))).unwrap_or(0);
-    -(best as f64) / rate_hz
+    -(latest(length, pairs, lags) as f64) / rate_hz
 }
 
 /// Returns differences of neighbours; 0 beside values that are not numbers.

@@ -9,7 +9,7 @@ use super::align::Aligned;
 use super::groups::{Group, Member};
 use super::lateness::Delay;
 use super::rounds::Found;
-use super::settle::Settled;
+use super::settle::{Settled, level};
 use super::together::{self, Driven, Sums};
 use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnose::{Options, Outcome};
@@ -62,9 +62,14 @@ pub(super) fn outcome(
         );
         driven.extend(saturation(of).filter(|_| options.wants(EffectKind::Saturation)));
         alternatives.extend(weighed(of));
-        let bias = |channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0);
-        let level = of.triad.channels().map(bias);
-        located.extend(places::places(of, level, late.is_some(), &aligned.motions, part.rate_hz, from_s));
+        located.extend(places::places(
+            of,
+            level(sim, of.triad),
+            late.is_some(),
+            &aligned.motions,
+            part.rate_hz,
+            from_s,
+        ));
         let numbers = sums.numbers;
         let own = add(&mut sums, of, late.is_some());
         let floor = 0.5 * (sums.numbers - numbers) as f64 / 3.0;

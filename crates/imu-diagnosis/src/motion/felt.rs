@@ -1,5 +1,6 @@
 //! Felt motion: the motion that a sensor felt, computed from its samples and its model.
 
+use super::settle::level;
 use crate::recording::Recording;
 use imu_core::sample::Triad;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
@@ -23,8 +24,7 @@ pub(super) fn felt<'a>(real: &'a Recording, sim: &SensorModel) -> Cow<'a, Record
     let of = |triad: Triad| -> Option<Chain> {
         let effects = sim.triads.get(&triad).map(|of| of.effects.as_slice()).unwrap_or_default();
         let stages = STAGES.map(|stage| effects.iter().filter(|of| of.stage() == stage).cloned().collect::<Vec<_>>());
-        let own = |channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0);
-        let bias = if at_rest && triad == Triad::Accel { Axes::default() } else { triad.channels().map(own) };
+        let bias = if at_rest && triad == Triad::Accel { Axes::default() } else { level(sim, triad) };
         let acts = stages.iter().any(|of| !of.is_empty()) || bias.iter().any(|bias| *bias != 0.0);
         acts.then_some(Chain { stages, bias })
     };

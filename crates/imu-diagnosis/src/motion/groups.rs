@@ -8,7 +8,9 @@
 //! known. The gain of a bias is therefore distributed as Fisher's F with the degrees of freedom that the levels'
 //! uncertainty leaves.
 
-use crate::response::{Candidate, Extra};
+use crate::averages::mean;
+use crate::course::Follow;
+use crate::response::{Candidate, Extra, input};
 use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::Motion;
@@ -165,8 +167,8 @@ pub fn foreign(
     rate_hz: f64,
     temperature_c: Option<&[f64]>,
 ) -> Vec<Extra> {
-    let input = |motion: &Motion| if triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 };
-    let inputs: [Vec<f64>; 3] = std::array::from_fn(|axis| motions.iter().map(|motion| input(motion)[axis]).collect());
+    let inputs: [Vec<f64>; 3] =
+        std::array::from_fn(|axis| motions.iter().map(|motion| input(triad, motion)[axis]).collect());
     let forces: [Vec<f64>; 3] = std::array::from_fn(|axis| motions.iter().map(|of| of.accel_m_s2[axis]).collect());
     let peak = inputs.iter().flatten().fold(0.0f64, |most, value| most.max(value.abs()));
     let mut columns: Vec<Extra> = Vec::new();
@@ -189,7 +191,7 @@ pub fn foreign(
             Foreign::ForceSquared => (0..3).for_each(|other| own(axis, product(&forces[other], &forces[other]))),
             Foreign::WarmScale => {
                 if let Some(temperature_c) = temperature_c {
-                    let mean = temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
+                    let mean = mean(temperature_c);
                     own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
                 }
             }
@@ -224,7 +226,6 @@ pub fn foreign(
 /// Subtracts the columns' means, which belong to a bias, and scales the largest value of all axes to 1.
 fn centre(column: &mut [Option<Vec<f64>>; 3]) {
     let axes = || column.iter().flatten();
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let far = |values: &Vec<f64>| {
         let mean = mean(values);
         values.iter().fold(0.0f64, |most, value| most.max((value - mean).abs()))
@@ -252,14 +253,8 @@ fn creep(values: &[f64], samples: f64) -> Vec<f64> {
 
 /// Returns how far values are from a course that they drag along with a play of that half width.
 fn play(values: &[f64], half: f64) -> Vec<f64> {
-    let mut dragged = values.first().copied().unwrap_or_default();
-    values
-        .iter()
-        .map(|value| {
-            dragged = dragged.clamp(value - half, value + half);
-            value - dragged
-        })
-        .collect()
+    let dragged = Follow::Play(2.0 * half).raw(values);
+    values.iter().zip(dragged).map(|(value, dragged)| value - dragged).collect()
 }
 
 /// Returns the first, second or third difference about each value, per sample; the ends stay.

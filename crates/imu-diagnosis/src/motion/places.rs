@@ -2,7 +2,8 @@
 
 use super::settle::Settled;
 use crate::report::{Driver, Of, Place};
-use crate::response;
+use crate::response::{self, AXES};
+use imu_core::sample::Channel;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::Motion;
 use std::borrow::Cow;
@@ -17,7 +18,6 @@ const WIDE: f64 = 0.9;
 const ACCOUNTED_MIN: f64 = 0.2;
 /// How near to upright a pose is, as a part of gravity.
 const UPRIGHT: f64 = 0.97;
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Returns the places of a triad's gap: one per axis with a material part of it.
 pub(super) fn places(
@@ -51,25 +51,38 @@ pub(super) fn places(
         // Samples that are cut off are missing.
         let is_cut = of.cut_off.as_ref().is_some_and(|nats| nats[axis].iter().sum::<f64>() > 0.5 * totals[axis]);
         let rising = if is_cut { -1.0 } else { mean_gap(&of.fit.response[axis], &model[axis], values) };
-        places.push(Place {
-            // The cause of a gap is known once all causes are ranked.
-            of: Of::Remainder,
-            channel: channel.name().to_owned(),
-            // The gap that a motion drives is as slow as the motion: from the record's length to the motion's own
-            // changes.
-            band_hz: [0.0, rate_hz / 2.0],
-            tau_s: [1.0 / rate_hz, values.len() as f64 / rate_hz],
-            from_s: from_s + from as f64 / rate_hz,
-            to_s: from_s + to as f64 / rate_hz,
-            temperature_c: None,
-            at: driver(values, motions),
-            share: 0.0,
-            nats: totals[axis],
-            p_value: (-totals[axis]).exp(),
-            sign: if rising >= 0.0 { "real higher" } else { "real lower" }.into(),
-        });
+        let at_s = [from, to].map(|index| from_s + index as f64 / rate_hz);
+        let mut place = driven(channel, at_s, values.len(), rate_hz, rising >= 0.0);
+        (place.at, place.nats, place.p_value) = (driver(values, motions), totals[axis], (-totals[axis]).exp());
+        places.push(place);
     }
     places
+}
+
+/// Returns a place of a gap that a motion drives during `length` samples, without its driver and its nats.
+pub(super) fn driven(
+    channel: Channel,
+    [from_s, to_s]: [f64; 2],
+    length: usize,
+    rate_hz: f64,
+    is_higher: bool,
+) -> Place {
+    Place {
+        // The cause of a gap, and the share of a place, are known once all causes are ranked.
+        of: Of::Remainder,
+        channel: channel.name().to_owned(),
+        // The gap that a motion drives is as slow as the motion: from the length to the motion's own changes.
+        band_hz: [0.0, rate_hz / 2.0],
+        tau_s: [1.0 / rate_hz, length as f64 / rate_hz],
+        from_s,
+        to_s,
+        temperature_c: None,
+        at: None,
+        share: 0.0,
+        nats: 0.0,
+        p_value: 1.0,
+        sign: if is_higher { "real higher" } else { "real lower" }.into(),
+    }
 }
 
 /// Returns whether the sensor shows more than the model at the place of the gap, weighted by the gap.

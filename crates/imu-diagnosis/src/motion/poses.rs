@@ -115,6 +115,15 @@ pub(super) fn price(numbers: f64, level: f64) -> f64 {
     ChiSquared::new(numbers).map_or(f64::INFINITY, |of| 0.5 * of.inverse_cdf(1.0 - level / PARTS.len() as f64))
 }
 
+/// Returns the inverse of an information matrix, 0 along directions with less than this part of the largest information.
+pub(super) fn inverse_of(matrix: &DMatrix<f64>, least: f64) -> Option<DMatrix<f64>> {
+    let scales = matrix.diagonal().map(|value| value.max(1e-300).sqrt().recip());
+    let scaled = |of: &DMatrix<f64>| {
+        DMatrix::from_fn(of.nrows(), of.ncols(), |row, column| of[(row, column)] * scales[row] * scales[column])
+    };
+    Some(scaled(&scaled(matrix).pseudo_inverse(least).ok()?))
+}
+
 /// Fits the tumble. None if there are too few poses or if the noise is not valid.
 pub(super) fn tumbled(
     rests: &[Rest],
@@ -179,10 +188,7 @@ pub(super) fn tumbled(
                 matrix[(place, place)] += prior_sd(*number).powi(-2);
                 right[place] -= numbers[*number] / prior_sd(*number).powi(2);
             }
-            let scales = DVector::from_fn(own.len(), |row, _| matrix[(row, row)].max(1e-300).sqrt().recip());
-            let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| matrix[(r, c)] * scales[r] * scales[c]);
-            let pseudo = scaled.pseudo_inverse(1e-9).ok()?;
-            inverse = DMatrix::from_fn(own.len(), own.len(), |r, c| pseudo[(r, c)] * scales[r] * scales[c]);
+            inverse = inverse_of(&matrix, 1e-9)?;
             let step = &inverse * right;
             for (number, step) in own.iter().zip(step.iter()) {
                 numbers[*number] += step;

@@ -10,7 +10,7 @@
 //! Am. Stat. Assoc. 84), so that windows with a jerk count little. If the scale is above [`STEADY`], no result is
 //! reported: a hand that turns faster has centripetal accelerations that follow the pose as scale factors do.
 
-use super::poses::{PARTS, Tumbled, columns_of, price, prior_sd};
+use super::poses::{PARTS, Tumbled, columns_of, inverse_of, price, prior_sd};
 use super::rests::{self, Rest};
 use super::select::Choice;
 use crate::diagnose::Options;
@@ -208,10 +208,7 @@ fn student(design: &DMatrix<f64>, off: &DVector<f64>, own: &[usize]) -> Option<F
         for (place, number) in own.iter().enumerate() {
             information[(place, place)] += prior_sd(*number).powi(-2);
         }
-        let scales = DVector::from_fn(own.len(), |row, _| information[(row, row)].max(1e-300).sqrt().recip());
-        let scaled = DMatrix::from_fn(own.len(), own.len(), |r, c| information[(r, c)] * scales[r] * scales[c]);
-        let pseudo = scaled.pseudo_inverse(1e-10).ok()?;
-        inverse = DMatrix::from_fn(own.len(), own.len(), |r, c| pseudo[(r, c)] * scales[r] * scales[c]);
+        inverse = inverse_of(&information, 1e-10)?;
         numbers = &inverse * right;
         let left = off - design * &numbers;
         square =

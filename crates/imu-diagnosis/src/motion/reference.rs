@@ -1,5 +1,6 @@
 //! Reference: a motion recorded by another instrument, possibly on its own clock.
 
+use crate::averages::median;
 use imu_model::simulator::Motion;
 
 /// Rows of a motion in the order of time.
@@ -76,8 +77,7 @@ impl Reference {
         }
         let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let wide = |period_s: f64| move |step: &f64| *step > GAP_PERIODS * period_s;
-        let middle = steps.len() / 2;
-        let period_s = *steps.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
+        let period_s = median(&mut steps.clone());
         if let Some(place) = steps.iter().position(wide(period_s)) {
             return Err(ReferenceError::Gap { row: place + 2, gap_s: steps.swap_remove(place), period_s });
         }

@@ -1,8 +1,8 @@
 //! Residuals: the difference between a record of a motion and the model, against time, rate and specific force, for
 //! pictures.
 
-use super::settle::Settled;
-use crate::response;
+use super::settle::{Settled, level};
+use crate::response::{self, AXES};
 use crate::written::numbers;
 use imu_model::effects::triad::Axes;
 use imu_model::simulator::{Motion, SensorModel};
@@ -48,8 +48,7 @@ pub(super) fn residuals(
     rate_hz: f64,
     from_s: f64,
 ) -> Vec<Residuals> {
-    let level = of.triad.channels().map(|channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
-    let shown = response::expected(of.triad, rate_hz, motions, &of.known, level);
+    let shown = response::expected(of.triad, rate_hz, motions, &of.known, level(sim, of.triad));
     let time_s: Vec<f64> = (0..motions.len()).map(|t| from_s + t as f64 / rate_hz).collect();
     let driver = |force: bool, axis: usize| -> Vec<f64> {
         motions.iter().map(|motion| if force { motion.accel_m_s2[axis] } else { motion.gyro_rad_s[axis] }).collect()
@@ -78,7 +77,7 @@ pub(super) fn residuals(
             let along = (0..3).map(|axis| (axis, Means::of(&values[axis], &before, after, POINTS[1])));
             let most = along.max_by(|(_, one), (_, other)| one.differ.total_cmp(&other.differ));
             if let Some((axis, means)) = most.filter(|(_, means)| means.at.len() > 1) {
-                all.push(of_means(against, Some(["x", "y", "z"][axis]), unit, means));
+                all.push(of_means(against, Some(AXES[axis]), unit, means));
             }
         }
     }

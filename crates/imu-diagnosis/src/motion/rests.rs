@@ -3,6 +3,7 @@
 //! A quarter of a second is quiet if gyro and accelerometer scatter about as little as in the quietest tenth of the record.
 //! Consecutive quiet parts that keep their level are a rest. A sensor that is never still has no rests.
 
+use crate::averages::{mean, quantile};
 use crate::recording::Recording;
 use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;
@@ -35,12 +36,8 @@ pub struct Rest {
 
 /// Returns the rests of a record with an accelerometer, in order.
 pub fn rests(real: &Recording) -> Vec<Rest> {
-    let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
-        let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| real.values(channel)).collect();
-        all?.try_into().ok()
-    };
-    let Some(accel) = columns(Triad::Accel) else { return Vec::new() };
-    let gyro = columns(Triad::Gyro);
+    let Some(accel) = real.triad(Triad::Accel) else { return Vec::new() };
+    let gyro = real.triad(Triad::Gyro);
     let size = ((PART_S * real.rate_hz) as usize).max(4);
     let parts = real.len() / size;
     if parts < 4 {
@@ -63,9 +60,7 @@ pub fn rests(real: &Recording) -> Vec<Rest> {
     let forces = of(accel);
     let rates = gyro.map(of);
     let quietest = |of: &[Option<(Axes, f64)>]| {
-        let mut spreads: Vec<f64> = of.iter().flatten().map(|(_, spread)| *spread).collect();
-        spreads.sort_unstable_by(f64::total_cmp);
-        spreads.get((QUIETEST * spreads.len() as f64) as usize).copied().unwrap_or(0.0)
+        quantile(of.iter().flatten().map(|(_, spread)| *spread).collect(), QUIETEST).unwrap_or(0.0)
     };
     let (least_force, least_rate) = (quietest(&forces), rates.as_ref().map_or(0.0, |of| quietest(of)));
     // The permitted movement of a part beyond its noise: the scatter of the noise itself and a tremble.
@@ -130,8 +125,4 @@ pub fn poses(rests: &[Rest]) -> usize {
         }
     }
     seen.len()
-}
-
-pub(super) fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len().max(1) as f64
 }

@@ -3,7 +3,7 @@
 use super::align::{Aligned, Lie};
 use super::lateness::{self, Delay};
 use super::settle::{About, Settled, pricing};
-use crate::diagnose::{Options, Outcome, diagnose};
+use crate::diagnose::{Options, Outcome, diagnose, gathered};
 use crate::error::DiagnosisError;
 use crate::prepare;
 use crate::recording::Recording;
@@ -11,7 +11,6 @@ use imu_core::sample::Triad;
 use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
 use std::collections::BTreeSet;
-use std::sync::{Mutex, PoisonError};
 
 /// Maximum number of rounds; then the result is kept as it is.
 const ROUNDS: usize = 4;
@@ -48,16 +47,10 @@ pub(super) fn run(
     let mut round = 0;
     loop {
         let lenient = if round == 0 { LENIENT } else { 1.0 };
-        let places: Vec<Mutex<Option<Result<Settled, DiagnosisError>>>> =
-            triads.iter().map(|_| Mutex::new(None)).collect();
-        options.workers.each(triads.len(), &|index| {
-            let about =
-                About { part, aligned, sim, noise_model: &noise_model, temperature_c: temperature_c.as_deref() };
-            let settled = about.settle(triads[index], triads.len(), options, lenient);
-            *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(settled);
-        });
-        let done = places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner));
-        let settled = done.map(|of| of.ok_or(DiagnosisError::CalledOff)?).collect::<Result<Vec<_>, _>>()?;
+        let about = About { part, aligned, sim, noise_model: &noise_model, temperature_c: temperature_c.as_deref() };
+        let settled = |index: usize| about.settle(triads[index], triads.len(), options, lenient);
+        let settled = gathered(options.workers, triads.len(), settled).ok_or(DiagnosisError::CalledOff)?;
+        let settled = settled.into_iter().collect::<Result<Vec<_>, _>>()?;
         let rest = diagnose(&remainder(part, &settled), &still, options)?;
         let now = signature(&settled, &rest.augmented);
         round += 1;

@@ -8,9 +8,10 @@ use super::{BLOCKS, noise};
 use crate::diagnose::Options;
 use crate::error::DiagnosisError;
 use crate::recording::Recording;
-use crate::response::{self, Candidate, Clipping, Clock, Filters, Fit, Record, Request, Screen};
+use crate::response::{self, AXES, Candidate, Clipping, Clock, Filters, Fit, Record, Request, Screen};
 use crate::{facts, prepare};
 use imu_core::sample::Triad;
+use imu_model::effects::triad::Axes;
 use imu_model::effects::{EffectKind, TriadEffect};
 use imu_model::simulator::SensorModel;
 use std::sync::Arc;
@@ -120,19 +121,15 @@ impl About<'_> {
                 *value -= of;
             }
         }
-        let input = |t: usize, axis: usize| match triad {
-            Triad::Gyro => motions[t].gyro_rad_s[axis],
-            _ => motions[t].accel_m_s2[axis],
-        };
         let scale = std::array::from_fn(|axis| {
-            let there = (0..n).filter(|t| !left_out[*t]).map(|t| samples[axis][t] - input(t, axis));
+            let there =
+                (0..n).filter(|t| !left_out[*t]).map(|t| samples[axis][t] - response::input(triad, &motions[t])[axis]);
             prepare::scale_of(&there.collect::<Vec<f64>>())
         });
         let law = noise::law(self.noise_model, triad, rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
-        let level =
-            triad.channels().map(|channel| self.sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
+        let level = level(self.sim, triad);
         let clock = if self.aligned.shared { Clock::SHARED } else { Clock::SEPARATE };
         // On one clock a delay is a latency; on two clocks it is an offset.
         let with_delay = |mut of: Vec<Candidate>| {
@@ -265,7 +262,7 @@ impl About<'_> {
         let fit = &ended.fit;
         let n = self.aligned.motions.len();
         let per_c = |axis: usize| {
-            let name = format!("{} per_c", ["x", "y", "z"][axis]);
+            let name = format!("{} per_c", AXES[axis]);
             fit.estimates.iter().find(|one| one.parameter == name).map_or(0.0, |one| one.value)
         };
         let mean_c = self.temperature_c.map_or(0.0, |values| values.iter().sum::<f64>() / n.max(1) as f64);
@@ -293,8 +290,7 @@ impl About<'_> {
         let law = noise::law(self.noise_model, triad, self.part.rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
-        let level =
-            triad.channels().map(|channel| self.sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0));
+        let level = level(self.sim, triad);
         let request =
             Request { known: &known, level, candidates: &candidates, clock: Clock::SEPARATE, filters: &filters };
         Ok(response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?)
@@ -335,6 +331,11 @@ impl About<'_> {
     }
 }
 
+/// Returns the biases that a model states for a triad's channels, U.
+pub(super) fn level(sim: &SensorModel, triad: Triad) -> Axes {
+    triad.channels().map(|channel| sim.channels.get(&channel).and_then(|of| of.bias).unwrap_or(0.0))
+}
+
 /// Returns the prices of groups for this number of triads.
 pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -> Pricing {
     Pricing { level: options.level, triads, mean_freedom }
@@ -342,13 +343,7 @@ pub(super) fn pricing(options: &Options<'_>, triads: usize, mean_freedom: f64) -
 
 /// Returns the full scale to which a nonlinearity refers: the model's own, or the sensor's range.
 fn full_scale(triad: Triad, known: &[Arc<dyn TriadEffect>]) -> f64 {
-    let stated =
-        known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity).find_map(|effect| {
-            effect
-                .parameters()
-                .into_iter()
-                .find(|(name, _)| *name == "full_scale")
-                .and_then(|(_, value)| value.as_f64())
-        });
+    let mut own = known.iter().filter(|effect| effect.kind() == EffectKind::ScaleFactorNonlinearity);
+    let stated = own.find_map(|effect| effect.number("full_scale"));
     stated.unwrap_or(FULL_SCALE[usize::from(triad != Triad::Gyro)])
 }

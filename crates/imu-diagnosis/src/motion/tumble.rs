@@ -6,16 +6,18 @@
 
 use super::felt::felt;
 use super::noise::mean_freedom;
+use super::places::driven;
 use super::poses::{self, GRAVITY_SD, PARTS, POSES_MIN, Tumbled, Turned};
 use super::quasi_static::{WINDOW_S, Windows, quasi_static};
 use super::rests::{Rest, poses as count_poses, rests};
 use super::together::{self, Driven, Sums};
+use crate::averages::quantile;
 use crate::diagnose::{Options, Outcome, diagnose};
 use crate::error::DiagnosisError;
 use crate::prepare;
 use crate::recording::Recording;
-use crate::report::{Driver, Of, Place, Verdict};
-use crate::response::{Candidate, NORMAL_95};
+use crate::report::{Driver, Place, Verdict};
+use crate::response::{AXES, Candidate, NORMAL_95};
 use imu_core::sample::Triad;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
 use imu_model::effects::EffectKind;
@@ -28,7 +30,6 @@ use std::sync::Arc;
 const RIGHT: f64 = 0.95;
 /// A rest that is this unlikely under the noise shows an unknown effect.
 const REMAINS: f64 = 0.005;
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Compares a record that rests in several poses with a model. `None` if it does not rest in several poses, or is at
 /// rest throughout.
@@ -51,18 +52,14 @@ pub fn diagnose_tumble(
     let felt = felt(real, sim);
     let rests = rests(&felt);
     let tumble = count_poses(&rests) >= POSES_MIN;
-    let columns = |triad: Triad| -> Option<[&[f64]; 3]> {
-        let all: Option<Vec<&[f64]>> = triad.channels().into_iter().map(|channel| felt.values(channel)).collect();
-        all?.try_into().ok()
-    };
-    let gyro = columns(Triad::Gyro);
+    let gyro = felt.triad(Triad::Gyro);
     let n = Triad::Gyro.channels().map(|channel| sim.channels.get(&channel).map_or(0.0, |of| of.n));
     let turns = match gyro.filter(|_| has(Triad::Gyro)) {
         Some(gyro) => poses::turned(&rests, gyro, real.rate_hz, n, options.level),
         None => Vec::new(),
     };
     let longest = rests.iter().max_by_key(|rest| rest.within.len())?;
-    let windows = match (gyro, columns(Triad::Accel)) {
+    let windows = match (gyro, felt.triad(Triad::Accel)) {
         (Some(gyro), Some(accel)) => Windows::of(&felt, accel, gyro, longest.rate.unwrap_or_default()),
         _ => Windows::default(),
     };
@@ -151,11 +148,9 @@ fn complete(
                 (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
             },
             // A jerk in a window is not caused by the sensor.
-            How::Windows => |values: &[f64]| {
-                let mut sizes: Vec<f64> = values.iter().map(|value| value.abs()).collect();
-                sizes.sort_unstable_by(f64::total_cmp);
-                sizes.get(sizes.len() / 2).copied().unwrap_or(0.0)
-            },
+            How::Windows => {
+                |values: &[f64]| quantile(values.iter().map(|value| value.abs()).collect(), 0.5).unwrap_or(0.0)
+            }
         };
         notes.push(format!(
             "gravity's magnitude in {} is the reference, taken as {STANDARD_GRAVITY_M_S2:.4} m/s² ± {GRAVITY_SD}: it is off by \
@@ -186,7 +181,7 @@ fn complete(
             How::Windows => "half of the windows foretold by the other",
         };
         let at = place(of, poses.stands, real.rate_hz).filter(|_| !of.choice.groups.is_empty());
-        let located = at.map(|place| Place { nats: place.share * of.choice.gain, ..place }).into_iter().collect();
+        let located = at.into_iter().collect();
         together::join(diagnosis, &sums, &mut named, located, all, held_out);
         diagnosis.discrepancy.p_value_after = diagnosis.discrepancy.p_value_after.min(of.p_value);
         if of.p_value < REMAINS {
@@ -297,30 +292,17 @@ fn place(of: &Tumbled, rests: &[Rest], rate_hz: f64) -> Option<Place> {
     let worst = (0..rests.len()).max_by(|one, other| of.before[*one].abs().total_cmp(&of.before[*other].abs()))?;
     let force = rests[worst].force;
     let axis = (0..3).max_by(|one, other| force[*one].abs().total_cmp(&force[*other].abs()))?;
-    let name = ["x", "y", "z"][axis];
-    let pose = format!("{name} {}", if force[axis] > 0.0 { "up" } else { "down" });
+    let pose = Some(format!("{} {}", AXES[axis], if force[axis] > 0.0 { "up" } else { "down" }));
     let within = &rests[worst].within;
+    let at_s = [within.start, within.end].map(|index| index as f64 / rate_hz);
     let squares: f64 = of.before.iter().map(|value| value * value).sum();
-    Some(Place {
-        of: Of::Remainder,
-        channel: Triad::Accel.channels()[axis].name().to_owned(),
-        band_hz: [0.0, rate_hz / 2.0],
-        tau_s: [1.0 / rate_hz, within.len() as f64 / rate_hz],
-        from_s: within.start as f64 / rate_hz,
-        to_s: within.end as f64 / rate_hz,
-        temperature_c: None,
-        at: Some(Driver {
-            quantity: "acceleration".into(),
-            axis: name.into(),
-            unit: "m/s²".into(),
-            range: [force[axis], force[axis]],
-            pose: Some(pose),
-        }),
-        share: of.before[worst].powi(2) / squares.max(f64::MIN_POSITIVE),
-        nats: 0.0,
-        p_value: (-of.choice.gain).exp(),
-        sign: if of.before[worst] > 0.0 { "real higher" } else { "real lower" }.into(),
-    })
+    let mut place = driven(Triad::Accel.channels()[axis], at_s, within.len(), rate_hz, of.before[worst] > 0.0);
+    let range = [force[axis], force[axis]];
+    let (quantity, axis, unit) = ("acceleration".into(), AXES[axis].into(), "m/s²".into());
+    place.at = Some(Driver { quantity, axis, unit, range, pose });
+    place.nats = of.before[worst].powi(2) / squares.max(f64::MIN_POSITIVE) * of.choice.gain;
+    place.p_value = (-of.choice.gain).exp();
+    Some(place)
 }
 
 #[cfg(test)]

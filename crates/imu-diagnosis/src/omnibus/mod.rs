@@ -7,103 +7,57 @@ mod rectangles;
 mod sweep;
 
 use super::plans;
+use super::prices::with_tails;
 use super::series::Series;
 use super::tiles::Tiles;
-use serde::{Deserialize, Serialize};
 use statrs::function::gamma::{digamma, gamma_ur};
 
-/// A statistic of a residual: about −ln of the chance of a larger value, up to an offset that depends on the record's
-/// length.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Statistic {
+with_tails! {
+    /// A statistic of a residual: about −ln of the chance of a larger value, up to an offset that depends on the record's
+    /// length.
+    Statistic;
+    /// Returns the property that the statistic tests, for people.
+    meaning -> &'static str;
     /// Fourth moment of single samples.
-    Kurtosis,
+    Kurtosis: "tails of single samples", [-0.5, -0.5, -0.5], 1.0;
     /// Third moment of single samples.
-    Skewness,
+    Skewness: "asymmetry of single samples", [-0.4, -0.4, -0.4], 1.1;
     /// Variance in tiles of time and octave, in total.
-    Tiles,
+    Tiles: "power that varies over time and frequency", [0.0, 0.0, 0.0], 1.15;
     /// Variance in the most conspicuous tile.
-    Tile,
+    Tile: "power in one stretch of one octave", [3.9, 4.2, 4.5], 1.1;
     /// Variance in the most conspicuous octave.
-    Octave,
+    Octave: "power in one octave", [2.7, 2.8, 3.4], 1.1;
     /// Variance in the most conspicuous stretch.
-    Stretch,
+    Stretch: "power in one stretch of time", [3.5, 3.3, 3.3], 1.15;
     /// Fourth moment within octaves.
-    OctaveKurtosis,
+    OctaveKurtosis: "values of an octave that are not normal", [-0.3, -0.3, -0.2], 1.1;
     /// Clustering of the power within octaves.
-    Clusters,
+    Clusters: "power of an octave that comes in bursts", [0.0, 0.4, 0.4], 1.65;
     /// Power in the most conspicuous of the finest bands.
-    FineBand,
+    FineBand: "power in a narrow band", [2.9, 4.9, 7.2], 1.1;
     /// Power in the finest bands, in total.
-    FineBands,
+    FineBands: "power in many narrow bands", [-0.5, -0.5, -0.5], 1.2;
     /// A period in the squares.
-    Modulation,
+    Modulation: "noise whose level has a period", [8.1, 10.3, 12.8], 1.1;
     /// The greatest autocorrelation.
-    Echo,
+    Echo: "an echo: samples that resemble those a while before", [6.2, 8.3, 8.4], 1.1;
     /// Variance in the most conspicuous rectangle of time and frequency, of many sizes.
-    Rectangle,
+    Rectangle: "power that comes and goes or wanders in a band", [7.5, 9.8, 11.9], 1.15;
     /// Third and fourth moments of the most probable course of a spectral term of the law.
-    Component,
+    Component: "what looks like a process by its spectrum is not normal: it jumps, or keeps its amplitude",
+        [0.0, 0.0, 0.0], 1.3;
     /// A value that is far more frequent than its neighbours.
-    Atom,
+    Atom: "one value is met far more often than those beside it", [0.0, 0.0, 0.0], 1.0;
     /// Power along the most conspicuous straight line of a spectrogram.
-    Sweep,
+    Sweep: "a line whose frequency moves", [9.5, 11.7, 13.9], 1.1;
     /// Power in a few coefficients of short stretches.
-    Flashes,
+    Flashes: "short flashes of narrow bands", [1.2, 1.3, 1.5], 1.3;
     /// The greatest correlation with another channel some samples earlier or later.
-    Crosstalk,
+    Crosstalk: "samples that resemble another channel's a while before", [7.1, 8.3, 8.6], 1.15;
 }
 
 impl Statistic {
-    /// All statistics.
-    pub const ALL: [Self; 18] = [
-        Self::Kurtosis,
-        Self::Skewness,
-        Self::Tiles,
-        Self::Tile,
-        Self::Octave,
-        Self::Stretch,
-        Self::OctaveKurtosis,
-        Self::Clusters,
-        Self::FineBand,
-        Self::FineBands,
-        Self::Modulation,
-        Self::Echo,
-        Self::Rectangle,
-        Self::Component,
-        Self::Atom,
-        Self::Sweep,
-        Self::Flashes,
-        Self::Crosstalk,
-    ];
-
-    /// Returns the property that the statistic tests, for people.
-    pub fn meaning(self) -> &'static str {
-        match self {
-            Self::Kurtosis => "tails of single samples",
-            Self::Skewness => "asymmetry of single samples",
-            Self::Tiles => "power that varies over time and frequency",
-            Self::Tile => "power in one stretch of one octave",
-            Self::Octave => "power in one octave",
-            Self::Stretch => "power in one stretch of time",
-            Self::OctaveKurtosis => "values of an octave that are not normal",
-            Self::Clusters => "power of an octave that comes in bursts",
-            Self::FineBand => "power in a narrow band",
-            Self::FineBands => "power in many narrow bands",
-            Self::Modulation => "noise whose level has a period",
-            Self::Echo => "an echo: samples that resemble those a while before",
-            Self::Rectangle => "power that comes and goes or wanders in a band",
-            Self::Component => {
-                "what looks like a process by its spectrum is not normal: it jumps, or keeps its amplitude"
-            }
-            Self::Atom => "one value is met far more often than those beside it",
-            Self::Sweep => "a line whose frequency moves",
-            Self::Flashes => "short flashes of narrow bands",
-            Self::Crosstalk => "samples that resemble another channel's a while before",
-        }
-    }
-
     /// Returns whether stationary noise with parts that come, go or wander may show the statistic.
     pub fn is_of_changes(self) -> bool {
         !matches!(self, Self::Skewness | Self::Atom | Self::Crosstalk | Self::Echo)

@@ -7,6 +7,7 @@ use super::{Confounding, Openness};
 use imu_model::effects::triad::{Axes, DelayLine};
 use imu_model::simulator::Motion;
 use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
 
 /// The relation of the reference's clock to the sensor's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,38 +70,45 @@ pub(super) fn coarse(samples: [&[f64]; 3], input: &[Axes], weights: Axes, most: 
     }
     // Long enough that no lag up to `most` wraps round.
     let length = (n + most).next_power_of_two();
+    let step = |of: &dyn Fn(usize) -> f64| (1..n).map(|index| of(index) - of(index - 1)).collect::<Vec<f64>>();
+    let pairs = (0..3).map(|axis| {
+        let (shown, felt) = (step(&|index| samples[axis][index]), step(&|index| input[index][axis]));
+        (shown, felt, move |product: Complex<f64>| product * weights[axis])
+    });
+    latest(length, pairs, -(most as i64)..=most as i64) as f64
+}
+
+/// Returns the lag, samples, at which the sum of the cross-correlations of pairs of columns is largest: by how much the first
+/// columns are later than the second ones. The columns are padded to a length, a power of 2. Each pair has a function that
+/// weighs a product of coefficients.
+pub(crate) fn latest<W: Fn(Complex<f64>) -> Complex<f64>>(
+    length: usize,
+    pairs: impl Iterator<Item = (Vec<f64>, Vec<f64>, W)>,
+    lags: impl Iterator<Item = i64>,
+) -> i64 {
     let mut planner = RealFftPlanner::<f64>::new();
     let (forward, backward) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let spectrum = |column: &[f64]| {
+        let mut padded = forward.make_input_vec();
+        padded[..column.len()].copy_from_slice(column);
+        let mut spectrum = forward.make_output_vec();
+        // This fails only for buffers of a wrong length; these are the plan's own.
+        let _ = forward.process(&mut padded, &mut spectrum);
+        spectrum
+    };
     let mut sum = forward.make_output_vec();
-    for axis in 0..3 {
-        let transform = |value: &dyn Fn(usize) -> f64| {
-            let mut padded = forward.make_input_vec();
-            for (index, place) in padded.iter_mut().take(n - 1).enumerate() {
-                *place = value(index + 1) - value(index);
-            }
-            let mut spectrum = forward.make_output_vec();
-            // This fails only for buffers of a wrong length; these are the plan's own.
-            let _ = forward.process(&mut padded, &mut spectrum);
-            spectrum
-        };
-        let shown = transform(&|index| samples[axis][index]);
-        let felt = transform(&|index| input[index][axis]);
-        for (sum, (shown, felt)) in sum.iter_mut().zip(shown.iter().zip(&felt)) {
-            *sum += shown * felt.conj() * weights[axis];
+    for (shown, felt, weigh) in pairs {
+        for (sum, (shown, felt)) in sum.iter_mut().zip(spectrum(&shown).iter().zip(&spectrum(&felt))) {
+            *sum += weigh(shown * felt.conj());
         }
     }
     // The ends are real except for rounding.
-    if let Some(first) = sum.first_mut() {
-        first.im = 0.0;
-    }
-    if let Some(end) = sum.last_mut() {
-        end.im = 0.0;
-    }
+    sum[0].im = 0.0;
+    sum[length / 2].im = 0.0;
     let mut correlation = backward.make_output_vec();
     let _ = backward.process(&mut sum, &mut correlation);
-    let at = |lag: i64| correlation[lag.rem_euclid(length as i64) as usize];
-    let best = (-(most as i64)..=most as i64).max_by(|one, other| at(*one).total_cmp(&at(*other)));
-    best.unwrap_or(0) as f64
+    let at = |lag: &i64| correlation[lag.rem_euclid(length as i64) as usize];
+    lags.max_by(|one, other| at(one).total_cmp(&at(other))).unwrap_or(0)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::candidate::Candidate;
 use super::design::Slot;
-use super::{Estimate, Record};
+use super::{AXES, Estimate, Record};
 use imu_core::sample::Triad;
 use imu_model::effects::EffectKind;
 use imu_model::effects::triad::Drive;
@@ -12,7 +12,6 @@ use imu_model::simulator::Motion;
 const STILL_RAD_S: f64 = 1e-3;
 /// Change of a specific force, relative to the largest, below which it counts as constant.
 const CONSTANT_SHARE: f64 = 0.01;
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// How much of the parameters the motion leaves open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -122,19 +121,19 @@ impl Motions {
         }
         let named = |which: [bool; 3]| (0..3).filter(|axis| which[*axis]).map(|axis| AXES[axis]).collect::<Vec<_>>();
         if still != [false; 3] {
-            lacks.push(format!("it never turns about {}", either(&named(still))));
-            wants.push(format!("a turn about {}", listed(&named(still))));
+            lacks.push(format!("it never turns about {}", joined(&named(still), "or")));
+            wants.push(format!("a turn about {}", joined(&named(still), "and")));
         }
         if constant != [false; 3] {
             let felt = std::array::from_fn(|axis| constant[axis] && self.force_felt[axis]);
             let absent = std::array::from_fn(|axis| constant[axis] && !self.force_felt[axis]);
             if felt != [false; 3] {
-                lacks.push(format!("the specific force along {} never changes", listed(&named(felt))));
+                lacks.push(format!("the specific force along {} never changes", joined(&named(felt), "and")));
             }
             if absent != [false; 3] {
-                lacks.push(format!("there is never a specific force along {}", either(&named(absent))));
+                lacks.push(format!("there is never a specific force along {}", joined(&named(absent), "or")));
             }
-            wants.push(format!("rests with {} up and down", listed(&named(constant))));
+            wants.push(format!("rests with {} up and down", joined(&named(constant), "and")));
         }
         (lacks, wants)
     }
@@ -159,7 +158,7 @@ fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &
         [one] => format!("{effect} {one}"),
         several => format!("{effect} ({})", several.join(", ")),
     };
-    listed(&effects.iter().map(one).collect::<Vec<_>>())
+    joined(&effects.iter().map(one).collect::<Vec<_>>(), "and")
 }
 
 /// Returns the axes of the triad's input and of the specific force on which a coefficient's column depends, as the
@@ -174,16 +173,7 @@ fn depends(candidate: Candidate, coefficient: usize) -> ([bool; 3], [bool; 3]) {
     (input, force)
 }
 
-/// Returns a text such as "a, b and c".
-fn listed<S: AsRef<str>>(names: &[S]) -> String {
-    joined(names, "and")
-}
-
-/// Returns a text such as "a, b or c".
-fn either<S: AsRef<str>>(names: &[S]) -> String {
-    joined(names, "or")
-}
-
+/// Returns a text such as "a, b and c" for the word "and".
 fn joined<S: AsRef<str>>(names: &[S], word: &str) -> String {
     let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
     match names.as_slice() {
@@ -207,8 +197,8 @@ mod tests {
 
     #[test]
     fn names_are_listed_as_one_writes_them() {
-        assert_eq!(listed(&["x"]), "x");
-        assert_eq!(listed(&["x", "y", "z"]), "x, y and z");
-        assert_eq!(either(&["x", "y"]), "x or y");
+        assert_eq!(joined(&["x"], "and"), "x");
+        assert_eq!(joined(&["x", "y", "z"], "and"), "x, y and z");
+        assert_eq!(joined(&["x", "y"], "or"), "x or y");
     }
 }

@@ -4,8 +4,7 @@
 
 use super::candidate::Candidate;
 use super::clock::{Clock, delayed};
-use super::{Filters, Record, Request};
-use imu_core::sample::Triad;
+use super::{Filters, Record, Request, input};
 use imu_model::effects::triad::{Axes, Drive};
 use imu_model::effects::{At, Effect as _, Stage, TemperatureBias, TriadEffect};
 use imu_model::simulator::Motion;
@@ -157,11 +156,6 @@ impl<'a> Design<'a> {
         (Self { record, filters: request.filters, kept, level: request.level, candidates, slots, reference_c }, state)
     }
 
-    /// Returns the triad's own input for a motion.
-    pub(super) fn input(&self, motion: &Motion) -> Axes {
-        if self.record.triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 }
-    }
-
     fn moved(&self, state: &State, further: f64) -> Vec<Motion> {
         let rate_hz = self.record.rate_hz;
         let middle = self.middle();
@@ -233,7 +227,7 @@ impl<'a> Design<'a> {
     fn answer(&self, stages: &[Vec<Arc<dyn TriadEffect>>; 3], motions: &[Motion]) -> [Vec<f64>; 3] {
         let mut axes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(motions.len()));
         for motion in motions {
-            let mut values = self.input(motion);
+            let mut values = input(self.record.triad, motion);
             for effects in stages {
                 values = stage(effects, Drive { input: values, accel_m_s2: motion.accel_m_s2 });
             }
@@ -266,11 +260,11 @@ impl<'a> Design<'a> {
             }
         };
         let moved = self.moved(state, 0.0);
-        let peak = moved.iter().flat_map(|motion| self.input(motion)).map(f64::abs).fold(0.0, f64::max);
+        let peak = moved.iter().flat_map(|motion| input(self.record.triad, motion)).map(f64::abs).fold(0.0, f64::max);
         let step = if peak > 0.0 { SLOPE_STEP * peak } else { 1.0 };
         for (index, motion) in moved.iter().enumerate() {
             let accel_m_s2 = motion.accel_m_s2;
-            let mut drives = [Drive { input: self.input(motion), accel_m_s2 }; 3];
+            let mut drives = [Drive { input: input(self.record.triad, motion), accel_m_s2 }; 3];
             for place in 1..STAGES.len() {
                 drives[place].input = stage(&stages[place - 1], drives[place - 1]);
             }

@@ -97,9 +97,8 @@ impl Filters {
 }
 
 fn low_pass(effect: &dyn Effect) -> Option<LowPass> {
-    let of = |wanted: &str| effect.parameters().into_iter().find(|(name, _)| *name == wanted).map(|(_, value)| value);
     (effect.kind() == EffectKind::LowPass).then_some(())?;
-    Some(LowPass::new(of("cutoff_hz")?.as_f64()?, of("order")?.as_u64()?))
+    Some(LowPass::new(effect.number("cutoff_hz")?, effect.number("order")? as u64))
 }
 
 #[cfg(test)]

@@ -29,7 +29,7 @@
 mod behaviour;
 mod candidate;
 mod clipping;
-mod clock;
+pub(crate) mod clock;
 mod confounding;
 mod design;
 mod error;
@@ -63,6 +63,8 @@ use whitening::Whitening;
 
 /// The minimum number of samples in a record: more than its parameters.
 pub const SAMPLES_MIN: usize = 64;
+/// The names of the axes.
+pub(crate) const AXES: [&str; 3] = ["x", "y", "z"];
 /// The 97.5 % point of the normal distribution.
 pub(crate) const NORMAL_95: f64 = 1.959_963_984_540_054;
 /// How often the excluded stretches are determined again from the fitted response.
@@ -192,6 +194,11 @@ pub fn expected(
     design.response(&state)
 }
 
+/// Returns a triad's own input in a motion.
+pub(crate) fn input(triad: Triad, motion: &Motion) -> Axes {
+    if triad == Triad::Gyro { motion.gyro_rad_s } else { motion.accel_m_s2 }
+}
+
 /// Runs a function on a problem's solution.
 fn solved<T>(
     record: &Record<'_>,
@@ -200,7 +207,7 @@ fn solved<T>(
     then: impl FnOnce(&State, &mut Search<'_, '_>, Solution, Option<Clipping>) -> T,
 ) -> Result<T, ResponseError> {
     let (design, known) = Design::new(record, request);
-    let input: Vec<Axes> = record.reference.iter().map(|motion| design.input(motion)).collect();
+    let input: Vec<Axes> = record.reference.iter().map(|motion| input(record.triad, motion)).collect();
     let clipping = Clipping::find_or_known(record.sent.unwrap_or(record.samples), &input, request.known);
     let limit = clipping.map(|clipping| clipping.limit);
     let whitening = Whitening::new(law);

@@ -4,7 +4,9 @@ use super::clipping::Bridges;
 use super::confounding::Motions;
 use super::design::{Design, Slot, State};
 use super::solution::{Search, Solution};
-use super::{Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock};
+use super::{
+    AXES, Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock,
+};
 use imu_model::effects::EffectKind;
 
 /// Returns the complete report of a solution.
@@ -66,8 +68,8 @@ fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (Option<Effe
         Slot::Delay if request.clock.offset_unknown => (None, "offset_s".to_owned()),
         Slot::Delay => (Some(EffectKind::Latency), "seconds".to_owned()),
         Slot::RateError => (None, "rate_error".to_owned()),
-        Slot::Temperature(axis) => (Some(EffectKind::TemperatureBias), format!("{} per_c", ["x", "y", "z"][axis])),
-        Slot::Cutoff(axis) => (Some(EffectKind::LowPass), format!("{} ln_cutoff", ["x", "y", "z"][axis])),
+        Slot::Temperature(axis) => (Some(EffectKind::TemperatureBias), format!("{} per_c", AXES[axis])),
+        Slot::Cutoff(axis) => (Some(EffectKind::LowPass), format!("{} ln_cutoff", AXES[axis])),
     }
 }
 

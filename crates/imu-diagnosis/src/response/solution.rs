@@ -6,7 +6,7 @@ use super::clock::coarse;
 use super::design::{Design, Slot, State};
 use super::normal::Normal;
 use super::whitening::{Columns, Whitening};
-use super::{Record, ResponseError, SAMPLES_MIN};
+use super::{Record, ResponseError, SAMPLES_MIN, input};
 use imu_model::effects::triad::{Axes, Latency};
 use nalgebra::{DMatrix, DVector};
 
@@ -134,7 +134,7 @@ impl Search<'_, '_> {
         }
         let rate_hz = self.record.rate_hz;
         let n = self.record.reference.len();
-        let input: Vec<Axes> = self.record.reference.iter().map(|motion| self.design.input(motion)).collect();
+        let input: Vec<Axes> = self.record.reference.iter().map(|motion| input(self.record.triad, motion)).collect();
         let weights = self.whitening.sample_deviations().map(|deviation| deviation.powi(-2));
         // A latency is bounded; a clock's offset is bounded only by the rest of the record.
         let most = if self.offset_unknown { n / 4 } else { (Latency::SECONDS_MAX * rate_hz) as usize };

@@ -1,0 +1,18 @@
+//! Averages: the mean, the median and quantiles of values.
+
+/// Returns the mean; 0 of no values.
+pub(super) fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Returns the median of some values, which it reorders.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Returns the value that a share of all values is below; `None` of no values.
+pub(super) fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get((share * values.len() as f64) as usize).copied()
+}
