@@ -1,8 +1,18 @@
-//! Averages: the mean, the median and quantiles of values.
+//! Averages: the mean, the median, quantiles and running sums of values.
 
 /// Returns the mean; 0 of no values.
 pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
+}
+
+/// Returns the sums of the first values: of none, of one, up to all.
+pub(super) fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sum = 0.0;
+    let next = |value| {
+        sum += value;
+        sum
+    };
+    [0.0].into_iter().chain(values.map(next)).collect()
 }
 
 /// Returns the median of some values, which it reorders.

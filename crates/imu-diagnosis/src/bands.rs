@@ -83,7 +83,7 @@ impl Bands {
 /// logarithms; only bands that gain count.
 fn likelier(series: &Series<'_>, with: &[f64], without: &[f64]) -> Option<Band> {
     let counts = series.data().worth;
-    let edges = series.grid.edges();
+    let edges = &series.grid.edges;
     let logarithms = with.iter().zip(without);
     let gains: Vec<f64> = logarithms
         .clone()

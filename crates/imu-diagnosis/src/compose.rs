@@ -161,7 +161,6 @@ fn remnants(found: &Found, remains: &Remains, unexplained: &[(Channel, Oddity)])
 fn remains(found: &Found, named: &[Named]) -> Remains {
     let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
     let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
-    let mut channels = BTreeSet::new();
     let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
     for of in &found.channels {
         let step = of.prepared.facts.step.or(of.prepared.step);
@@ -193,7 +192,6 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             let p = (count * tries * found.tails.chance(*statistic, *value)).min(1.0);
             p_value = p_value.min(p);
             if p < level {
-                channels.insert(of.prepared.channel);
                 let own = rarest.entry(of.prepared.channel).or_insert((*value, p));
                 if p < own.1 {
                     *own = (*value, p);
@@ -204,7 +202,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
             }
         }
     }
-    Remains { worst, p_value, channels, rarest }
+    Remains { worst, p_value, channels: rarest.keys().copied().collect(), rarest }
 }
 
 /// Returns the oddities that the values and stamps show and that no effect explains, each with the channel on which it

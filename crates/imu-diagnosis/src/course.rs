@@ -80,7 +80,7 @@ pub struct Courses {
     /// The lag of [`Follow::Rate`], samples.
     lag: f64,
     /// Step in which the temperature was read, °C; 0 if no step is visible.
-    reading_c: f64,
+    pub(super) reading_c: f64,
 }
 
 impl Courses {
@@ -103,16 +103,6 @@ impl Courses {
             (values.to_vec(), coefficients)
         });
         Self { samples, kept, ramp, temperature, follows: OnceLock::new(), lag, reading_c: 0.0 }
-    }
-
-    /// Sets the step in which the temperature was read, °C.
-    pub(super) fn read_in_steps(self, reading_c: f64) -> Self {
-        Self { reading_c, ..self }
-    }
-
-    /// Returns the step in which the temperature was read, °C; 0 if no step is visible.
-    pub(super) fn reading_c(&self) -> f64 {
-        self.reading_c
     }
 
     /// Returns the ways in which a level may follow this record's temperature; empty if the temperature moves too
@@ -153,10 +143,9 @@ impl Courses {
         let scale = (2.0 / n).sqrt();
         let mut found = match course {
             Course::Ramp => self.ramp.clone(),
-            Course::Temperature => match &self.temperature {
-                Some((_, coefficients)) => coefficients.clone(),
-                None => vec![0.0; self.kept],
-            },
+            Course::Temperature => {
+                self.temperature.as_ref().map_or_else(|| vec![0.0; self.kept], |(_, coefficients)| coefficients.clone())
+            }
             Course::Follows(way) => {
                 let all = || self.ways().into_iter().map(|way| (way, self.transformed(way))).collect();
                 match self.follows.get_or_init(all).iter().find(|(own, _)| *own == way) {

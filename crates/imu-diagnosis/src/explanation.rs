@@ -113,7 +113,7 @@ pub enum Scedasticity {
 
 /// The complete explanation of a series so far. Transformed values are built again from the samples each time, so that no step is
 /// undone or applied twice.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Explanation {
     /// The spectrum.
     pub law: Law,
@@ -181,18 +181,7 @@ impl Explanation {
 
     /// Creates an explanation of noise alone.
     pub fn noise(law: Law) -> Self {
-        Self {
-            law,
-            without: BTreeSet::new(),
-            courses: Vec::new(),
-            sines: Vec::new(),
-            outliers: Vec::new(),
-            spikes: None,
-            loud: Vec::new(),
-            scedasticity: None,
-            tails: None,
-            limits: [None, None],
-        }
+        Self { law, ..Self::default() }
     }
 }
 

@@ -238,17 +238,16 @@ fn chance(column: &[f64]) -> f64 {
     if equal == 0.0 {
         return 0.0;
     }
+    let two_apart = || column.windows(3).filter(|three| three[0] == three[2]).count() as f64 / column.len() as f64;
     let Some(step) = of(column).step else {
         // Values of many digits are never equal by chance. Values of coarse floats sometimes are, also two samples
         // apart.
-        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
-        return (apart / column.len() as f64).min(equal / column.len() as f64);
+        return two_apart().min(equal / column.len() as f64);
     };
     let count = |multiple: f64| distances.iter().filter(|d| (*d / step - multiple).abs() < 0.2).count() as f64 / 2.0;
     let (one, two) = (count(1.0), count(2.0));
     if one < 20.0 || two < 1.0 {
-        let apart = column.windows(3).filter(|three| three[0] == three[2]).count() as f64;
-        return apart / column.len() as f64;
+        return two_apart();
     }
     // ln of the counts is a − b·multiple². This does not hold for coarse values, which equal their values some samples
     // ago equally often.

@@ -6,10 +6,12 @@ use imu_model::effects::Frequencies;
 /// at most a 320th of the band wide, with finer bins around lines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
-    samples: usize,
+    /// The number of samples in the record.
+    pub(super) samples: usize,
     /// First coefficient of each bin, and one past the last.
-    edges: Vec<usize>,
-    counts: Vec<f64>,
+    pub(super) edges: Vec<usize>,
+    /// The number of coefficients in each bin.
+    pub(super) counts: Vec<f64>,
     frequencies: Frequencies,
 }
 
@@ -69,19 +71,9 @@ impl Grid {
         Self { samples: n, edges, counts, frequencies }
     }
 
-    /// Returns the number of samples in the record.
-    pub fn samples(&self) -> usize {
-        self.samples
-    }
-
     /// Returns the samples per second.
     pub fn rate_hz(&self) -> f64 {
         self.frequencies.rate_hz()
-    }
-
-    /// Returns the number of coefficients in each bin.
-    pub fn counts(&self) -> &[f64] {
-        &self.counts
     }
 
     /// Returns the mean frequency of each bin, Hz.
@@ -92,11 +84,6 @@ impl Grid {
     /// Returns the mean frequencies with their trigonometry.
     pub fn frequencies(&self) -> &Frequencies {
         &self.frequencies
-    }
-
-    /// Returns the first coefficient of each bin, and one past the last.
-    pub fn edges(&self) -> &[usize] {
-        &self.edges
     }
 
     /// Returns the mean square of the coefficients in each bin.
@@ -169,10 +156,10 @@ mod tests {
         for n in [2usize, 3, 10, 257, 1000, 65_537] {
             let line = Narrow { frequency_hz: 13.4, width_hz: 0.02 };
             let grid = Grid::new(n, 40.0, &[line]);
-            assert_eq!((grid.edges()[0], *grid.edges().last().unwrap()), (1, n));
-            assert_eq!(grid.counts().iter().sum::<f64>(), (n - 1) as f64);
+            assert_eq!((grid.edges[0], *grid.edges.last().unwrap()), (1, n));
+            assert_eq!(grid.counts.iter().sum::<f64>(), (n - 1) as f64);
             let coefficients: Vec<f64> = (0..n).map(|k| k as f64).collect();
-            let total: f64 = grid.power(&coefficients).iter().zip(grid.counts()).map(|(p, c)| p * c).sum();
+            let total: f64 = grid.power(&coefficients).iter().zip(grid.counts).map(|(p, c)| p * c).sum();
             let expected: f64 = coefficients.iter().map(|c| c * c).sum();
             assert!((total / expected - 1.0).abs() < 1e-12);
         }

@@ -104,7 +104,8 @@ impl Term {
         }
     }
 
-    fn at(&self, index: usize) -> f64 {
+    /// Returns one of the numbers; 0 if the term has fewer.
+    pub(super) fn at(&self, index: usize) -> f64 {
         self.numbers.get(index).copied().unwrap_or_default()
     }
 
@@ -224,7 +225,7 @@ pub struct Base {
 pub type Priors = [Option<(f64, f64)>; 3];
 
 /// A channel's spectrum as numbers.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Law {
     /// ln N², ln B², ln K² per sample.
     pub levels: [f64; 3],
@@ -309,7 +310,7 @@ struct Pieces {
 
 impl Pieces {
     fn of(law: &Law, data: Data<'_>) -> Self {
-        let bins = data.grid.counts().len();
+        let bins = data.grid.counts.len();
         let mut pieces = Self {
             levels: std::array::from_fn(|level| {
                 let power = law.levels[level].exp();
@@ -323,19 +324,18 @@ impl Pieces {
             before: data.base.known.clone(),
         };
         for term in &law.terms {
+            let (mut added, mut gain, mut floor) = (Vec::new(), Vec::new(), 0.0);
             if term.is_filter() {
-                let gain = term.gains(data.grid.frequencies());
+                gain = term.gains(data.grid.frequencies());
+                floor = (law.levels[0] + term.numbers[term.level()]).exp() * data.grid.rate_hz();
                 pieces.gain.iter_mut().zip(&gain).for_each(|(all, one)| *all *= one);
-                pieces.gains.push(gain);
-                pieces.floors.push((law.levels[0] + term.numbers[term.level()]).exp() * data.grid.rate_hz());
-                pieces.added.push(Vec::new());
             } else {
-                let more = term.added(data.grid.frequencies());
-                pieces.before.iter_mut().zip(&more).for_each(|(all, one)| *all += one);
-                pieces.added.push(more);
-                pieces.gains.push(Vec::new());
-                pieces.floors.push(0.0);
+                added = term.added(data.grid.frequencies());
+                pieces.before.iter_mut().zip(&added).for_each(|(all, one)| *all += one);
             }
+            pieces.added.push(added);
+            pieces.gains.push(gain);
+            pieces.floors.push(floor);
         }
         for level in &pieces.levels {
             pieces.before.iter_mut().zip(level).for_each(|(all, one)| *all += one);
@@ -419,7 +419,7 @@ impl Law {
     }
 
     fn ranges(&self, grid: &Grid) -> Vec<(f64, f64)> {
-        let of_terms = self.terms.iter().flat_map(|term| term.ranges(grid.samples(), grid.rate_hz()));
+        let of_terms = self.terms.iter().flat_map(|term| term.ranges(grid.samples, grid.rate_hz()));
         LEVELS.into_iter().chain(of_terms).collect()
     }
 
@@ -597,7 +597,7 @@ impl Law {
             for (level, corner) in [(1, flicker), (2, walk)] {
                 let at = |f: f64| {
                     let near = data.grid.frequencies_hz().partition_point(|own| *own < f);
-                    near.min(data.grid.counts().len() - 1)
+                    near.min(data.grid.counts.len() - 1)
                 };
                 let bin = at(corner * nyquist_hz);
                 let shape = data.base.shapes[level][bin];
@@ -624,7 +624,7 @@ mod tests {
         let of = |effect: &dyn Effect| -> Vec<f64> {
             grid.frequencies_hz().iter().map(|f| RATE_HZ * effect.psd(*f, RATE_HZ).unwrap()).collect()
         };
-        let bins = grid.counts().len();
+        let bins = grid.counts.len();
         Base {
             quiet_max: 0.0,
             shapes: [of(&White { n: 1.0 }), of(&Flicker { b: 1.0 }), of(&RandomWalk { k: 1.0 })],
@@ -659,7 +659,7 @@ mod tests {
             transform.forward(&mut values);
             let power = grid.power(&values);
             let data =
-                Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, priors: &[None, None, None] };
+                Data { grid: &grid, power: &power, worth: &grid.counts, base: &base, priors: &[None, None, None] };
             let start = Law {
                 levels: [-3.0, -6.0, -12.0],
                 terms: vec![Term { shape: Shape::GaussMarkov, numbers: vec![-1.0, 0.5] }],
@@ -691,7 +691,7 @@ mod tests {
         Cosines::new(n).forward(&mut values);
         let grid = Grid::new(n, RATE_HZ, &[]);
         let (power, base) = (grid.power(&values), base(&grid));
-        let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, priors: &[None, None, None] };
+        let data = Data { grid: &grid, power: &power, worth: &grid.counts, base: &base, priors: &[None, None, None] };
         let start = Law {
             levels: [-3.0, -12.0, -20.0],
             terms: vec![Term { shape: Shape::LowPass(2), numbers: vec![14f64.ln(), -7.0] }],

@@ -65,6 +65,8 @@ mod hidden;
 mod hints;
 mod holdout;
 #[cfg(test)]
+mod in_tests;
+#[cfg(test)]
 mod intervals;
 mod law;
 #[cfg(test)]

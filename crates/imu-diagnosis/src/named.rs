@@ -11,7 +11,7 @@ use super::prepare::Prepared;
 use super::recording::Recording;
 use super::report::Sense;
 use super::shared::Part;
-use super::translate::{self, Translated, Units};
+use super::translate::{self, Translated};
 use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
 use imu_model::effects::{CommonMode, Effect, EffectKind, HeldSamples, Resolution, Saturation, Timing};
@@ -82,16 +82,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 
 /// Returns the findings of the search on a channel.
 fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
-    let units = Units {
-        prepared: &of.prepared,
-        samples: found.samples,
-        temperature_c: found.temperature_c,
-        average_variance: of.average_variance,
-        levels: &of.levels,
-        wanders: &of.wanders,
-        sim,
-    };
-    let effects = translate::effects(&of.explanation, &of.spread, units);
+    let effects = translate::effects(of, found.temperature_c, sim);
     // A level that follows the temperature other than along a line is the same effect.
     let is = |step: &super::search::Step, kind: Kind| {
         step.kind == kind || (step.kind == Kind::TemperatureCurve && kind == Kind::TemperatureBias)
@@ -178,16 +169,15 @@ fn of_facts(of: &Findings) -> Vec<Named> {
     named
 }
 
+fn has(model: &ChannelModel, kind: EffectKind) -> bool {
+    model.effects.iter().any(|effect| effect.kind() == kind)
+}
+
 /// Reports samples that are sent again.
 fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
     let mut named = Vec::new();
     for (channels, repeats) in &found.repeats {
-        let has = |channel: &Channel| {
-            sim.channels
-                .get(channel)
-                .is_some_and(|model| model.effects.iter().any(|e| e.kind() == EffectKind::HeldSamples))
-        };
-        if channels.iter().any(has) {
+        if channels.iter().filter_map(|channel| sim.channels.get(channel)).any(|of| has(of, EffectKind::HeldSamples)) {
             continue;
         }
         let probability = (repeats.places.len() as f64 - repeats.expected).max(1.0) / found.samples as f64;
@@ -215,8 +205,7 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
     for shared in &found.shared {
         for Part { index, size: part, ci95, .. } in shared.parts.iter().copied() {
             let of = &found.channels[index];
-            let has = sim.channels.get(&of.prepared.channel);
-            if has.is_some_and(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::CommonMode)) {
+            if sim.channels.get(&of.prepared.channel).is_some_and(|model| has(model, EffectKind::CommonMode)) {
                 return Vec::new();
             }
             let gain = shared.gain / shared.parts.len() as f64;
@@ -263,8 +252,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
     let drops = real.missing.chunk_by(|a, b| a == b).filter(|run| run[0] && run.len() <= LONGEST);
     let (runs, dropped) = drops.fold((0, 0), |(runs, dropped), run| (runs + 1, dropped + run.len()));
     let stamps = stamps(real);
-    let has = sim.channels.values().any(|model| model.effects.iter().any(|effect| effect.kind() == EffectKind::Timing));
-    if has {
+    if sim.channels.values().any(|model| has(model, EffectKind::Timing)) {
         return values::of_stamps(stamps, dropped, real.len(), sim);
     }
     let Some(first) = sim.channels.keys().next() else { return Vec::new() };

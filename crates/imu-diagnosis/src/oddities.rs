@@ -4,6 +4,7 @@
 //! converter leaves out, over rounding; for repeats at even distances, over samples sent twice by chance; for a clock
 //! that wanders, over stamps that scatter.
 
+use super::averages::sums;
 use statrs::distribution::{ContinuousCDF as _, Normal};
 use std::collections::BTreeMap;
 
@@ -43,11 +44,7 @@ pub(super) fn of_codes(values: &[f64], step: f64) -> Option<Oddity> {
     }
     let origin = values[0];
     let codes: Vec<i64> = values.iter().map(|value| ((value - origin) / step).round() as i64).collect();
-    let mut sums = vec![0.0];
-    sums.extend(codes.iter().scan(0.0, |sum, code| {
-        *sum += *code as f64;
-        Some(*sum)
-    }));
+    let sums = sums(codes.iter().map(|code| *code as f64));
     let level = |t: usize| {
         let (from, to) = (t.saturating_sub(NEAR), (t + NEAR + 1).min(n));
         (sums[to] - sums[from]) / (to - from) as f64

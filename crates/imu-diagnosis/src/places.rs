@@ -7,7 +7,8 @@ use super::named::Named;
 use super::recording::Recording;
 use super::report::{Cause, Of, Parameter, Place, Sense};
 use imu_core::sample::Channel;
-use imu_model::effects::{Effect, EffectKind, Extent};
+use imu_model::effects::spec::Nature;
+use imu_model::effects::{Effect, EffectKind, Extent, Stage};
 
 /// Half of a line's width, in units of 1 over the record's length.
 const LINE: f64 = 2.0;
@@ -133,14 +134,8 @@ fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real:
 
 /// Returns whether an effect shapes the spectrum, so that its band was measured against the model's.
 fn is_shape(effect: &dyn Effect) -> bool {
-    matches!(
-        effect.kind(),
-        EffectKind::GaussMarkov
-            | EffectKind::QuantizationNoise
-            | EffectKind::PowerLaw
-            | EffectKind::LowPass
-            | EffectKind::MovingAverage
-    )
+    let is_coloured = effect.spec().nature == Nature::Coloured || effect.kind() == EffectKind::PowerLaw;
+    is_coloured || effect.stage() == Stage::Bandwidth
 }
 
 /// Returns whether an effect makes less of a difference than another of its name.

@@ -144,17 +144,15 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let reference_c = temperature.as_ref().map(|values| values.iter().sum::<f64>() / n as f64);
     let about: Option<Vec<f64>> =
         temperature.as_ref().zip(reference_c).map(|(values, mean)| values.iter().map(|value| value - mean).collect());
-    let courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz)
-        .read_in_steps(reading_c.unwrap_or_default());
+    let mut courses = Courses::new(&mut transform, about.as_deref(), RATE_LAG_S * sim.rate_hz);
+    courses.reading_c = reading_c.unwrap_or_default();
     let repeats = repeats(real, &wanted);
     let mut channels = Vec::new();
     for channel in wanted {
         let Some(model) = sim.channels.get(&channel) else { continue };
         let held =
             repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
-        let mut outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
-        outliers.sort_unstable();
-        outliers.dedup();
+        let outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
         channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
     }
     let further = real.channels.iter().map(|(channel, _)| *channel);
@@ -598,7 +596,7 @@ fn plain_shape(model: &ChannelModel, grid: &Grid) -> Vec<f64> {
 /// places `without` of its list.
 pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BTreeSet<usize>) -> Base {
     let channel = prepared.channel;
-    let record = Record { rate_hz: sim.rate_hz, samples: grid.samples() as u64 };
+    let record = Record { rate_hz: sim.rate_hz, samples: grid.samples as u64 };
     let listed = sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
     let left = listed.iter().enumerate().filter(|(place, _)| !without.contains(place));
     let effects: Vec<Arc<dyn Effect>> =
@@ -620,7 +618,7 @@ pub fn base_of(sim: &SensorModel, prepared: &Prepared, grid: &Grid, without: &BT
         shape(ChannelModel { b: 1.0, ..plain() }),
         shape(ChannelModel { k: 1.0, ..plain() }),
     ];
-    let bins = grid.counts().len();
+    let bins = grid.counts.len();
     let mut known = vec![0.0; bins];
     for effect in effects.iter().filter(|effect| matches!(effect.stage(), Stage::Noise)) {
         let with = filters.iter().cloned().chain([effect.clone()]).collect();

@@ -139,7 +139,7 @@ pub(super) fn unround(prepared: &mut Prepared, sim: &SensorModel, step: f64, whi
         let mut above = drawn.clone();
         transform.forward(&mut above);
         let power = grid.power(&above);
-        let data = Data { grid: &grid, power: &power, worth: grid.counts(), base: &base, priors: &prepared.priors };
+        let data = Data { grid: &grid, power: &power, worth: &grid.counts, base: &base, priors: &prepared.priors };
         // The first draws lie anywhere within the steps, and carry no information about the noise.
         if round >= FEWEST {
             law = law.fit(data).law;

@@ -177,7 +177,7 @@ fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
     const UNRESOLVED: f64 = 0.4;
     let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
     let per_c = of.explanation.courses.iter().map(follows).fold(0.0, f64::max);
-    let unresolved = UNRESOLVED * series.setting().courses.reading_c() * per_c;
+    let unresolved = UNRESOLVED * series.setting().courses.reading_c * per_c;
     let term = of.explanation.law.terms.last().filter(|term| term.shape == Shape::GaussMarkov);
     of.kind == Kind::GaussMarkov
         && of.of_model.is_none()

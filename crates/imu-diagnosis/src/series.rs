@@ -43,14 +43,8 @@ pub struct Setting<'a> {
     pub owner: u32,
 }
 
-impl std::fmt::Debug for Setting<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Setting").field("rate_hz", &self.rate_hz).finish_non_exhaustive()
-    }
-}
-
 /// One channel, in a scale in which its white part is about 1.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub struct Series<'a> {
     setting: &'a Setting<'a>,
     pub(super) transform: Cosines,
@@ -103,13 +97,13 @@ impl<'a> Series<'a> {
     fn unbuilt(setting: &'a Setting<'a>, transform: Cosines, samples: Vec<f64>, start: Explanation) -> Self {
         let grid = Grid::new(samples.len(), setting.rate_hz, &[]);
         let base = (setting.base)(&grid, &start.without);
-        let power = vec![1.0; grid.counts().len()];
+        let power = vec![1.0; grid.counts.len()];
         let fitted = Fitted {
             law: start.law.clone(),
             log_likelihood: f64::NEG_INFINITY,
             log_posterior: f64::NEG_INFINITY,
             covariance: None,
-            logarithms: vec![0.0; grid.counts().len()],
+            logarithms: vec![0.0; grid.counts.len()],
         };
         Self {
             setting,
@@ -267,13 +261,13 @@ impl<'a> Series<'a> {
         let variance = self.variances();
         let there = 1.0 - (self.loud_samples() as f64 / self.len().max(1) as f64).min(0.9);
         if variance.is_empty() || self.equaliser.is_some() {
-            return grid.counts().iter().map(|count| there * count).collect();
+            return grid.counts.iter().map(|count| there * count).collect();
         }
         let square = variance.iter().map(|v| v * v).sum::<f64>() / variance.len() as f64;
         let data = Data { grid, power: &[], worth: &[], base, priors: &self.priors };
         let white = self.white().powi(2);
         let logarithms = self.explanation.law.logarithms(data);
-        let places = logarithms.iter().zip(base.gain.iter().zip(grid.counts()));
+        let places = logarithms.iter().zip(base.gain.iter().zip(&grid.counts));
         places
             .map(|(s, (gain, count))| {
                 let share = (white * gain / s.exp()).min(1.0);
@@ -498,11 +492,6 @@ impl<'a> Series<'a> {
         Some(self.grid.fill(&logarithms))
     }
 
-    /// Returns the transform for records of this length.
-    pub fn transform(&mut self) -> &mut Cosines {
-        &mut self.transform
-    }
-
     /// Returns the residual for methods that must not depend on its tails. If the explanation has Student's t, these
     /// are normal scores: the values that a normal distribution has at the residual's ranks, in their order in time.
     pub fn scores(&self) -> Cow<'_, [f64]> {
@@ -575,7 +564,7 @@ impl<'a> Series<'a> {
                 rest.iter_mut().zip(column).for_each(|(c, x)| *c -= factor * x);
             }
             let mut power = self.power.clone();
-            for (bin, span) in self.grid.edges().windows(2).enumerate() {
+            for (bin, span) in self.grid.edges.windows(2).enumerate() {
                 if span[1] <= kept {
                     power[bin] = rest[span[0]..span[1]].iter().map(|c| c * c).sum::<f64>() / (span[1] - span[0]) as f64;
                 }

@@ -84,11 +84,9 @@ impl Spread {
         };
         let mut number = 3;
         let mut of_term = |count: usize| {
-            let own = (number..number + count)
-                .map(|at| series.fitted.covariance.as_ref().map_or(0.0, |matrix| matrix[(at, at)].max(0.0).sqrt()));
-            let own: Vec<f64> = own.collect();
             number += count;
-            own
+            let error = |at| series.fitted.covariance.as_ref().map_or(0.0, |matrix| matrix[(at, at)].max(0.0).sqrt());
+            (number - count..number).map(error).collect()
         };
         let per_degree = match &explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {

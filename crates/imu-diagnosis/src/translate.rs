@@ -1,12 +1,11 @@
 //! Translation: an explanation in a series' scale becomes effects of docs/formats.md, in the channel's unit.
 
 use super::course::{Course, Follow};
+use super::diagnose::Findings;
 use super::evidence::Kind;
-use super::explanation::{Explanation, Loud, Scedasticity};
+use super::explanation::{Loud, Scedasticity};
 use super::law::{Shape, Term};
 use super::modulated::Levels;
-use super::prepare::Prepared;
-use super::spread::Spread;
 use super::wandering::Wander;
 use imu_model::effects::{
     BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage,
@@ -14,54 +13,34 @@ use imu_model::effects::{
     WarmUp,
 };
 use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The data that the translation needs besides the explanation.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Units<'a> {
-    /// The channel.
-    pub prepared: &'a Prepared,
-    /// The number of samples.
-    pub samples: usize,
-    /// Mean temperature, °C.
-    pub temperature_c: f64,
-    /// The white part's mean variance over its variance at times when nothing changes it.
-    pub average_variance: f64,
-    /// Bands whose level changes.
-    pub levels: &'a [Levels],
-    /// Bands that are lines whose frequency wanders.
-    pub wanders: &'a [Wander],
-    /// The model, and its output rate.
-    pub sim: &'a SensorModel,
+/// Returns the model's effects on a channel that the channel has too.
+fn kept<'a>(of: &Findings, sim: &'a SensorModel) -> impl Iterator<Item = &'a Arc<dyn Effect>> {
+    let own = sim.channels.get(&of.prepared.channel).map(|model| model.effects.as_slice()).unwrap_or_default();
+    own.iter().enumerate().filter(|(place, _)| !of.explanation.without.contains(place)).map(|(_, effect)| effect)
 }
 
-impl Units<'_> {
-    /// Returns the part of a line's amplitude that passes all filters as the simulator has them: the model's own except
-    /// `without`, plus `further` ones.
-    fn passed(&self, without: &BTreeSet<usize>, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
-        let channel = self.prepared.channel;
-        let own = self.sim.channels.get(&channel).map(|model| model.effects.as_slice()).unwrap_or_default();
-        let own = own.iter().enumerate().filter(|(place, _)| !without.contains(place)).map(|(_, effect)| effect);
-        let filters = own.chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
-        let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
-        let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
-        let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..self.sim.clone() };
-        let record = Record { rate_hz: self.sim.rate_hz, samples: self.samples as u64 };
-        let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
-        (2.0 * power).sqrt().max(LEAST_PASSED)
-    }
+/// Returns the part of a line's amplitude that passes all filters as the simulator has them: those that the channel shares
+/// with its model, plus `further` ones.
+fn passed(of: &Findings, sim: &SensorModel, further: &[Arc<dyn Effect>], frequency_hz: f64) -> f64 {
+    let channel = of.prepared.channel;
+    let filters = kept(of, sim).chain(further).filter(|effect| effect.stage() == Stage::Bandwidth).cloned();
+    let line: Arc<dyn Effect> = Arc::new(Tone { frequency_hz, amplitude: 1.0 });
+    let model = ChannelModel { effects: filters.chain([line]).collect(), ..ChannelModel::default() };
+    let alone = SensorModel { channels: [(channel, model)].into(), triads: BTreeMap::new(), ..sim.clone() };
+    let record = Record { rate_hz: sim.rate_hz, samples: of.prepared.samples.len() as u64 };
+    let power: f64 = Spectrum::new(&alone, channel, record).lines().iter().map(|line| line.power).sum();
+    (2.0 * power).sqrt().max(LEAST_PASSED)
+}
 
-    /// Returns the delay of a step by all filters, s: the remaining ones of the model and the found ones.
-    fn delay_s(&self, explanation: &Explanation) -> f64 {
-        let own = self.sim.channels.get(&self.prepared.channel).map(|model| model.effects.as_slice());
-        let own = own.unwrap_or_default().iter().enumerate().filter(|(place, _)| !explanation.without.contains(place));
-        let rate_hz = self.sim.rate_hz;
-        let internal_hz = self.sim.internal_rate_hz(rate_hz);
-        let found = explanation.law.terms.iter().filter_map(|term| term.effect(rate_hz));
-        own.map(|(_, effect)| delay_s(&**effect, internal_hz)).sum::<f64>()
-            + found.map(|of| delay_s(&*of, rate_hz)).sum::<f64>()
-    }
+/// Returns the delay of a step by all filters, s: the remaining ones of the model and the found ones.
+fn delay_of_filters_s(of: &Findings, sim: &SensorModel) -> f64 {
+    let internal_hz = sim.internal_rate_hz(sim.rate_hz);
+    let found = of.explanation.law.terms.iter().filter_map(|term| term.effect(sim.rate_hz));
+    kept(of, sim).map(|effect| delay_s(&**effect, internal_hz)).sum::<f64>()
+        + found.map(|of| delay_s(&*of, sim.rate_hz)).sum::<f64>()
 }
 
 /// Returns a filter's delay of slow signals, s: (w − 1)/2 samples for a moving average; 1/(ω·sin(π/2n)) for
@@ -136,9 +115,9 @@ pub(super) const LEAST_PASSED: f64 = 1e-4;
 const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// Returns the effects of an explanation; effects that the model has already are left out.
-pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'_>) -> Vec<Translated> {
-    let Units { prepared, samples, temperature_c, average_variance, levels, wanders, sim } = units;
-    let rate_hz = sim.rate_hz;
+pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> Vec<Translated> {
+    let Findings { prepared, explanation, spread, average_variance, levels, wanders, .. } = of;
+    let (rate_hz, samples) = (sim.rate_hz, prepared.samples.len());
     let internal_hz = sim.internal_rate_hz(rate_hz);
     let scale = prepared.scale;
     let mut found: Vec<Translated> = Vec::new();
@@ -155,23 +134,15 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         match course {
             Course::Ramp => {
                 let per_s = rate_hz / samples as f64;
-                add(
-                    Kind::RateRamp,
-                    Arc::new(RateRamp { r: size * per_s }),
-                    vec![("R", about(size * per_s, error * per_s))],
-                );
+                let r = size * per_s;
+                add(Kind::RateRamp, Arc::new(RateRamp { r }), vec![("R", about(r, error * per_s))]);
             }
             Course::Temperature | Course::Follows(Follow::Square | Follow::Rate(_)) => {
-                let (name, factor) = match course {
-                    Course::Follows(Follow::Square) => ("per_c2", 1.0),
-                    Course::Follows(_) => ("per_c_per_s", 1.0 / rate_hz),
-                    _ => ("per_c", 1.0),
-                };
                 let bias = warm.get_or_insert_with(|| (TemperatureBias::linear(0.0, temperature_c), Vec::new()));
-                let number = match name {
-                    "per_c2" => &mut bias.0.per_c2,
-                    "per_c_per_s" => &mut bias.0.per_c_per_s,
-                    _ => &mut bias.0.per_c,
+                let (name, number, factor) = match course {
+                    Course::Follows(Follow::Square) => ("per_c2", &mut bias.0.per_c2, 1.0),
+                    Course::Follows(_) => ("per_c_per_s", &mut bias.0.per_c_per_s, 1.0 / rate_hz),
+                    _ => ("per_c", &mut bias.0.per_c, 1.0),
                 };
                 *number = factor * size;
                 bias.1.push((name, about(factor * size, factor * error)));
@@ -187,7 +158,7 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
             }
             Course::Step(at) => {
                 // The step shows half way up, behind all filters.
-                let delay_s = units.delay_s(explanation);
+                let delay_s = delay_of_filters_s(of, sim);
                 let (first, last) = rise(&explanation.outliers, *at);
                 let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
                 let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
@@ -230,9 +201,9 @@ pub(super) fn effects(explanation: &Explanation, spread: &Spread, units: Units<'
         .map(|(sine, (frequency, amplitude))| {
             // The record has the line behind the filters, the model in front of them.
             let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
-            let gain = units.passed(&explanation.without, &filters, frequency_hz);
+            let gain = passed(of, sim, &filters, frequency_hz);
             let is_known = gain > LEAST_PASSED;
-            let off = units.passed(&explanation.without, &filters_off, frequency_hz);
+            let off = passed(of, sim, &filters_off, frequency_hz);
             let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
             let (scale, seen) = (scale / gain, sine.amplitude());
             LineFound {
@@ -347,8 +318,7 @@ type Spectral = (Kind, Arc<dyn Effect>, Intervals);
 
 /// Translates a band whose level changes.
 fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64, rate_hz: f64) -> Spectral {
-    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
-    let band = Resonance::new(at(1), at(2).exp(), (0.5 * at(0)).exp() * scale);
+    let band = Resonance::new(term.at(1), term.at(2).exp(), (0.5 * term.at(0)).exp() * scale);
     let level = levels.points.iter().map(|(sample, factor)| (sample / rate_hz, *factor)).collect();
     // Such a band is symmetric.
     let ci95 = ci95.into_iter().filter(|(name, _)| *name != "asymmetry").collect();
@@ -358,9 +328,8 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
 /// Translates a band that is a wandering line. The record shows its frequency and amplitude; the other numbers only
 /// reproduce its spectrum.
 fn wandering(term: &Term, (kind, _, ci95): Spectral, wander: &Wander, scale: f64, rate_hz: f64) -> Spectral {
-    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
-    let sigma = (0.5 * at(0)).exp() * scale;
-    let line = wander.line(at(1), at(2).exp(), sigma, rate_hz);
+    let sigma = (0.5 * term.at(0)).exp() * scale;
+    let line = wander.line(term.at(1), term.at(2).exp(), sigma, rate_hz);
     let shown = |(name, [low, high]): (&'static str, [f64; 2])| match name {
         "sigma" => Some(("amplitude", [low, high].map(|of| of / sigma * line.amplitude))),
         "frequency_hz" => Some((name, [low, high])),
@@ -380,7 +349,7 @@ fn spectral(term: &Term, errors: &[f64], units: [f64; 4]) -> Option<Spectral> {
     // The last number of a filter.
     let of_behind = |error: f64| (behind > 0.0 && error < 1.0).then(|| ("white_behind", times(behind, 0.5 * error)));
 
-    let at = |index: usize| term.numbers.get(index).copied().unwrap_or_default();
+    let at = |index: usize| term.at(index);
     let error = |index: usize| errors.get(index).copied().unwrap_or_default();
     let size = |index: usize| (0.5 * at(index)).exp() * scale;
     Some(match term.shape {

@@ -60,11 +60,8 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
                 let found = of.explanation.spikes.filter(|law| law.rate * samples > 2.0);
                 let Some(law) = found else {
                     let nats = shown * samples * rate;
-                    return off(
-                        None,
-                        nats,
-                        format!("{channel}: the model has {nats:.0} spikes in this time, the sensor none"),
-                    );
+                    let none = format!("{channel}: the model has {nats:.0} spikes in this time, the sensor none");
+                    return off(None, nats, none);
                 };
                 let own = law.size * of.prepared.scale / of.white;
                 let size = size.max(1e-3);

@@ -2,6 +2,7 @@
 
 use super::leaps::leaps;
 use super::{Candidate, Kind};
+use crate::averages::sums;
 use crate::course::{Course, Follow};
 use crate::explanation::Explanation;
 use crate::series::{Drift, Series};
@@ -242,11 +243,7 @@ pub fn rises(series: &Series<'_>) -> Vec<usize> {
         let Course::Step(at) = *course else { continue };
         let from = at.saturating_sub(NEAR);
         let near = &series.residual[from..(at + NEAR).min(series.len())];
-        let mut sums = vec![0.0];
-        sums.extend(near.iter().scan(0.0, |sum, e| {
-            *sum += e * e;
-            Some(*sum)
-        }));
+        let sums = sums(near.iter().map(|e| e * e));
         let gain = |a: usize, b: usize| {
             let (count, sum): (f64, f64) = ((b - a) as f64, sums[b] - sums[a]);
             if sum > count { 0.5 * (sum - count - count * (sum / count).ln()) } else { 0.0 }
@@ -267,7 +264,7 @@ fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     const PLACES: usize = 96;
     let n = series.len();
     let mut weighted: Vec<f64> = rest.iter().zip(spectrum).map(|(c, s)| c / s).collect();
-    series.transform().backward(&mut weighted);
+    series.transform.backward(&mut weighted);
     // The information about a step at a few places; it varies slowly.
     let margin = (n / 250).max(2);
     let kept = n.min(4096);

@@ -1,6 +1,7 @@
 //! Lines: sines and narrow bands of noise.
 
 use super::{Candidate, Kind};
+use crate::averages::sums;
 use crate::explanation::{Sine, alternates, per_product, turning};
 use crate::grid::Narrow;
 use crate::law::{Data, Law, Shape, Term};
@@ -59,7 +60,7 @@ fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
 pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let n = series.len();
     let residual = std::mem::take(&mut series.residual);
-    let periodogram = series.transform().periodogram(&residual);
+    let periodogram = series.transform.periodogram(&residual);
     series.residual = residual;
     let (power, cycles) = strongest(&periodogram)?;
     let mut explanation = series.explanation.clone();
@@ -87,7 +88,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     let quadratures = products(&series.residual, cycles).map(|sum| per_product(cycles, n) * sum * spectrum.sqrt());
     let sine = Sine { cycles, quadratures };
     turning(cycles, n, |t, cosine, sine| rest[t] -= quadratures[0] * cosine + quadratures[1] * sine);
-    series.transform().forward(&mut rest);
+    series.transform.forward(&mut rest);
     let power = series.grid.power(&rest);
     let fitted = series.explanation.law.fit(series.data_of(&power));
     let gain = fitted.log_posterior - series.fitted.log_posterior;
@@ -106,10 +107,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     // The band that is most conspicuous, at several widths.
-    let mut sums = vec![0.0; n];
-    for k in 1..n {
-        sums[k] = sums[k - 1] + series.whitened[k] * series.whitened[k];
-    }
+    let sums = sums(series.whitened[1..n].iter().map(|c| c * c));
     let mut best: Option<(f64, f64, f64, f64)> = None;
     let from = ((0.004 * 2.0 * n as f64) as usize).max(8);
     for width in WIDTHS {

@@ -1,6 +1,7 @@
 //! Loudness: how the residual's variance changes with time or temperature.
 
 use super::{Candidate, Kind};
+use crate::averages::sums;
 use crate::explanation::{LOUD, Loud, Scedasticity};
 use crate::series::Series;
 use nalgebra::{DMatrix, DVector};
@@ -190,22 +191,14 @@ struct Sums {
     whole: Vec<f64>,
     limited: Vec<f64>,
     /// Number of samples within 1 of 0.
-    small: Vec<u32>,
+    small: Vec<f64>,
 }
 
 impl Sums {
     fn of(residual: &[f64]) -> Self {
-        let mut sums = Self { whole: vec![0.0], limited: vec![0.0], small: vec![0] };
-        let (mut whole, mut limited, mut small) = (0.0, 0.0, 0);
-        for e in residual {
-            whole += e * e;
-            limited += (e * e).min(LARGEST);
-            small += u32::from(e * e < 1.0);
-            sums.whole.push(whole);
-            sums.limited.push(limited);
-            sums.small.push(small);
-        }
-        sums
+        let squares = || residual.iter().map(|e| e * e);
+        let small = squares().map(|square| if square < 1.0 { 1.0 } else { 0.0 });
+        Self { whole: sums(squares()), limited: sums(squares().map(|square| square.min(LARGEST))), small: sums(small) }
     }
     /// Returns the gain in nats of a different variance inside, from limited squares, so that an outlier is no stretch.
     fn gain(&self, from: usize, to: usize, level: f64) -> f64 {
@@ -242,7 +235,7 @@ impl Sums {
     }
     /// Returns the share of samples within 1 of 0: 0.683 for a standard normal distribution.
     fn small(&self, from: usize, to: usize) -> f64 {
-        f64::from(self.small[to] - self.small[from]) / (to - from) as f64
+        (self.small[to] - self.small[from]) / (to - from) as f64
     }
 }
 

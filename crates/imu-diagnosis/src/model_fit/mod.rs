@@ -66,7 +66,8 @@ pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &st
             uncertainty: Some(uncertainty(found, front.share)),
         };
         if let Some(filter) = front.filter {
-            let known = found.bandwidth.as_ref().and_then(|of| of.ci95).filter(|_| !is_exponential(found));
+            // An exponential filter has another cutoff in the model than in the report.
+            let known = found.bandwidth.as_ref().filter(|of| !of.exponential).and_then(|of| of.ci95);
             let known: Vec<_> = known.into_iter().map(|ends| ("cutoff_hz", ends)).collect();
             model.push_effect(filter, &known);
         }
@@ -85,11 +86,6 @@ pub fn model_of(report: &NoiseReport, levels: &BTreeMap<Channel, f64>, name: &st
         provenance: Some(provenance),
         ..SensorModel::default()
     }
-}
-
-/// Returns whether a channel's filter has another cutoff in the model than in the report.
-fn is_exponential(found: &NoiseParameters) -> bool {
-    found.bandwidth.as_ref().is_some_and(|of| of.exponential)
 }
 
 /// Returns the plain model of a capture with the effects that a diagnosis of the capture against it added: `augmented`.

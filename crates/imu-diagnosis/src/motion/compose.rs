@@ -15,7 +15,7 @@ use super::{BLOCKS, FOLDS, places, residuals};
 use crate::diagnose::{Options, Outcome};
 use crate::recording::Recording;
 use crate::report::{Alternative, Place, Remainder, Verdict};
-use crate::response::{Candidate, Estimate, Fitted, NORMAL_95, Openness};
+use crate::response::{Candidate, Estimate, NORMAL_95, Openness, is_alike};
 use imu_core::sample::Triad;
 use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
@@ -125,7 +125,9 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
     let mut all = Vec::new();
     for (place, group) in of.chosen() {
         let Member::Library(candidate) = group.member else { continue };
-        let Some(fitted) = of.fit.fitted.iter().find(|one| is(candidate, one)) else { continue };
+        let Some(fitted) = of.fit.fitted.iter().find(|one| is_alike(&*candidate.make(&[]), &*one.effect)) else {
+            continue;
+        };
         let rest: Vec<usize> = own.iter().copied().filter(|other| *other != place).collect();
         let gain = weighing.gain(own) - weighing.gain(&rest);
         let (margin, _) = weighing.margin(own, place);
@@ -161,12 +163,6 @@ fn of_groups(of: &Settled, samples: f64) -> Vec<Driven> {
         all.push(Driven::new(of.triad, effect, Some(gain), channels, confidence, uncertainty, evidence));
     }
     all
-}
-
-/// Returns whether a fitted effect comes from this candidate.
-fn is(candidate: Candidate, fitted: &Fitted) -> bool {
-    let own = candidate.make(&[]);
-    own.kind() == fitted.effect.kind() && own.parameter("form") == fitted.effect.parameter("form")
 }
 
 fn called(candidate: Candidate) -> String {

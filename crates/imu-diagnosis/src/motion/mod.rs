@@ -106,8 +106,7 @@ pub fn diagnose_moved(
     if triads.is_empty() {
         return Err(DiagnosisError::NotDriven);
     }
-    let aligned = align::align(real, reference, sim, &triads)?;
-    let mut aligned = aligned;
+    let mut aligned = align::align(real, reference, sim, &triads)?;
     let mut part = real.part(aligned.from..aligned.from + aligned.motions.len());
     if !aligned.shared
         && let Some(lie) = rounds::refined(&part, &aligned, sim, &triads)?

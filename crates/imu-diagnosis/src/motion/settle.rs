@@ -93,12 +93,6 @@ struct Ended {
     outside: [Vec<f64>; 3],
 }
 
-impl Ended {
-    fn misfit(&self) -> f64 {
-        self.fit.misfit.iter().sum()
-    }
-}
-
 impl About<'_> {
     pub(super) fn settle(
         &self,
@@ -130,7 +124,7 @@ impl About<'_> {
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level = level(self.sim, triad);
-        let clock = if self.aligned.shared { Clock::SHARED } else { Clock::SEPARATE };
+        let clock = if self.aligned.shared { Clock::Shared } else { Clock::Separate };
         // On one clock a delay is a latency; on two clocks it is an offset.
         let with_delay = |mut of: Vec<Candidate>| {
             of.extend(self.aligned.shared.then_some(Candidate::Latency));
@@ -184,6 +178,7 @@ impl About<'_> {
         let own: Vec<(usize, f64)> = columns.iter().copied().zip(numbers.iter().copied()).collect();
         let outside = |own: &[(usize, f64)]| self.outside(triad, own, &screen, &counts, &filters);
         let mut ended = fitted(outside(&own), &filters)?;
+        let misfit = |of: &Ended| of.fit.misfit.iter().sum::<f64>();
         if let Some(place) = choice.groups.iter().find(|place| groups[**place].member == BANDWIDTH) {
             // Its columns equal a filter's to within some hundredths; the rest would hide the filter from the noise's
             // diagnosis. Other outside effects may be part of that rest.
@@ -193,7 +188,7 @@ impl About<'_> {
             for supposed in ORDERS.into_iter().filter_map(|order| filters.supposed(order, delay_s, rate_hz)) {
                 for left in [&others[..], &[]] {
                     let other = fitted(outside(left), &supposed)?;
-                    if other.misfit() < ended.misfit() {
+                    if misfit(&other) < misfit(&ended) {
                         ended = other;
                     }
                     if others.iter().all(|(column, _)| *column < screen.own) {
@@ -234,7 +229,7 @@ impl About<'_> {
         let motions = self.aligned.motions.as_slice();
         let mut outside: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; motions.len()]);
         let moved = ["x ln_cutoff", "y ln_cutoff", "z ln_cutoff"]
-            .map(|name| screen.estimates().iter().find(|one| one.parameter == name).map_or(0.0, |one| one.value));
+            .map(|name| screen.fit.estimates.iter().find(|one| one.parameter == name).map_or(0.0, |one| one.value));
         let mut first = screen.own;
         for (of, count) in counts {
             let own: Vec<_> = columns.iter().filter(|(column, _)| (first..first + count).contains(column)).collect();
@@ -292,7 +287,7 @@ impl About<'_> {
         let candidates = groups::candidates(triad, full_scale(triad, &known));
         let level = level(self.sim, triad);
         let request =
-            Request { known: &known, level, candidates: &candidates, clock: Clock::SEPARATE, filters: &filters };
+            Request { known: &known, level, candidates: &candidates, clock: Clock::Separate, filters: &filters };
         Ok(response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?)
     }
 

@@ -4,7 +4,7 @@
 //! that were compared in one rest alone count as constant per sample throughout.
 
 use crate::report::{Cause, Diagnosis, Of, Place, Sense, Verdict};
-use crate::response::NORMAL_95;
+use crate::response::{NORMAL_95, is_alike};
 use imu_core::sample::Triad;
 use imu_model::effects::{Stream, StreamId, TriadEffect};
 use imu_model::simulator::{SensorModel, TriadModel};
@@ -189,10 +189,7 @@ pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad,
     let mut triads = sim.triads.clone();
     for one in driven {
         let effects = &mut triads.entry(one.triad).or_default().effects;
-        let like = |effect: &Arc<dyn TriadEffect>| {
-            effect.kind() == one.effect.kind() && effect.parameter("form") == one.effect.parameter("form")
-        };
-        effects.retain(|effect| !like(effect));
+        effects.retain(|effect| !is_alike(&**effect, &*one.effect));
         effects.push(Arc::clone(&one.effect));
     }
     triads

@@ -61,7 +61,7 @@ pub(crate) fn parts(series: &mut Series<'_>) -> Vec<Part> {
         let mut power: Vec<f64> = own.iter().zip(&share).map(|(own, share)| own * share).collect();
         // A record's mean is unknown.
         (course[0], power[0]) = (0.0, 0.0);
-        series.transform().backward(&mut course);
+        series.transform.backward(&mut course);
         let pure = power.iter().zip(&share).map(|(power, share)| power * share).sum::<f64>();
         let purity = pure / power.iter().sum::<f64>().max(f64::MIN_POSITIVE);
         found.push(Part { place, term, course, power, purity });

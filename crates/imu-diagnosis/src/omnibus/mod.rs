@@ -143,7 +143,7 @@ fn octaves(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
     const LAGS: [usize; 3] = [4, 16, 64];
     let n = series.len();
     let mut residual = series.residual.clone();
-    series.transform().forward(&mut residual);
+    series.transform.forward(&mut residual);
     let whitened = residual;
     let (mut kurtosis, mut clusters) = (0.0f64, 0.0f64);
     let mut to = n;
@@ -188,7 +188,7 @@ fn bands(series: &mut Series<'_>, found: &mut Vec<(Statistic, f64)>) {
         series.whitened.clone()
     } else {
         let mut values = series.residual.clone();
-        series.transform().forward(&mut values);
+        series.transform.forward(&mut values);
         values
     };
     let rows: Vec<f64> = whitened

@@ -8,7 +8,7 @@ use imu_model::motion::{Course, Kind, Site};
 use imu_model::simulator::{ChannelModel, SensorModel};
 
 fn request(candidates: &[Candidate]) -> Request<'_> {
-    Request { known: &[], level: [0.0; 3], candidates, clock: Clock::SHARED, filters: &NO_FILTERS }
+    Request { known: &[], level: [0.0; 3], candidates, clock: Clock::Shared, filters: &NO_FILTERS }
 }
 
 fn slices(samples: &[Vec<f64>; 3]) -> [&[f64]; 3] {
@@ -22,10 +22,7 @@ fn left_out(found: &Fit) -> [usize; 3] {
 
 /// Asserts that all values that the fit returns are numbers.
 fn assert_finite(found: &Fit) {
-    let numbers = found.estimates.iter().flat_map(|one| {
-        let errors = one.standard_error.into_iter().chain(one.ci95.into_iter().flatten());
-        [one.value, one.known].into_iter().chain(errors)
-    });
+    let numbers = found.estimates.iter().flat_map(|one| [one.value, one.known].into_iter().chain(one.standard_error));
     assert!(numbers.into_iter().all(f64::is_finite), "{:?}", found.estimates);
     assert!(found.response.iter().flatten().copied().chain(found.misfit).all(f64::is_finite));
 }
@@ -62,7 +59,7 @@ fn the_response_is_the_simulators_without_noise() {
         // Once with all effects known and kept, then with all as candidates at their known values.
         for candidates in [&[][..], &candidates] {
             let known =
-                Request { known: &effects, level: [0.01; 3], candidates, clock: Clock::SHARED, filters: &NO_FILTERS };
+                Request { known: &effects, level: [0.01; 3], candidates, clock: Clock::Shared, filters: &NO_FILTERS };
             let (design, state) = Design::new(&record, &known);
             for (response, shown) in design.response(&state).iter().zip(&shown) {
                 for (response, shown) in response.iter().zip(shown) {
@@ -197,7 +194,7 @@ fn nothing_depends_on_the_size_of_the_unit() {
     let candidates = [Candidate::ScaleFactor, Candidate::Misalignment, Candidate::Bias];
     let case = Case::new(Triad::Accel, tumble(), &[(Candidate::ScaleFactor, vec![2e-3, -1e-3, 5e-4])]);
     let samples = case.samples(4);
-    let usual = case.fit_to(&samples, &candidates, Clock::SHARED);
+    let usual = case.fit_to(&samples, &candidates, Clock::Shared);
     for unit in [1e-12, 1e9] {
         let mut other = Case::new(Triad::Accel, tumble(), &[]);
         for motion in &mut other.reference {
@@ -208,7 +205,7 @@ fn nothing_depends_on_the_size_of_the_unit() {
         }
         other.law = NoiseLaw::of_model(&other.model, Triad::Accel, RATE_HZ, samples[0].len()).unwrap();
         let scaled = samples.clone().map(|axis| axis.into_iter().map(|value| value * unit).collect());
-        let found = other.fit_to(&scaled, &candidates, Clock::SHARED);
+        let found = other.fit_to(&scaled, &candidates, Clock::Shared);
         assert!(found.misfit.iter().zip(usual.misfit).all(|(one, other)| (one / other - 1.0).abs() < 1e-6));
         for (one, other) in found.estimates.iter().zip(&usual.estimates) {
             let scale = if one.effect == Some(EffectKind::Bias) { unit } else { 1.0 };
@@ -237,7 +234,7 @@ fn a_clocks_offset_and_rate_are_no_latency_and_what_one_triad_has_more_is() {
         let mut case = Case::new(triad, felt.clone(), &[(Candidate::Latency, vec![seconds])]);
         let samples = case.samples(11);
         case.reference = reference.clone();
-        let found = case.fit_to(&samples, &[Candidate::Bias, Candidate::Latency], Clock::SEPARATE);
+        let found = case.fit_to(&samples, &[Candidate::Bias, Candidate::Latency], Clock::Separate);
         let of = |name: &str| found.estimates.iter().find(|one| one.parameter == name).unwrap().clone();
         let (delay, rate) = (of("offset_s"), of("rate_error"));
         println!("{}: {delay:?} {rate:?}", triad.name());
@@ -263,7 +260,7 @@ fn a_reference_that_began_seconds_apart_is_found_and_what_it_does_not_reach_is_l
         let mut case = Case::new(Triad::Gyro, motion(0.0), &[(Candidate::ScaleFactor, vec![0.01, -0.01, 0.02])]);
         let samples = case.samples(13);
         case.reference = motion(offset_s);
-        let found = case.fit_to(&samples, &[Candidate::ScaleFactor, Candidate::Bias], Clock::SEPARATE);
+        let found = case.fit_to(&samples, &[Candidate::ScaleFactor, Candidate::Bias], Clock::Separate);
         let beyond = (offset_s.abs() * RATE_HZ) as usize;
         assert!(left_out(&found).iter().all(|out| (beyond..beyond + 6).contains(out)), "{:?}", found.stretches);
         for (one, truth) in found.estimates.iter().zip([0.01, -0.01, 0.02, 0.0, 0.0, 0.0, offset_s, 0.0]) {
@@ -279,7 +276,7 @@ fn a_reference_that_is_late_gives_a_negative_delay() {
     let mut case = Case::new(Triad::Gyro, felt, &[]);
     let samples = case.samples(12);
     case.reference = reference;
-    let found = case.fit_to(&samples, &[Candidate::Latency], Clock::SHARED);
+    let found = case.fit_to(&samples, &[Candidate::Latency], Clock::Shared);
     let delay = &found.estimates[0];
     assert!((delay.value + 0.3).abs() < 4.0 * delay.standard_error.unwrap() + 1e-4, "{delay:?}");
     // An effect cannot know the future.

@@ -38,6 +38,11 @@ pub enum Candidate {
     Saturation,
 }
 
+/// Returns whether two effects are of one kind and form.
+pub(crate) fn is_alike(one: &dyn TriadEffect, other: &dyn TriadEffect) -> bool {
+    one.kind() == other.kind() && one.parameter("form") == other.parameter("form")
+}
+
 impl Candidate {
     /// Returns all candidates that make sense on `triad`, nonlinearity in both forms with this full scale (U).
     pub fn all(triad: Triad, full_scale: f64) -> Vec<Self> {
@@ -110,9 +115,7 @@ impl Candidate {
 
     /// Returns the coefficients that a known effect gives this candidate; `None` if it is another effect.
     pub(super) fn coefficients_of(self, known: &dyn TriadEffect) -> Option<Vec<f64>> {
-        if known.kind() != self.kind() || known.parameter("form") != self.make(&[]).parameter("form") {
-            return None;
-        }
+        is_alike(known, &*self.make(&[])).then_some(())?;
         let mut coefficients = known.coefficients();
         if let Self::ScaleFactorNonlinearity { full_scale, .. } = self {
             // x·ω²/F is the same deviation for x·F'/F at F'.

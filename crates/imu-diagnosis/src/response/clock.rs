@@ -11,26 +11,18 @@ use realfft::num_complex::Complex;
 
 /// The relation of the reference's clock to the sensor's.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Clock {
-    /// Whether the clock may be off by a constant, up to a quarter of the record. In that case, no latency of this
-    /// triad can be determined.
-    pub offset_unknown: bool,
-    /// Whether the clock may run faster or slower.
-    pub rate_unknown: bool,
-}
-
-impl Clock {
+pub enum Clock {
     /// The sensor's own clock.
-    pub const SHARED: Self = Self { offset_unknown: false, rate_unknown: false };
-    /// A separate clock.
-    pub const SEPARATE: Self = Self { offset_unknown: true, rate_unknown: true };
+    Shared,
+    /// A separate clock. It may be off by a constant, up to a quarter of the record, and run faster or slower. No latency of
+    /// this triad can be determined then.
+    Separate,
 }
 
 /// Returns the quantities that one triad cannot determine about a separate clock.
-pub(super) fn latency_or_offset(place: usize) -> Confounding {
+pub(super) fn latency_or_offset() -> Confounding {
     Confounding {
         openness: Openness::Confounded,
-        places: vec![place],
         of_clock: true,
         sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
                    reference; the other triad's delay would tell"

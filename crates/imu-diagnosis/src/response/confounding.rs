@@ -29,8 +29,6 @@ pub enum Openness {
 pub struct Confounding {
     /// How much is left open.
     pub openness: Openness,
-    /// The parameters' places among the fit's estimates.
-    pub places: Vec<usize>,
     /// Whether the parameters include the reference's clock.
     pub of_clock: bool,
     /// One sentence: which parameters, which motion is missing, and which motion would separate them.
@@ -91,7 +89,7 @@ impl Motions {
         };
         let would = if wants.is_empty() { String::new() } else { format!("; {} would tell", wants.join(" and ")) };
         let of_clock = group.iter().any(|place| estimates[*place].effect.is_none());
-        Confounding { openness, places: group.to_vec(), of_clock, sentence: format!("{what}: {why}{would}") }
+        Confounding { openness, of_clock, sentence: format!("{what}: {why}{would}") }
     }
 
     /// Returns the motion that these columns depend on and the record lacks, and the motion that would provide it.

@@ -137,11 +137,11 @@ impl<'a> Design<'a> {
         for (candidate, values) in coefficients.iter().enumerate() {
             slots.extend((0..values.len()).map(|place| Slot::Coefficient(candidate, place)));
         }
-        let Clock { offset_unknown, rate_unknown } = request.clock;
-        if offset_unknown || request.candidates.contains(&Candidate::Latency) {
+        let is_separate = request.clock == Clock::Separate;
+        if is_separate || request.candidates.contains(&Candidate::Latency) {
             slots.push(Slot::Delay);
         }
-        if rate_unknown {
+        if is_separate {
             slots.push(Slot::RateError);
         }
         let mut reference_c = 0.0;

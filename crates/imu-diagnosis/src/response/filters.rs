@@ -137,7 +137,7 @@ mod tests {
             known: &[],
             level: [0.0; 3],
             candidates: &[Candidate::Latency],
-            clock: Clock::SHARED,
+            clock: Clock::Shared,
             filters: &filters(declared_hz),
         };
         fit(&record, &case.law, &request).unwrap()
@@ -152,7 +152,7 @@ mod tests {
             let (latency, corner) = (of("seconds"), of("x ln_cutoff"));
             assert!(latency.value.abs() < 4.0 * latency.standard_error.unwrap(), "{latency:?}");
             assert!(corner.standard_error.unwrap() < 0.05, "{corner:?}");
-            let [low, high] = latency.ci95.unwrap();
+            let [low, high] = latency.ci95();
             inside += usize::from((low..high).contains(&0.0));
         }
         assert!(inside >= 17, "{inside} of 20");

@@ -44,6 +44,7 @@ mod solution;
 mod whitening;
 
 pub use candidate::Candidate;
+pub(crate) use candidate::is_alike;
 pub use clipping::Clipping;
 pub use clock::Clock;
 pub use confounding::{Confounding, Openness};
@@ -126,8 +127,6 @@ pub struct Estimate {
     pub known: f64,
     /// The standard error; `None` if the motion leaves the parameter open.
     pub standard_error: Option<f64>,
-    /// Value ± 1.96 standard errors.
-    pub ci95: Option<[f64; 2]>,
 }
 
 /// A fitted effect.
@@ -189,7 +188,7 @@ pub fn expected(
     let nothing = vec![0.0; reference.len()];
     let samples = std::array::from_fn(|_| nothing.as_slice());
     let record = Record { rate_hz, triad, samples, reference, temperature_c: None, left_out: &[], sent: None };
-    let request = Request { known, level, candidates: &[], clock: Clock::SHARED, filters: &NO_FILTERS };
+    let request = Request { known, level, candidates: &[], clock: Clock::Shared, filters: &NO_FILTERS };
     let (design, state) = Design::new(&record, &request);
     design.response(&state)
 }
@@ -211,7 +210,7 @@ fn solved<T>(
     let clipping = Clipping::find_or_known(record.sent.unwrap_or(record.samples), &input, request.known);
     let limit = clipping.map(|clipping| clipping.limit);
     let whitening = Whitening::new(law);
-    let mut search = Search { record, design: &design, whitening, offset_unknown: request.clock.offset_unknown };
+    let mut search = Search { record, design: &design, whitening, clock: request.clock };
     search.leave_out(limit, None, &known)?;
     let start = search.start(&known);
     let mut left_out = search.leave_out(limit, Some(&design.response(&start)), &start)?;

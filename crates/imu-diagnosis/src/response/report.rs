@@ -4,9 +4,7 @@ use super::clipping::Bridges;
 use super::confounding::Motions;
 use super::design::{Design, Slot, State};
 use super::solution::{Search, Solution};
-use super::{
-    AXES, Candidate, Clipping, Confounding, Estimate, Fit, Fitted, NORMAL_95, Openness, Record, Request, clock,
-};
+use super::{AXES, Candidate, Clipping, Clock, Confounding, Estimate, Fit, Fitted, Openness, Record, Request, clock};
 use imu_model::effects::EffectKind;
 
 /// Returns the complete report of a solution.
@@ -36,13 +34,12 @@ pub(super) fn report(
         .map(|(place, slot)| {
             let (effect, parameter) = label(design, request, *slot);
             // A clock's offset comes in addition to the known latency.
-            let own = *slot == Slot::Delay && request.clock.offset_unknown;
+            let own = *slot == Slot::Delay && request.clock == Clock::Separate;
             let before = if own { 0.0 } else { known.value(*slot) };
             let value = solution.state.value(*slot) - if own { known.delay_s } else { 0.0 };
             let error = covariance[(place, place)].max(0.0).sqrt();
             let standard_error = (!open.contains(&place)).then_some(error);
-            let ci95 = standard_error.map(|error| [value - NORMAL_95 * error, value + NORMAL_95 * error]);
-            Estimate { effect, parameter, value, known: before, standard_error, ci95 }
+            Estimate { effect, parameter, value, known: before, standard_error }
         })
         .collect();
     let n = record.reference.len() as f64;
@@ -65,7 +62,7 @@ fn label(design: &Design<'_>, request: &Request<'_>, slot: Slot) -> (Option<Effe
             let candidate = design.candidates[candidate];
             (Some(candidate.kind()), candidate.parameters()[place].clone())
         }
-        Slot::Delay if request.clock.offset_unknown => (None, "offset_s".to_owned()),
+        Slot::Delay if request.clock == Clock::Separate => (None, "offset_s".to_owned()),
         Slot::Delay => (Some(EffectKind::Latency), "seconds".to_owned()),
         Slot::RateError => (None, "rate_error".to_owned()),
         Slot::Temperature(axis) => (Some(EffectKind::TemperatureBias), format!("{} per_c", AXES[axis])),
@@ -83,7 +80,7 @@ fn fitted(request: &Request<'_>, design: &Design<'_>, state: &State, clipping: O
                 let Some(clipping) = clipping else { continue };
                 (candidate.make(&[clipping.limit]), 0..0)
             }
-            Candidate::Latency if request.clock.offset_unknown => continue,
+            Candidate::Latency if request.clock == Clock::Separate => continue,
             Candidate::Latency => {
                 let place = first(Slot::Delay);
                 (candidate.make(&[state.delay_s]), place..place + 1)
@@ -122,9 +119,8 @@ fn statements(
         motions.state(openness, &group, &design.slots, &design.candidates, estimates)
     };
     let mut all: Vec<Confounding> = groups.into_iter().map(state).collect();
-    if request.clock.offset_unknown && request.candidates.contains(&Candidate::Latency) {
-        let place = design.slots.iter().position(|slot| *slot == Slot::Delay).unwrap_or(0);
-        all.push(clock::latency_or_offset(place));
+    if request.clock == Clock::Separate && request.candidates.contains(&Candidate::Latency) {
+        all.push(clock::latency_or_offset());
     }
     all
 }

@@ -58,6 +58,13 @@ pub(super) fn simulated(
     columns
 }
 
+impl Estimate {
+    /// Returns the value ± 1.96 standard errors.
+    pub(super) fn ci95(&self) -> [f64; 2] {
+        [-1.0, 1.0].map(|sign| self.value + sign * NORMAL_95 * self.standard_error.unwrap())
+    }
+}
+
 /// One record and its law.
 pub(super) struct Case {
     pub(super) triad: Triad,
@@ -99,7 +106,7 @@ impl Case {
     }
 
     pub(super) fn fit(&self, seed: u64, candidates: &[Candidate]) -> Fit {
-        self.fit_to(&self.samples(seed), candidates, Clock::SHARED)
+        self.fit_to(&self.samples(seed), candidates, Clock::Shared)
     }
 }
 
@@ -120,7 +127,7 @@ fn coverage(triad: Triad, reference: Vec<Motion>, truth: &[(Candidate, Vec<f64>)
             let same = truth.iter().find(|(of, _)| of.coefficients_of(fitted.effect.as_ref()).is_some());
             for (place, index) in fitted.places.clone().enumerate() {
                 let truth = same.and_then(|(_, values)| values.get(place)).copied().unwrap_or(0.0);
-                let [low, high] = found.estimates[index].ci95.unwrap();
+                let [low, high] = found.estimates[index].ci95();
                 held[index] += u64::from((low..=high).contains(&truth));
             }
         }

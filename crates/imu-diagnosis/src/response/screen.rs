@@ -14,7 +14,7 @@
 use super::clipping::Bridges;
 use super::design::{Column, State};
 use super::solution::{Search, Solution};
-use super::{Estimate, Fit, NoiseLaw, Record, Request, ResponseError, report, solved};
+use super::{Fit, NoiseLaw, Record, Request, ResponseError, report, solved};
 use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use std::ops::Range;
@@ -163,11 +163,6 @@ fn sums(columns: &[Held], samples: &[Vec<f64>; 3], within: Range<usize>) -> (DMa
 }
 
 impl Screen {
-    /// Returns the estimates of the fit's columns.
-    pub fn estimates(&self) -> &[Estimate] {
-        &self.fit.estimates
-    }
-
     /// Returns the joint gain of the columns, nats, and their numbers, less the known values.
     pub fn gain(&self, columns: &[usize]) -> (f64, Vec<f64>) {
         solve(&self.total.0, &self.total.1, columns)
@@ -302,7 +297,7 @@ mod tests {
             known: &[],
             level: [0.0; 3],
             candidates,
-            clock: Clock::SHARED,
+            clock: Clock::Shared,
             filters: &NO_FILTERS,
         };
         let all = [Candidate::ScaleFactor, Candidate::Misalignment, Candidate::Bias];
@@ -353,7 +348,7 @@ mod tests {
                 known: &[],
                 level: [0.0; 3],
                 candidates: &[Candidate::Latency],
-                clock: Clock::SHARED,
+                clock: Clock::Shared,
                 filters: &filters,
             };
             screen(&record, &case.law, &request, Vec::new(), 16).unwrap()

@@ -5,8 +5,8 @@ use super::clipping::{Bridges, is_near};
 use super::clock::coarse;
 use super::design::{Design, Slot, State};
 use super::normal::Normal;
-use super::whitening::{Columns, Whitening};
-use super::{Record, ResponseError, SAMPLES_MIN, input};
+use super::whitening::{Columns, Whitening, products};
+use super::{Clock, Record, ResponseError, SAMPLES_MIN, input};
 use imu_model::effects::triad::{Axes, Latency};
 use nalgebra::{DMatrix, DVector};
 
@@ -50,8 +50,7 @@ pub(super) struct Search<'a, 'b> {
     pub(super) record: &'a Record<'a>,
     pub(super) design: &'b Design<'a>,
     pub(super) whitening: Whitening<'a>,
-    /// Whether the reference's clock may be off by any time.
-    pub(super) offset_unknown: bool,
+    pub(super) clock: Clock,
 }
 
 impl Search<'_, '_> {
@@ -70,7 +69,7 @@ impl Search<'_, '_> {
         state: &State,
     ) -> Result<[usize; 3], ResponseError> {
         let reached = self.design.reached(state);
-        let deviations = self.whitening.sample_deviations();
+        let deviations = self.whitening.law.sample_deviations();
         let bridges: [Bridges; 3] = std::array::from_fn(|axis| {
             let out = |(index, shown): (usize, &f64)| {
                 // A course that was subtracted is added to both again: the limit applies to the sent values.
@@ -95,7 +94,7 @@ impl Search<'_, '_> {
 
     fn linearised(&mut self, state: &State) -> (Columns, Normal) {
         let columns = self.whitening.columns(self.design.columns(state));
-        let matrix = Whitening::matrix(&columns) + self.known();
+        let matrix = products(&columns) + self.known();
         let unseen = |slot: &Slot| match slot {
             Slot::Coefficient(candidate, _) => self.design.candidates[*candidate].unseen(),
             Slot::Delay => Candidate::Latency.unseen(),
@@ -135,9 +134,9 @@ impl Search<'_, '_> {
         let rate_hz = self.record.rate_hz;
         let n = self.record.reference.len();
         let input: Vec<Axes> = self.record.reference.iter().map(|motion| input(self.record.triad, motion)).collect();
-        let weights = self.whitening.sample_deviations().map(|deviation| deviation.powi(-2));
+        let weights = self.whitening.law.sample_deviations().map(|deviation| deviation.powi(-2));
         // A latency is bounded; a clock's offset is bounded only by the rest of the record.
-        let most = if self.offset_unknown { n / 4 } else { (Latency::SECONDS_MAX * rate_hz) as usize };
+        let most = if self.clock == Clock::Separate { n / 4 } else { (Latency::SECONDS_MAX * rate_hz) as usize };
         let over = |from: usize, to: usize| {
             let samples = self.record.samples.map(|axis| &axis[from..to]);
             coarse(samples, &input[from..to], weights, most) / rate_hz

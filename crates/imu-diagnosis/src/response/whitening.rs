@@ -5,13 +5,12 @@ use super::design::Column;
 use super::noise_law::NoiseLaw;
 use crate::dot::dot;
 use crate::transform::Cosines;
-use imu_model::effects::triad::Axes;
 use nalgebra::{DMatrix, DVector};
 
 /// All operations on a record's columns before they are compared.
 #[derive(Debug)]
 pub(super) struct Whitening<'a> {
-    law: &'a NoiseLaw,
+    pub(super) law: &'a NoiseLaw,
     cosines: Cosines,
     pub(super) bridges: [Bridges; 3],
 }
@@ -22,8 +21,8 @@ pub(super) type Columns = Vec<Column>;
 /// Samples whose products are summed at a time: two dozen columns of them fit a processor's cache.
 const AT_A_TIME: usize = 1024;
 
-/// Returns Σ over the axes of the products of every two columns.
-fn products(columns: &Columns) -> DMatrix<f64> {
+/// Returns XᵀX of whitened columns: Σ over the axes of the products of every two.
+pub(super) fn products(columns: &Columns) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(columns.len(), columns.len());
     for axis in 0..3 {
         let there: Vec<(usize, &[f64])> =
@@ -45,11 +44,6 @@ fn products(columns: &Columns) -> DMatrix<f64> {
 impl<'a> Whitening<'a> {
     pub(super) fn new(law: &'a NoiseLaw) -> Self {
         Self { law, cosines: Cosines::new(law.samples()), bridges: Default::default() }
-    }
-
-    /// Returns the standard deviation of each axis's white noise in single samples.
-    pub(super) fn sample_deviations(&self) -> Axes {
-        self.law.sample_deviations()
     }
 
     pub(super) fn whiten(&mut self, axis: usize, values: &mut [f64]) {
@@ -85,11 +79,6 @@ impl<'a> Whitening<'a> {
         self.cosines.backward(values);
     }
 
-    /// Returns XᵀX of whitened columns.
-    pub(super) fn matrix(columns: &Columns) -> DMatrix<f64> {
-        products(columns)
-    }
-
     /// Returns Xᵀr.
     pub(super) fn gradient(columns: &Columns, residual: &[Vec<f64>; 3]) -> DVector<f64> {
         let along = |column: &Column| {
@@ -114,6 +103,6 @@ impl<'a> Whitening<'a> {
                 self.law.axes[axis].colour_transposed(values);
             }
         }
-        Self::matrix(&seen)
+        products(&seen)
     }
 }
