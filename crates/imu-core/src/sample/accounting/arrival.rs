@@ -190,8 +190,24 @@ impl Accountant {
         }
     }
 
-    /// Returns the longest time before a held sample without another, ns. The first one was due at the rate.
+    /// Returns whether the sensor counted on since the last sample: it was not reset.
+    fn counts_on(&self) -> bool {
+        let mut counts = self.arrival.held.iter().map(|sample| sample.sync_count);
+        let mut before = self.last.and_then(|last| last.sync_count);
+        self.timebase == Timebase::SyncCounter
+            && counts.all(|count| {
+                let is_later = before.zip(count).is_some_and(|(from, to)| to.wrapping_sub(from) as i32 >= 0);
+                before = count;
+                is_later
+            })
+    }
+
+    /// Returns the longest time before a held sample without another, ns; 0 if the sensor counted on. The first one was due at the
+    /// rate.
     fn longest_silence_ns(&self) -> u64 {
+        if self.counts_on() {
+            return 0;
+        }
         let Arrival { held, next_mono_ns, .. } = &self.arrival;
         let first_ns = held.first().map_or(0.0, |first| first.host_mono_ns as f64 - next_mono_ns);
         let between = held.windows(2).map(|pair| pair[1].host_mono_ns.saturating_sub(pair[0].host_mono_ns) as f64);
@@ -461,6 +477,7 @@ impl Accountant {
     /// Assigns the held samples to this rate, from the first possible one on.
     fn adopt_arrivals(&mut self, rate_hz: f64, out: &mut Vec<Record>) {
         let (old_period, period) = (period_ns(self.rate_hz), period_ns(rate_hz));
+        let counts_on = self.counts_on();
         let first = self.first_of(rate_hz).min(self.first_by_count(rate_hz));
         let held = self.arrival.held.split_off(first);
         let host_trouble = self.arrival.host_trouble;
@@ -480,7 +497,7 @@ impl Accountant {
         let due_ns = first.host_mono_ns as f64 + late_ns.iter().copied().fold(0.0, f64::min);
         let (away_ns, longest) = (due_ns - last_due_ns, old_period.max(period));
         if away_ns - longest > (LATE_PERIODS * longest).max(self.jitter_ns()) {
-            let reset = away_ns > silence_of_a_reset(old_period, period);
+            let reset = away_ns > silence_of_a_reset(old_period, period) && !counts_on;
             // No sample is missing at the step from one rate to the other.
             let (cause, away_ns) = match reset {
                 true => (GapCause::SensorReset, away_ns),

@@ -543,3 +543,27 @@ fn a_clock_that_is_set_ahead_in_trouble_makes_no_exact_loss() {
     let (accountant, out) = read_late(50.0, sent, &[8.2..9.8], true);
     assert_eq!((accountant.epoch(), accountant.missing()), (2, 0), "{:?}", gaps(&out));
 }
+
+/// A sensor that was silent before it sends at another rate, and counted on meanwhile, was not reset.
+#[test]
+fn a_silence_before_another_rate_is_no_reset_if_the_count_goes_on() {
+    for (to_hz, answers) in [(100.0, true), (25.0, true), (100.0, false), (25.0, false)] {
+        let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::SyncCounter), Vec::new());
+        for (sent_s, clock_s) in run(50.0, 0.0, 10.0, 0.0).chain(run(to_hz, 11.5, 10.0, 11.5)) {
+            let arrived = START_NS + (1e9 * sent_s) as u64;
+            let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+            sample.sync_count = Some((clock_s * 50.0 + 1e-6) as u32);
+            accountant.observe(sample, &mut out);
+            if let Some(doubt) = accountant.take_doubt() {
+                assert!(!doubt.is_reset(50.0, to_hz), "{to_hz} Hz: {doubt:?}");
+                if answers && sent_s > 11.0 {
+                    accountant.rate_known(to_hz, &mut out);
+                }
+            }
+        }
+        accountant.settle(&mut out);
+        let [gap] = gaps(&out)[..] else { panic!("{to_hz} Hz: {:?}", gaps(&out)) };
+        assert!(gap.missing.abs_diff(74) <= 2, "{to_hz} Hz, {answers}: {gap:?}");
+        assert_ne!(gap.cause, GapCause::SensorReset, "{to_hz} Hz, {answers}");
+    }
+}
