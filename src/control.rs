@@ -22,44 +22,26 @@ pub struct CaptureRequest {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ControlError {
     /// A capture runs or waits already.
-    #[error("capture {running} is running until it is complete or stopped: stop it first")]
-    Busy {
-        /// The capture that runs or waits.
-        running: i64,
-    },
+    #[error("capture {0} is running until it is complete or stopped: stop it first")]
+    Busy(i64),
     /// Only a running capture can be stopped.
-    #[error("capture {id} is not running")]
-    NotRunning {
-        /// The requested capture.
-        id: i64,
-    },
+    #[error("capture {0} is not running")]
+    NotRunning(i64),
     /// The name is taken.
-    #[error("a capture named `{name}` exists already: choose another name")]
-    NameTaken {
-        /// The requested name.
-        name: String,
-    },
+    #[error("a capture named `{0}` exists already: choose another name")]
+    NameTaken(String),
     /// The name is invalid.
-    #[error("{reason}")]
-    NameRefused {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    NameRefused(String),
     /// The database did not accept it.
-    #[error("the database did not take the request: {reason}")]
-    Store {
-        /// The error that the database reported.
-        reason: String,
-    },
+    #[error("the database did not take the request: {0}")]
+    Store(String),
     /// The capture takes no more samples, but its end is not on disk.
     #[error(
-        "capture {id} takes no more samples, but the disk has not taken its end: it is written once the disk takes it, and if \
+        "capture {0} takes no more samples, but the disk has not taken its end: it is written once the disk takes it, and if \
          the daemon is killed before, the capture goes on at the next start; see `storage` in the status"
     )]
-    Unwritten {
-        /// The capture.
-        id: i64,
-    },
+    Unwritten(i64),
     /// The daemon is ending.
     #[error("the daemon is stopping")]
     Stopping,
@@ -212,38 +194,23 @@ pub struct ConversionReport {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImportError {
     /// The file cannot be read, or is no recording.
-    #[error("{reason}")]
-    Recording {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    Recording(String),
     /// The name is taken.
-    #[error("{reason}")]
-    NameTaken {
-        /// The name, and a remedy.
-        reason: String,
-    },
+    #[error("{0}")]
+    NameTaken(String),
     /// The name is invalid.
-    #[error("{reason}")]
-    NameRefused {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    NameRefused(String),
     /// The process that read it ended.
-    #[error("reading the recording failed, nothing of it was kept: {reason}; import it again")]
-    Process {
-        /// The reason.
-        reason: String,
-    },
+    #[error("reading the recording failed, nothing of it was kept: {0}; import it again")]
+    Process(String),
     /// The daemon is ending.
     #[error("the daemon is stopping, nothing of the recording was kept: import it again once the daemon runs")]
     Stopping,
     /// The database did not accept it.
-    #[error("the database did not take the recording: {reason}")]
-    Store {
-        /// The error that the database reported.
-        reason: String,
-    },
+    #[error("the database did not take the recording: {0}")]
+    Store(String),
 }
 
 /// Imports recordings as captures; blocks until the import is done.

@@ -130,7 +130,7 @@ fn still_runs(id: i64, estimator: Estimator) -> JobError {
          there is so far, or submit a job (POST /v1/jobs) over the samples of now",
         estimator.name()
     );
-    JobError::InsufficientData { reason }
+    JobError::InsufficientData(reason)
 }
 
 /// Noise parameters N, B, K, Q, R of every analysed channel, with intervals and units, and the numbers to paste for
@@ -183,7 +183,7 @@ pub(super) async fn noise(
         if let Some(why) = target.refusal(&report).filter(|_| !query.force) {
             let reason =
                 format!("{} is not written, since it would be wrong: {why}. `force=true` writes it", target.name());
-            return Err(JobError::InsufficientData { reason }.into());
+            return Err(JobError::InsufficientData(reason).into());
         }
         let media = [(header::CONTENT_TYPE, HeaderValue::from_static(target.media_type()))];
         let body = (media, target.write_report(&report));
@@ -286,7 +286,7 @@ fn find_stored(
     if let Some(job_id) = job {
         let row = reader.job(job_id)?;
         if row.capture != id || row.kind != kind {
-            return Err(StoreError::NoSuchJob { id: job_id });
+            return Err(StoreError::NoSuchJob(job_id));
         }
         return with_result(reader, row).map(Ok);
     }

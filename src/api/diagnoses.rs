@@ -241,10 +241,10 @@ async fn part(
 
 /// Returns the job of a diagnosis, and its result once it is there.
 fn find(reader: &Reader, id: &str) -> Result<(JobRow, Option<ResultRow>), StoreError> {
-    let unknown = || StoreError::NoSuchDiagnosis { asked: id.chars().take(40).collect() };
+    let unknown = || StoreError::NoSuchDiagnosis(id.chars().take(40).collect());
     let number = if id == "latest" { reader.latest_diagnosis()? } else { id.parse().map_err(|_| unknown())? };
     let job = match reader.job(number) {
-        Err(StoreError::NoSuchJob { .. }) => return Err(unknown()),
+        Err(StoreError::NoSuchJob(_)) => return Err(unknown()),
         job => job?,
     };
     if job.kind != JobKind::Diagnosis {

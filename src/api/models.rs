@@ -118,5 +118,5 @@ pub(super) async fn delete(State(state): State<ApiState>, P(id): P) -> Result<St
 
 fn number(id: &str) -> Result<i64, StoreError> {
     let number = id.strip_prefix("model-").and_then(|number| number.parse().ok());
-    number.ok_or_else(|| StoreError::NoSuchModel { asked: id.chars().take(40).collect() })
+    number.ok_or_else(|| StoreError::NoSuchModel(id.chars().take(40).collect()))
 }

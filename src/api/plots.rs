@@ -98,7 +98,7 @@ pub(super) async fn plot(
             let is_apart = parts.jobs.place() == Place::Apart;
             let file = gallery::file(reader, &id, (picture, window), &documents, form, is_apart)?;
             let reason = || format!("there is not enough data for {}", picture.name());
-            file.ok_or_else(|| JobError::InsufficientData { reason: reason() })
+            file.ok_or_else(|| JobError::InsufficientData(reason()))
         })
         .await?;
     let image = (

@@ -240,7 +240,7 @@ impl ApiError {
 impl From<StoreError> for ApiError {
     fn from(error: StoreError) -> Self {
         let detail = error.to_string();
-        if matches!(error, StoreError::QueueFull { .. }) {
+        if matches!(error, StoreError::QueueFull(_)) {
             return Self::busy(detail, 10);
         }
         match error.kind() {
@@ -261,14 +261,14 @@ impl From<JobError> for ApiError {
     fn from(error: JobError) -> Self {
         match error {
             JobError::Store(error) => error.into(),
-            error @ (JobError::Parameters { .. } | JobError::Together { .. } | JobError::Model(_)) => {
+            error @ (JobError::Parameters { .. } | JobError::Together(_) | JobError::Model(_)) => {
                 Self::bad_request(error.to_string())
             }
-            error @ (JobError::InsufficientData { .. } | JobError::Allan(_) | JobError::Diagnosis(_)) => {
+            error @ (JobError::InsufficientData(_) | JobError::Allan(_) | JobError::Diagnosis(_)) => {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }
-            error @ JobError::TooLarge { .. } => Self::new(ProblemType::TooLarge, error.to_string()),
-            error @ (JobError::Died { .. } | JobError::Process(_)) => Self::unavailable(error.to_string(), 5),
+            error @ JobError::TooLarge(_) => Self::new(ProblemType::TooLarge, error.to_string()),
+            error @ (JobError::Died(_) | JobError::Process(_)) => Self::unavailable(error.to_string(), 5),
             error => Self::internal(error.to_string()),
         }
     }
@@ -278,12 +278,12 @@ impl From<ImportError> for ApiError {
     fn from(error: ImportError) -> Self {
         let detail = error.to_string();
         match error {
-            ImportError::Recording { .. } => Self::new(ProblemType::AnalysisFailed, detail),
-            ImportError::NameTaken { .. } => Self::new(ProblemType::Conflict, detail),
-            ImportError::NameRefused { .. } => Self::bad_request(detail),
+            ImportError::Recording(_) => Self::new(ProblemType::AnalysisFailed, detail),
+            ImportError::NameTaken(_) => Self::new(ProblemType::Conflict, detail),
+            ImportError::NameRefused(_) => Self::bad_request(detail),
             // The disk is fine: the client should try again.
             ImportError::Stopping => Self { status: StatusCode::SERVICE_UNAVAILABLE, ..Self::busy(detail, 5) },
-            ImportError::Store { .. } | ImportError::Process { .. } => Self::unavailable(detail, 5),
+            ImportError::Store(_) | ImportError::Process(_) => Self::unavailable(detail, 5),
         }
     }
 }
@@ -292,11 +292,11 @@ impl From<ControlError> for ApiError {
     fn from(error: ControlError) -> Self {
         let detail = error.to_string();
         match error {
-            ControlError::Busy { .. } | ControlError::NotRunning { .. } | ControlError::NameTaken { .. } => {
+            ControlError::Busy(_) | ControlError::NotRunning(_) | ControlError::NameTaken(_) => {
                 Self::new(ProblemType::Conflict, detail)
             }
-            ControlError::NameRefused { .. } => Self::bad_request(detail),
-            ControlError::Store { .. } | ControlError::Unwritten { .. } | ControlError::Stopping => {
+            ControlError::NameRefused(_) => Self::bad_request(detail),
+            ControlError::Store(_) | ControlError::Unwritten(_) | ControlError::Stopping => {
                 Self::unavailable(detail, 5)
             }
         }
@@ -395,10 +395,10 @@ mod tests {
     #[test]
     fn the_store_s_refusals_get_the_status_of_their_kind() {
         let status = |error: StoreError| ApiError::from(error).status().as_u16();
-        assert_eq!(status(StoreError::NoSuchCapture { asked: "x".to_owned() }), 404);
-        assert_eq!(status(StoreError::NameTaken { name: "x".to_owned() }), 409);
-        assert_eq!(status(StoreError::BadCursor { found: "x".to_owned() }), 400);
-        assert_eq!(ApiError::from(ControlError::NameRefused { reason: "x".to_owned() }).status().as_u16(), 400);
+        assert_eq!(status(StoreError::NoSuchCapture("x".to_owned())), 404);
+        assert_eq!(status(StoreError::NameTaken("x".to_owned())), 409);
+        assert_eq!(status(StoreError::BadCursor("x".to_owned())), 400);
+        assert_eq!(ApiError::from(ControlError::NameRefused("x".to_owned())).status().as_u16(), 400);
         assert_eq!(status(StoreError::Closed), 503);
         assert_eq!(status(StoreError::Unknown { column: "x", found: "y".to_owned() }), 500);
     }

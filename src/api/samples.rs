@@ -212,7 +212,7 @@ impl Selection {
             let chunk = reader.read_samples(capture.id, next_seq, limit, &self.channels)?;
             if chunk.is_empty() {
                 // The capture was deleted meanwhile: the announced samples cannot be sent.
-                return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() });
+                return Err(StoreError::NoSuchCapture(capture.id.to_string()));
             }
             let decimated = self.bucket.is_some();
             write(reader, axis, &chunk, decimated, &mut writer, &mut bucket, &mut out)?;

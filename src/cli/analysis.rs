@@ -131,7 +131,7 @@ impl Shelf {
     }
 
     fn reader(&self, id: i64) -> Result<&Reader, StoreError> {
-        self.reader.as_ref().ok_or_else(|| StoreError::NoSuchCapture { asked: id.to_string() })
+        self.reader.as_ref().ok_or_else(|| StoreError::NoSuchCapture(id.to_string()))
     }
 }
 
@@ -196,7 +196,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
         };
         if captures.iter().any(same) {
             let reason = format!("`{name}` is given twice");
-            return Err(JobError::Together { reason }.into());
+            return Err(JobError::Together(reason).into());
         }
         if material.rate_assumed {
             note_assumed_rate(name, material.setting.rate_hz);
@@ -212,7 +212,7 @@ pub(super) fn open(context: &Context, named: &[String], rate_hz: Option<f64>) ->
             Some(whole) => whole.followed_by(plan)?,
         });
     }
-    let plan = whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })?;
+    let plan = whole.ok_or_else(|| JobError::Together("no capture is given".to_owned()))?;
     Ok(Together { plan, source, captures })
 }
 

@@ -141,7 +141,7 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
 
 /// Returns whether the capture no longer exists.
 fn is_gone(error: &anyhow::Error) -> bool {
-    matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture { .. }))
+    matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture(_)))
 }
 
 fn place(source: Samples, path: &Path, stop: &Stop) -> anyhow::Result<Report> {

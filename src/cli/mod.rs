@@ -145,7 +145,7 @@ impl Context {
         });
         found.map_err(|error| {
             let is_unknown =
-                matches!(error.downcast_ref(), Some(StoreError::NoDatabase { .. } | StoreError::NoSuchCapture { .. }));
+                matches!(error.downcast_ref(), Some(StoreError::NoDatabase(_) | StoreError::NoSuchCapture(_)));
             let path = Path::new(named);
             // No capture's name contains a `/`.
             let is_path = named.contains('/') || path.exists();
@@ -357,7 +357,7 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
             DaemonError::Store(error) => store_failure(error),
             DaemonError::Jobs(JobError::Store(error)) => store_failure(error),
             DaemonError::Jobs(_) => Some(Failure::Other),
-            DaemonError::Output { .. } => Some(Failure::Configuration),
+            DaemonError::Output(_) => Some(Failure::Configuration),
             DaemonError::Disk => Some(Failure::InputOutput),
             DaemonError::Notify(_) | DaemonError::Reader(_) => Some(Failure::InputOutput),
             DaemonError::Listen { .. } => Some(Failure::InputOutput),

@@ -139,7 +139,7 @@ fn of_capture(
     let read = read_capture(reader, range, channels, take);
     // If the capture was deleted meanwhile, its rows go step by step: the rest is neither damage nor a capture.
     match reader.capture(id) {
-        Err(gone @ StoreError::NoSuchCapture { .. }) => Err(gone.into()),
+        Err(gone @ StoreError::NoSuchCapture(_)) => Err(gone.into()),
         _ => read,
     }
 }
@@ -157,7 +157,7 @@ fn read_capture(
         let chunk: Chunk = reader.read_samples(capture.id, next_seq, limit, channels)?;
         if chunk.is_empty() {
             // The capture was deleted meanwhile.
-            return Err(StoreError::NoSuchCapture { asked: capture.id.to_string() }.into());
+            return Err(StoreError::NoSuchCapture(capture.id.to_string()).into());
         }
         let time_ns = axis.times(reader, &chunk)?;
         let first_seq = std::mem::replace(&mut next_seq, chunk.next_seq());

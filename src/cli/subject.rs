@@ -152,9 +152,9 @@ impl Subject {
     /// The errors of [`direct::document`]; those of a recording name it.
     pub(super) fn document(&self, kind: JobKind) -> Result<Documents, JobError> {
         direct::document(&self.reader, &self.row, kind, self.stated).map_err(|error| match error {
-            JobError::InsufficientData { reason } if self.of_file => JobError::InsufficientData {
-                reason: reason.replace(&format!("capture {}", self.row.id), &self.row.name),
-            },
+            JobError::InsufficientData(reason) if self.of_file => {
+                JobError::InsufficientData(reason.replace(&format!("capture {}", self.row.id), &self.row.name))
+            }
             other => other,
         })
     }

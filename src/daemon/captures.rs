@@ -127,10 +127,10 @@ impl Keeper {
             self.answered(id, ended);
         }
         if self.asking {
-            return Err(ControlError::Store { reason: "the last capture's end is not on disk yet".to_owned() });
+            return Err(ControlError::Store("the last capture's end is not on disk yet".to_owned()));
         }
         if let Some(running) = self.running {
-            return Err(ControlError::Busy { running });
+            return Err(ControlError::Busy(running));
         }
         let source = self.progress.borrow().sensor.port.clone().unwrap_or_else(|| self.device.clone());
         let state = if request.start_at_utc_ns.is_some() { CaptureState::Waiting } else { CaptureState::Capturing };
@@ -174,14 +174,14 @@ impl Keeper {
                 }
             }
         });
-        Err(ControlError::Store { reason })
+        Err(ControlError::Store(reason))
     }
 
     async fn stop(&mut self, id: i64) -> Result<(), ControlError> {
         self.notice_end();
         // In a file that replaced a lost one it may have another id.
         let Some(id) = self.running.filter(|running| self.store.stored_id(*running) == id) else {
-            return Err(ControlError::NotRunning { id });
+            return Err(ControlError::NotRunning(id));
         };
         let (reply, answer) = oneshot::channel();
         self.task.send(TaskCommand::Stop(reply)).await.map_err(|_| ControlError::Stopping)?;
@@ -190,7 +190,7 @@ impl Keeper {
         // A disk that refuses writes leaves the rest in memory; the capture is stopped nevertheless.
         match tokio::time::timeout(PATIENCE, self.analyse(id)).await {
             Ok(Ok(())) => Ok(()),
-            _ => Err(ControlError::Unwritten { id }),
+            _ => Err(ControlError::Unwritten(id)),
         }
     }
 
@@ -260,8 +260,8 @@ fn is_storage(error: &StoreError) -> bool {
 
 fn refused(error: StoreError) -> ControlError {
     match error {
-        StoreError::NameTaken { name } => ControlError::NameTaken { name },
-        other @ StoreError::NameRefused { .. } => ControlError::NameRefused { reason: other.to_string() },
-        other => ControlError::Store { reason: other.to_string() },
+        StoreError::NameTaken(name) => ControlError::NameTaken(name),
+        other @ StoreError::NameRefused { .. } => ControlError::NameRefused(other.to_string()),
+        other => ControlError::Store(other.to_string()),
     }
 }

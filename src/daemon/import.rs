@@ -46,17 +46,11 @@ pub enum ImportError {
         source: std::io::Error,
     },
     /// The process that reads the recording refused it.
-    #[error("{reason}")]
-    Refused {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    Refused(String),
     /// The process that reads the recording failed.
-    #[error("{reason}")]
-    Process {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    Process(String),
     /// The disk has no room for it.
     #[error("{free_mib} MiB are free and {reserve_mib} MiB are kept for captures: make room and import again")]
     NoRoom {
@@ -128,7 +122,7 @@ impl<'a> Writing<'a> {
                     && self.store.imported(&fingerprint)?.is_none()
                     && is_taken(self.store, name)?
                 {
-                    return Err(StoreError::NameTaken { name: name.clone() }.into());
+                    return Err(StoreError::NameTaken(name.clone()).into());
                 }
                 self.fingerprint = fingerprint;
             }
@@ -171,7 +165,7 @@ impl<'a> Writing<'a> {
     }
 
     fn end(self) -> Result<Imported, ImportError> {
-        let unended = || ImportError::Process { reason: "the recording was not read to its end".to_owned() };
+        let unended = || ImportError::Process("the recording was not read to its end".to_owned());
         let ((end, [samples, missing, gaps]), facts) = self.end.zip(self.facts).ok_or_else(unended)?;
         let new = matches!(end, ImportEnd::Created(_));
         let report = ImportReport { capture: end.id(), new, samples, missing, gaps, ..facts.report };
@@ -283,12 +277,12 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
         | ImportError::Columns(_)
         | ImportError::Definition(_)
         | ImportError::Sampling(_)
-        | ImportError::Refused { .. } => control::ImportError::Recording { reason },
-        ImportError::Process { .. } => control::ImportError::Process { reason },
-        ImportError::Store(StoreError::NameTaken { .. }) => control::ImportError::NameTaken { reason },
-        ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused { reason },
+        | ImportError::Refused(_) => control::ImportError::Recording(reason),
+        ImportError::Process(_) => control::ImportError::Process(reason),
+        ImportError::Store(StoreError::NameTaken(_)) => control::ImportError::NameTaken(reason),
+        ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused(reason),
         ImportError::Store(_) | ImportError::Read { .. } | ImportError::NoRoom { .. } => {
-            control::ImportError::Store { reason }
+            control::ImportError::Store(reason)
         }
     }
 }
@@ -308,7 +302,7 @@ fn name_of(file: &Path) -> String {
 fn is_taken(store: &Store, name: &str) -> Result<bool, StoreError> {
     match store.reader()?.resolve(name) {
         Ok(_) => Ok(true),
-        Err(StoreError::NoSuchCapture { .. }) => Ok(false),
+        Err(StoreError::NoSuchCapture(_)) => Ok(false),
         Err(error) => Err(error),
     }
 }

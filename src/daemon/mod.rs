@@ -75,11 +75,8 @@ pub enum DaemonError {
     #[error("a thread for the serial line cannot be started: {0}")]
     Reader(std::io::Error),
     /// The wanted output is impossible.
-    #[error("{reason}")]
-    Output {
-        /// The calculation.
-        reason: String,
-    },
+    #[error("{0}")]
+    Output(String),
     /// The HTTP interface cannot listen.
     #[error("cannot listen on {address}: {source}; choose another address with --listen, or stop what listens there")]
     Listen {
@@ -342,7 +339,7 @@ pub fn device(config: &Config) -> Option<String> {
 /// [`DaemonError::Output`] with the calculation, if the wanted output does not fit the configured baud rate (with
 /// `auto`: the highest that is tried).
 pub fn session_options(config: &Config) -> Result<SessionOptions, DaemonError> {
-    let refuse = |reason: String| DaemonError::Output { reason };
+    let refuse = DaemonError::Output;
     let sensor = &config.sensor;
     let output = match &sensor.output {
         crate::config::Output::Binary => Output::Binary {

@@ -145,7 +145,7 @@ impl Retention {
                     tracing::warn!(capture = one.id, reason = one.reason.name(), "deleted, as was announced");
                 }
                 // Pinned or deleted by a user a moment ago: that takes precedence.
-                Err(StoreError::NotDeletable { .. } | StoreError::NoSuchCapture { .. }) => {}
+                Err(StoreError::NotDeletable { .. } | StoreError::NoSuchCapture(_)) => {}
                 Err(error) => return Err(error),
             }
         }

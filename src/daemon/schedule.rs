@@ -192,7 +192,7 @@ impl Scheduler {
             let verdict = judge.look(now, &captures);
             let is_there = match name.map(|name| reader.resolve(&name)).transpose() {
                 Ok(found) => found.is_some(),
-                Err(StoreError::NoSuchCapture { .. }) => false,
+                Err(StoreError::NoSuchCapture(_)) => false,
                 Err(error) => return Err(error),
             };
             Ok((judge, verdict, is_there))
@@ -212,8 +212,8 @@ impl Scheduler {
                 tracing::info!(capture = id, night = night.name, "the night's capture begins");
                 Attempt::Done
             }
-            Err(ControlError::NameTaken { .. }) => Attempt::Done,
-            Err(ControlError::Busy { running }) => Attempt::Waits(Why::Busy(running)),
+            Err(ControlError::NameTaken(_)) => Attempt::Done,
+            Err(ControlError::Busy(running)) => Attempt::Waits(Why::Busy(running)),
             Err(ControlError::Stopping) => Attempt::Stopping,
             Err(error) => Attempt::Waits(Why::Store(error.to_string())),
         }
@@ -346,7 +346,7 @@ mod tests {
     #[tokio::test]
     async fn a_name_that_is_taken_is_a_night_that_is_done() {
         let world = World::at(START_NS);
-        *world.refusal.lock().unwrap() = Some(ControlError::NameTaken { name: night("2027-01-15") });
+        *world.refusal.lock().unwrap() = Some(ControlError::NameTaken(night("2027-01-15")));
         let mut course = Course::default();
         for _ in 0..2 {
             assert_eq!(world.look(&mut course).await, (night("2027-01-16"), None));
@@ -357,7 +357,7 @@ mod tests {
     #[tokio::test]
     async fn a_night_waits_for_another_capture_and_is_skipped_where_that_lasts_as_long() {
         let world = World::at(START_NS);
-        *world.refusal.lock().unwrap() = Some(ControlError::Busy { running: 7 });
+        *world.refusal.lock().unwrap() = Some(ControlError::Busy(7));
         let mut course = Course::default();
         for minute in 0..3 {
             let (name, waits) = world.look(&mut course).await;

@@ -50,11 +50,8 @@ const FAULT_SEED: u64 = 0x5eed;
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatorError {
     /// The system provided no pseudo-terminal.
-    #[error("the system gives no pseudo-terminal ({source}): is /dev/pts mounted?")]
-    Terminal {
-        /// The error of the system.
-        source: std::io::Error,
-    },
+    #[error("the system gives no pseudo-terminal ({0}): is /dev/pts mounted?")]
+    Terminal(#[source] std::io::Error),
     /// The link cannot be created.
     #[error(
         "the link {path} cannot be made ({source}): choose a path in a folder that may be written, whose file is absent or a link"
@@ -540,7 +537,7 @@ impl Terminal {
 }
 
 fn failed(error: Errno) -> EmulatorError {
-    EmulatorError::Terminal { source: error.into() }
+    EmulatorError::Terminal(error.into())
 }
 
 impl Drop for Terminal {

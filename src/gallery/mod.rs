@@ -181,9 +181,9 @@ pub fn file(
     Ok(match form {
         _ if svg.is_empty() => None,
         Form::Svg => Some(plot::alone(&svg).into_bytes()),
-        Form::Png if is_apart => Some(apart::png(&svg).map_err(|reason| JobError::Died { reason })?),
+        Form::Png if is_apart => Some(apart::png(&svg).map_err(JobError::Died)?),
         Form::Png => {
-            let refused = |error: raster::RasterError| JobError::InsufficientData { reason: error.to_string() };
+            let refused = |error: raster::RasterError| JobError::InsufficientData(error.to_string());
             Some(raster::png(&svg, raster::SCALE).map_err(refused)?)
         }
     })

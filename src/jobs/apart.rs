@@ -65,13 +65,13 @@ pub(super) fn run(
             }
             Received::Frame(Frame { header: Message::Progress(progress), .. }) => keeper.progress(progress),
             Received::Frame(Frame { header: Message::Done, body }) => {
-                let text = String::from_utf8(body).map_err(|error| JobError::Died { reason: error.to_string() });
+                let text = String::from_utf8(body).map_err(|error| JobError::Died(error.to_string()));
                 return keeper.end(text);
             }
             Received::Frame(Frame { header: Message::Failed { reason, sqlite }, .. }) => {
                 return Err(match sqlite {
                     Some(code) => StoreError::of_code(code, reason).into(),
-                    None => JobError::Refused { reason },
+                    None => JobError::Refused(reason),
                 });
             }
             Received::Frame(Frame { header: Message::Unopened(reason), .. }) => {
@@ -79,7 +79,7 @@ pub(super) fn run(
             }
             // The next process would end in the same way.
             Received::Ended(ended) if ended.out_of_time && !gets_on => return Err(JobError::OutOfTime),
-            Received::Ended(ended) => return Err(JobError::Died { reason: ended.reason }),
+            Received::Ended(ended) => return Err(JobError::Died(ended.reason)),
             Received::Nothing => Ok(()),
         };
         let kept = kept.and_then(|()| {

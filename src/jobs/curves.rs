@@ -165,7 +165,7 @@ pub(super) fn check(parameters: &JobParameters, plan: &Plan) -> Result<(), JobEr
             estimator.name(),
             estimator.name()
         );
-        return Err(JobError::InsufficientData { reason });
+        return Err(JobError::InsufficientData(reason));
     }
     let grid = TauGrid::new(parameters.taus, plan.longest)?;
     let (factors, channels) = (grid.factors().len(), plan.channels.len());
@@ -176,7 +176,7 @@ pub(super) fn check(parameters: &JobParameters, plan: &Plan) -> Result<(), JobEr
              `octave`, or fewer `channels`, or `vn100d allan --taus all`",
             plan.end_seq
         );
-        return Err(JobError::InsufficientData { reason });
+        return Err(JobError::InsufficientData(reason));
     }
     Ok(())
 }

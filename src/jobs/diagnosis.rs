@@ -127,7 +127,7 @@ pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
 
 /// Returns the motion of the sensor during a recording.
 fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Reference, JobError> {
-    let none = |reason: String| JobError::InsufficientData { reason };
+    let none = JobError::InsufficientData;
     let text = match given {
         ReferenceMotion::Stored { sha256, .. } => return of_csv(&reader.reference(sha256)?).map_err(none),
         ReferenceMotion::Named(name) => name,

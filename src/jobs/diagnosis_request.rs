@@ -85,7 +85,7 @@ fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
             "`sim` has {} bytes: a model has at most {SIM_BYTES_MAX}; give a capture's name for a recording",
             sim.len()
         );
-        return Err(JobError::TooLarge { reason });
+        return Err(JobError::TooLarge(reason));
     }
     // Numbers beyond f64 and halves of characters are JSON by its grammar alone.
     model_of(sim)?;
@@ -201,7 +201,7 @@ pub(super) fn read_apart<'a>(
     let work = ["diagnosis-body".as_ref(), "--file".as_ref(), file.as_os_str()];
     let mut child = Child::<Message>::start(MEMORY_BYTES, TIME.as_secs(), &work, REFERENCE_PART_BYTES as u64)
         .map_err(JobError::Process)?;
-    let died = |reason: String| JobError::Died { reason };
+    let died = JobError::Died;
     let begun = Instant::now();
     let (mut find_sim, mut accepted) = (Some(find_sim), None);
     loop {
@@ -219,7 +219,7 @@ pub(super) fn read_apart<'a>(
                 return Err(JobError::Parameters { kind: JobKind::Diagnosis.name(), reason });
             }
             Received::Frame(Frame { header: Message::Refused { reason, too_large: true }, .. }) => {
-                return Err(JobError::TooLarge { reason });
+                return Err(JobError::TooLarge(reason));
             }
             Received::Frame(Frame { header: Message::End, .. }) => {
                 return accepted.ok_or_else(|| died("nothing was read of the body".to_owned()));
@@ -227,7 +227,7 @@ pub(super) fn read_apart<'a>(
             Received::Ended(ended) if ended.out_of_memory => {
                 let most = MEMORY_BYTES >> 20;
                 let reason = format!("the body cannot be read within {most} MiB of memory: send a shorter reference");
-                return Err(JobError::TooLarge { reason });
+                return Err(JobError::TooLarge(reason));
             }
             Received::Ended(ended) => return Err(died(ended.reason)),
             Received::Nothing => return Err(died(format!("the body was not read within {} s", TIME.as_secs()))),
@@ -244,7 +244,7 @@ pub fn answer_diagnosis_body(file: &Path, mut out: impl Write) -> Result<(), Fra
     let Content { sim, reference, text } = match read(&body) {
         Ok(content) => content,
         Err(error) => {
-            let too_large = matches!(error, JobError::TooLarge { .. });
+            let too_large = matches!(error, JobError::TooLarge(_));
             let reason = if let JobError::Parameters { reason, .. } = error { reason } else { error.to_string() };
             return write_frame(&mut out, &Message::Refused { reason, too_large }, &[]);
         }
@@ -293,6 +293,6 @@ mod tests {
             assert!(reason(body).contains(part), "{body}: {}", reason(body));
         }
         let hostile = format!(r#"{{"sim": {{"x": [{}{{}}]}}}}"#, "{},".repeat(SIM_BYTES_MAX));
-        assert!(matches!(read(hostile.as_bytes()), Err(JobError::TooLarge { .. })));
+        assert!(matches!(read(hostile.as_bytes()), Err(JobError::TooLarge(_))));
     }
 }

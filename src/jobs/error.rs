@@ -18,23 +18,14 @@ pub enum JobError {
         reason: String,
     },
     /// The requested data is larger than can be read.
-    #[error("{reason}")]
-    TooLarge {
-        /// Which data, and the limit.
-        reason: String,
-    },
+    #[error("{0}")]
+    TooLarge(String),
     /// The captures are not of one sensor at one setting, or cannot be analysed together for another reason.
-    #[error("captures cannot be analysed together: {reason}")]
-    Together {
-        /// The difference, and the captures that differ.
-        reason: String,
-    },
+    #[error("captures cannot be analysed together: {0}")]
+    Together(String),
     /// The capture has no data to compute from.
-    #[error("{reason}")]
-    InsufficientData {
-        /// The missing data.
-        reason: String,
-    },
+    #[error("{0}")]
+    InsufficientData(String),
     /// The estimator returned an error.
     #[error("{0}")]
     Allan(#[from] AllanError),
@@ -48,11 +39,8 @@ pub enum JobError {
     #[error(transparent)]
     Sampling(#[from] SamplingError),
     /// A checkpoint could not be read.
-    #[error("the checkpoint of job {job} is damaged: submit the job again")]
-    Checkpoint {
-        /// The job.
-        job: i64,
-    },
+    #[error("the checkpoint of job {0} is damaged: submit the job again")]
+    Checkpoint(i64),
     /// The database returned an error.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -66,17 +54,11 @@ pub enum JobError {
     #[error("the job waits for the next start")]
     Stopped,
     /// The job's separate process found that the job cannot be done.
-    #[error("{reason}")]
-    Refused {
-        /// The reason.
-        reason: String,
-    },
+    #[error("{0}")]
+    Refused(String),
     /// The process of the job ended before the job was done.
-    #[error("{reason}")]
-    Died {
-        /// How the process ended.
-        reason: String,
-    },
+    #[error("{0}")]
+    Died(String),
     /// The process of the job reached its limit of processor time.
     #[error(
         "the job used all the processor time that a job may use: run it with `vn100d diagnose`, `noise` or `allan`, which have no limit, \

@@ -22,7 +22,7 @@ pub(super) fn begin(
     let checkpoint = reader.checkpoint(job.id)?;
     let next_seq = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.next_seq);
     let state = checkpoint.as_ref().map(|checkpoint| checkpoint.state.as_slice());
-    let damaged = || JobError::Checkpoint { job: job.id };
+    let damaged = || JobError::Checkpoint(job.id);
     let plan = || together::plan_of(reader, job.capture, job.end_seq, parameters);
     let pass: Box<dyn Pass> = match request {
         AnalysisRequest::Allan(_) => {
@@ -55,7 +55,7 @@ pub(super) fn begin(
             channels.retain(|channel| capture.channels.contains(channel));
             if job.end_seq == 0 || channels.is_empty() {
                 let reason = format!("capture {} has no samples of these channels yet", job.capture);
-                return Err(JobError::InsufficientData { reason });
+                return Err(JobError::InsufficientData(reason));
             }
             Box::new(match state {
                 Some(state) => Distribution::restore(channels, state).ok_or_else(damaged)?,
@@ -83,7 +83,7 @@ pub(super) fn read_chunk(
         None => source.read_chunk(job.capture, next_seq, limit, pass.read_channels())?,
     };
     if chunk.is_empty() {
-        return Err(StoreError::NoSuchCapture { asked: job.capture.to_string() });
+        return Err(StoreError::NoSuchCapture(job.capture.to_string()));
     }
     Ok(chunk)
 }

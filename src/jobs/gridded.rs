@@ -56,7 +56,7 @@ impl Gridded {
 /// [`JobError::InsufficientData`] if there are none, or the error that `source` reports.
 pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Gridded, JobError> {
     let Some(slice) = plan.slices.first() else {
-        return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
+        return Err(JobError::InsufficientData("there are no samples".to_owned()));
     };
     let missing = source.missing(slice.capture_id)?;
     let place = |seq: u64| seq - slice.samples.start + missing.up_to(seq - slice.samples.start);
@@ -105,7 +105,7 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
     }
     // A full part continues beyond the room: it is the one to take.
     let Some(part) = (if full { open } else { longer(best, open) }) else {
-        return Err(JobError::InsufficientData { reason: "there are no samples".to_owned() });
+        return Err(JobError::InsufficientData("there are no samples".to_owned()));
     };
     let left_out = total - part.there;
     let from_s = part.first as f64 / plan.rate_hz;

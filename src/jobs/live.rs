@@ -167,7 +167,7 @@ impl Live {
         let pyramids = slot.as_ref().filter(|pyramids| pyramids.capture_id == capture_id);
         let found = pyramids.and_then(|pyramids| Some((pyramids, pyramids.largest()?)));
         let Some((pyramids, (rate_hz, pyramid))) = found else {
-            return Err(JobError::InsufficientData { reason: format!("capture {capture_id} has no samples yet") });
+            return Err(JobError::InsufficientData(format!("capture {capture_id} has no samples yet")));
         };
         Ok(LivePoints {
             rate_hz,

@@ -36,7 +36,7 @@ impl Fitted {
         let name = &self.model.name;
         if self.model.channels.values().all(|of| of.n == 0.0) {
             let reason = format!("nothing can be compared with the simulator's recording {name}: {why}");
-            return Err(JobError::InsufficientData { reason });
+            return Err(JobError::InsufficientData(reason));
         }
         let note = format!("the simulator's recording {name} gives a law that may be wrong: {why}");
         Ok((self.model, Some(note)))
@@ -126,7 +126,7 @@ mod tests {
         let (_, note) = fitted(1e-4, Some("gyro_x: it moved")).as_law().unwrap();
         assert!(note.is_some_and(|note| note.contains("recording sim") && note.ends_with("gyro_x: it moved")));
         let error = fitted(0.0, Some("gyro_x: it moved")).as_law().unwrap_err();
-        assert!(matches!(&error, JobError::InsufficientData { reason } if reason.ends_with("it moved")), "{error}");
+        assert!(matches!(&error, JobError::InsufficientData(reason) if reason.ends_with("it moved")), "{error}");
     }
 
     /// An effect excuses a channel that contradicts its curve, but not while something remains unexplained on it.

@@ -102,7 +102,7 @@ impl Plan {
         let Some((most_rate, most)) = found else {
             let names: Vec<&str> = wanted.iter().map(|channel| channel.name()).collect();
             let reason = format!("capture {capture_id} has no samples of {} yet", names.join(", "));
-            return Err(JobError::InsufficientData { reason });
+            return Err(JobError::InsufficientData(reason));
         };
         let stretch = |(first_seq, number, rate)| Stretch { first_seq, number, taken: rate == most_rate };
         Ok(Self {
@@ -136,7 +136,7 @@ impl Plan {
         let end_seq = segments.last().map_or(0, |last| last.end as u64);
         if end_seq == 0 || channels.is_empty() {
             let reason = format!("{name} has no samples of gyroscope, accelerometer or magnetometer");
-            return Err(JobError::InsufficientData { reason });
+            return Err(JobError::InsufficientData(reason));
         }
         let stretch =
             |(number, range): (u32, &Range<usize>)| Stretch { first_seq: range.start as u64, number, taken: true };
@@ -162,7 +162,7 @@ impl Plan {
     /// [`one_sensor`](super::one_sensor) determines whether the two are of one sensor at one rate.
     pub fn followed_by(mut self, other: Self) -> Result<Self, JobError> {
         let last = self.segments.last().map_or(0, |last| last.number);
-        let too_many = || JobError::Together { reason: "they have too many segments: take fewer captures".to_owned() };
+        let too_many = || JobError::Together("they have too many segments: take fewer captures".to_owned());
         let renumber = |number: u32| number.checked_add(last).ok_or_else(too_many);
         for slice in other.slices {
             self.slices.push(Slice {
@@ -177,7 +177,7 @@ impl Plan {
         }
         self.channels.retain(|channel| other.channels.contains(channel));
         if self.channels.is_empty() {
-            return Err(JobError::Together { reason: "they have no channel in common".to_owned() });
+            return Err(JobError::Together("they have no channel in common".to_owned()));
         }
         let shifted = |part: Range<u64>| part.start + self.end_seq..part.end + self.end_seq;
         self.moving = self.moving.zip(other.moving).map(|(mut moving, others)| {
@@ -227,7 +227,7 @@ impl Plan {
         channels: &[Channel],
     ) -> Result<Chunk, StoreError> {
         let slice = self.slices.iter().find(|slice| slice.samples.contains(&seq)).or(self.slices.last());
-        let gone = |id: i64| StoreError::NoSuchCapture { asked: id.to_string() };
+        let gone = |id: i64| StoreError::NoSuchCapture(id.to_string());
         let slice = slice.ok_or_else(|| gone(0))?;
         let left = usize::try_from(slice.samples.end.saturating_sub(seq)).unwrap_or(usize::MAX);
         let own = seq.saturating_sub(slice.samples.start);

@@ -84,7 +84,7 @@ impl Extent {
                 Some(whole) => whole.and(extent),
             });
         }
-        whole.ok_or_else(|| JobError::InsufficientData { reason: "there is no capture".to_owned() })
+        whole.ok_or_else(|| JobError::InsufficientData("there is no capture".to_owned()))
     }
 
     fn and(mut self, other: Self) -> Self {

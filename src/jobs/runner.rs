@@ -56,7 +56,7 @@ impl<'a, K: FnMut() -> bool> InStore<'a, K> {
     pub(super) fn look(&mut self, reader: &Reader) -> Result<(), JobError> {
         let running = match reader.job(self.job) {
             Ok(row) => row.state == JobState::Running,
-            Err(StoreError::NoSuchJob { .. }) => false,
+            Err(StoreError::NoSuchJob(_)) => false,
             Err(error) => return Err(error.into()),
         };
         self.after(running)

@@ -306,7 +306,7 @@ fn captures_that_are_not_of_one_sensor_at_one_setting_are_refused_at_once() {
         (vec![running], "still runs"),
     ] {
         let error = submit(&with).unwrap_err();
-        assert!(matches!(error, JobError::Together { .. }), "{with:?}: {error}");
+        assert!(matches!(error, JobError::Together(_)), "{with:?}: {error}");
         assert!(error.to_string().contains(words), "{with:?}: {error}");
     }
     assert!(matches!(submit(&[999]).unwrap_err(), JobError::Store(_)));
@@ -487,7 +487,7 @@ fn a_damaged_checkpoint_is_refused() {
         let checkpoint = crate::store::JobCheckpoint { next_seq: 100, state };
         world.store.checkpoint_job(job, checkpoint, 0.1).unwrap();
         let error = run(&world.store, &world.reader(), &claimed, 500, || true).unwrap_err();
-        assert!(matches!(error, JobError::Checkpoint { .. }), "{error}");
+        assert!(matches!(error, JobError::Checkpoint(_)), "{error}");
         world.store.release_job(job).unwrap();
     }
 }
@@ -549,7 +549,7 @@ fn while_a_capture_runs_its_curve_grows_with_it() {
     let live = Live::new();
     let reader = world.reader();
     let empty = world.store.create_capture(NewCapture::new("test", CaptureState::Capturing)).unwrap();
-    assert!(matches!(live.allan(&reader, empty), Err(JobError::InsufficientData { .. })));
+    assert!(matches!(live.allan(&reader, empty), Err(JobError::InsufficientData(_))));
     let early = live.points(&reader, world.capture).unwrap();
     assert_eq!((early.rate_hz, early.samples, early.next_seq, early.caught_up), (40.0, 4800, TOTAL, true));
     let job = world.queue(JobKind::Allan, serde_json::json!({"taus": "octave"}));

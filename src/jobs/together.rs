@@ -105,7 +105,7 @@ impl Setting {
 pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
     let Some((first, others)) = settings.split_first() else { return Ok(()) };
     if settings.len() > CAPTURES_MAX {
-        return Err(JobError::Together { reason: format!("{} captures are more than {CAPTURES_MAX}", settings.len()) });
+        return Err(JobError::Together(format!("{} captures are more than {CAPTURES_MAX}", settings.len())));
     }
     // Each with each: two may agree with a third that states less.
     for (index, one) in std::iter::once(first).chain(others).enumerate() {
@@ -113,7 +113,7 @@ pub fn one_sensor(settings: &[Setting]) -> Result<(), JobError> {
             let differences = one.differences(other);
             if !differences.is_empty() {
                 let reason = format!("`{}` and `{}` differ: {}", one.name, other.name, differences.join("; "));
-                return Err(JobError::Together { reason });
+                return Err(JobError::Together(reason));
             }
         }
     }
@@ -129,7 +129,7 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
     let mut settings = Vec::new();
     for (index, (id, end_seq)) in captures.iter().enumerate() {
         if captures.iter().take(index).any(|(other, _)| other == id) {
-            return Err(JobError::Together { reason: format!("capture {id} is given twice") });
+            return Err(JobError::Together(format!("capture {id} is given twice")));
         }
         let plan = Plan::read(reader, *id, *end_seq, wanted)?;
         if captures.len() > 1 {
@@ -142,7 +142,7 @@ pub(super) fn plan(reader: &Reader, captures: &[(i64, u64)], wanted: &[Channel])
             Some(whole) => whole.followed_by(plan)?,
         });
     }
-    whole.ok_or_else(|| JobError::Together { reason: "no capture is given".to_owned() })
+    whole.ok_or_else(|| JobError::Together("no capture is given".to_owned()))
 }
 
 /// Returns the plan of a job: its capture's samples below `end_seq`, and all samples of further captures, since those
@@ -161,7 +161,7 @@ pub(super) fn plan_of(
         let row = reader.capture(*id)?;
         if row.state.is_open() {
             let reason = format!("`{}` still runs: take captures that have ended", row.name);
-            return Err(JobError::Together { reason });
+            return Err(JobError::Together(reason));
         }
         captures.push((*id, row.samples));
     }

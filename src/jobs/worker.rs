@@ -133,7 +133,7 @@ impl Jobs {
             reader.capture(capture_id)?;
             let queued = reader.count_jobs(JobState::Queued)?;
             if queued >= QUEUE_JOBS_MAX {
-                return Err(StoreError::QueueFull { queued }.into());
+                return Err(StoreError::QueueFull(queued).into());
             }
             Simulator::of(&reader, sim)
         };
@@ -339,7 +339,7 @@ impl Inner {
             }
             Ok(Outcome::Cancelled | Outcome::Stopped) => Ok(()),
             // A hole in the samples concerns only the job: its capture may be being deleted.
-            Err(JobError::Store(error)) if error.is_damage() && !matches!(error, StoreError::Damaged { .. }) => {
+            Err(JobError::Store(error)) if error.is_damage() && !matches!(error, StoreError::Damaged(_)) => {
                 // The job stays unchanged: nothing is written to a damaged database, not even a failure.
                 self.store.report_damage(&error);
                 Err(error.into())
@@ -353,8 +353,8 @@ impl Inner {
                 Err(JobError::Process(error))
             }
             // The process may have been ended together with the program.
-            Err(JobError::Died { .. }) if self.stopped() => self.release(job.id),
-            Err(JobError::Died { reason }) => {
+            Err(JobError::Died(_)) if self.stopped() => self.release(job.id),
+            Err(JobError::Died(reason)) => {
                 let counted = self.store.count_attempt(job.id, &reason);
                 let Some((state, attempts)) = counted.inspect_err(|_| self.strand(job.id))? else { return Ok(()) };
                 tracing::warn!(
@@ -386,5 +386,5 @@ impl Inner {
 fn is_passing(error: &StoreError) -> bool {
     // A disk that reports an error now may recover; a damaged database does not.
     let passing = matches!(error.kind(), StoreErrorKind::Unavailable | StoreErrorKind::Io);
-    (passing && !matches!(error, StoreError::Damaged { .. })) || error.is_interrupted()
+    (passing && !matches!(error, StoreError::Damaged(_))) || error.is_interrupted()
 }

@@ -14,12 +14,9 @@ static FILTER: OnceLock<reload::Handle<EnvFilter, Registry>> = OnceLock::new();
 pub enum LoggingError {
     /// The directives are invalid.
     #[error(
-        "`{found}` is not a log level: allowed are error, warn, info, debug, trace, off, or directives such as info,vn100d::capture=debug"
+        "`{0}` is not a log level: allowed are error, warn, info, debug, trace, off, or directives such as info,vn100d::capture=debug"
     )]
-    Level {
-        /// The text found.
-        found: String,
-    },
+    Level(String),
     /// Logging was set up before.
     #[error("logging is set up already")]
     Twice,
@@ -80,7 +77,7 @@ pub fn set_level(level: &str) -> Result<(), LoggingError> {
 }
 
 fn filter(level: &str) -> Result<EnvFilter, LoggingError> {
-    EnvFilter::try_new(level).map_err(|_| LoggingError::Level { found: level.to_owned() })
+    EnvFilter::try_new(level).map_err(|_| LoggingError::Level(level.to_owned()))
 }
 
 #[cfg(test)]
@@ -99,6 +96,6 @@ mod tests {
     #[test]
     fn an_invalid_level_is_refused() {
         let style = LogStyle::of(false, false, false, false);
-        assert!(matches!(init("loud,=", style), Err(LoggingError::Level { .. })));
+        assert!(matches!(init("loud,=", style), Err(LoggingError::Level(_))));
     }
 }

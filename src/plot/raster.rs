@@ -25,11 +25,8 @@ pub enum RasterError {
         height: u32,
     },
     /// The picture could not be compressed.
-    #[error("the picture cannot be written as PNG: {reason}")]
-    Png {
-        /// The error of the encoder.
-        reason: String,
-    },
+    #[error("the picture cannot be written as PNG: {0}")]
+    Png(String),
 }
 
 /// Returns the picture as PNG with `scale` pixels for each of its units.
@@ -49,7 +46,7 @@ pub fn png(svg: &str, scale: f32) -> Result<Vec<u8>, RasterError> {
     let mut pixels = tiny_skia::Pixmap::new(width, height).ok_or(RasterError::Size { width, height })?;
     pixels.fill(tiny_skia::Color::WHITE);
     resvg::render(&tree, tiny_skia::Transform::from_scale(scale, scale), &mut pixels.as_mut());
-    pixels.encode_png().map_err(|error| RasterError::Png { reason: error.to_string() })
+    pixels.encode_png().map_err(|error| RasterError::Png(error.to_string()))
 }
 
 /// Returns the picture with a style without variables and media queries: the light one.

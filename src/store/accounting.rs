@@ -109,7 +109,7 @@ fn counts(connection: &Connection, capture_id: i64) -> Result<CountFacts, StoreE
         })
         .optional()?;
     let Some((received, counters, rejected, rows)) = found else {
-        return Err(StoreError::NoSuchCapture { asked: capture_id.to_string() });
+        return Err(StoreError::NoSuchCapture(capture_id.to_string()));
     };
     let mut discarded: BTreeMap<String, u64> = serde_json::from_str(&rejected)?;
     discarded.retain(|cause, _| DiscardCause::from_name(cause).is_some_and(DiscardCause::is_frame));

@@ -91,7 +91,7 @@ impl NewFile {
     pub(super) fn beside(out: &Path, replace: bool, source: &Path) -> Result<Self, StoreError> {
         if out.symlink_metadata().is_ok() {
             if !replace {
-                return Err(StoreError::Exists { path: out.to_owned() });
+                return Err(StoreError::Exists(out.to_owned()));
             }
             let same = out.canonicalize().ok().zip(source.canonicalize().ok()).is_some_and(|(one, other)| one == other);
             // SQLite would take the log of the replaced file for the log of the new file.
@@ -99,7 +99,7 @@ impl NewFile {
             // A log is no database, but one would miss it.
             let is_beside = schema::is_of_database(out) && !schema::is_database(out);
             if same || has_log || is_beside {
-                return Err(StoreError::InUse { path: out.to_owned() });
+                return Err(StoreError::InUse(out.to_owned()));
             }
             super::lock::refuse_writer(out)?;
         }
@@ -127,7 +127,7 @@ impl NewFile {
         let bytes = written.metadata().map_err(create)?.len();
         let persisted = if replace { file.persist(&out) } else { file.persist_noclobber(&out) };
         persisted.map_err(|error| match error.error.kind() {
-            std::io::ErrorKind::AlreadyExists => StoreError::Exists { path: out.clone() },
+            std::io::ErrorKind::AlreadyExists => StoreError::Exists(out.clone()),
             _ => create(error.error),
         })?;
         std::fs::File::open(&directory).and_then(|directory| directory.sync_all()).map_err(create)?;

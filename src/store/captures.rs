@@ -332,7 +332,7 @@ pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreE
 }
 
 fn no_such(id: i64) -> StoreError {
-    StoreError::NoSuchCapture { asked: id.to_string() }
+    StoreError::NoSuchCapture(id.to_string())
 }
 
 fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
@@ -407,7 +407,7 @@ pub(super) fn create(
     match rows {
         Err(error) if error.sqlite_error_code() == Some(ErrorCode::ConstraintViolation) => {
             return Err(if error.to_string().contains("capture.name") {
-                StoreError::NameTaken { name }
+                StoreError::NameTaken(name)
             } else {
                 error.into()
             });
@@ -518,7 +518,7 @@ impl Reader {
         };
         let found: Option<Option<i64>> =
             self.connection.prepare_cached(sql)?.query_row([key], |row| row.get(0)).optional()?;
-        found.flatten().ok_or_else(|| StoreError::NoSuchCapture { asked: asked.chars().take(NAME_MAX).collect() })
+        found.flatten().ok_or_else(|| StoreError::NoSuchCapture(asked.chars().take(NAME_MAX).collect()))
     }
 
     /// Returns whether rows of deleted captures or of their references remain to be removed ([`Store::purge_step`]).

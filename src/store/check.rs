@@ -141,7 +141,7 @@ impl CheckReport {
                 self.captures.push(capture);
                 match reader.accounting_of_every_row(id) {
                     Ok(report) => findings.extend(report.violations.into_iter().map(|text| ("accounting", text))),
-                    Err(StoreError::NoSuchCapture { .. }) => {}
+                    Err(StoreError::NoSuchCapture(_)) => {}
                     Err(error) => findings.push(("unreadable", format!("the accounting cannot be made: {error}"))),
                 }
             }
@@ -306,7 +306,7 @@ pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>
     let refused = |report: String| StoreError::RefusedDamaged { path: path.to_owned(), report };
     let damaged = |error: StoreError| match error {
         StoreError::Sqlite(error) if schema::reports_damage(&error) => refused(error.to_string()),
-        StoreError::Damaged { report } => refused(report),
+        StoreError::Damaged(report) => refused(report),
         other => other,
     };
     if let Some(problem) = truncated(connection, path) {
@@ -386,7 +386,7 @@ fn newest_batches(connection: &Connection, until: Instant) -> Result<(), StoreEr
             if !is_intact(connection, batch)? {
                 let (from, to) = (batch.first_seq, batch.first_seq + batch.count - 1);
                 let report = format!("samples {from}–{to} of capture {} are not what was committed", batch.capture_id);
-                return Err(StoreError::Damaged { report });
+                return Err(StoreError::Damaged(report));
             }
             if Instant::now() > until {
                 return Ok(());

@@ -25,7 +25,7 @@ impl Damage {
         match error {
             StoreError::RefusedDamaged { report, .. } => Some(Self::Refused(report.clone())),
             StoreError::LogMissing { lost, .. } => Some(Self::LogMissing(*lost)),
-            StoreError::Damaged { report } | StoreError::MetDamage { report, .. } => Some(Self::Met(report.clone())),
+            StoreError::Damaged(report) | StoreError::MetDamage { report, .. } => Some(Self::Met(report.clone())),
             error if error.is_damage() => Some(Self::Met(error.to_string())),
             _ => None,
         }

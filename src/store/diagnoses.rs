@@ -32,7 +32,7 @@ impl Reader {
         let sql = "SELECT id FROM job WHERE kind = ?1 ORDER BY id DESC LIMIT 1";
         let found =
             self.connection.prepare_cached(sql)?.query_row([JobKind::Diagnosis.name()], |row| row.get(0)).optional()?;
-        found.ok_or_else(|| StoreError::NoSuchDiagnosis { asked: "latest".to_owned() })
+        found.ok_or_else(|| StoreError::NoSuchDiagnosis("latest".to_owned()))
     }
 
     /// Returns diagnoses, the latest first; only those of one capture if requested.

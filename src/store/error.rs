@@ -32,23 +32,14 @@ pub enum StoreError {
         source: std::io::Error,
     },
     /// A file is in the way.
-    #[error("{path} exists already: choose another name, or say --force to replace it")]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{0} exists already: choose another name, or say --force to replace it")]
+    Exists(PathBuf),
     /// A file that must not be replaced.
-    #[error("{path} is the database itself or has a log beside it (-wal): name another file; nothing was replaced")]
-    InUse {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{0} is the database itself or has a log beside it (-wal): name another file; nothing was replaced")]
+    InUse(PathBuf),
     /// There is no database to read.
-    #[error("there is no database at {path}: capture or import something first, or name its directory with --data-dir")]
-    NoDatabase {
-        /// The path that was searched.
-        path: PathBuf,
-    },
+    #[error("there is no database at {0}: capture or import something first, or name its directory with --data-dir")]
+    NoDatabase(PathBuf),
     /// The file system does not keep SQLite's promises.
     #[error(
         "{path} lies on a {kind} file system, on which SQLite cannot keep data safe: choose a directory on a local disk"
@@ -106,11 +97,8 @@ pub enum StoreError {
     #[error("the schema could not be brought up to date: {0}")]
     Migration(#[from] rusqlite_migration::Error),
     /// The database is damaged.
-    #[error("the database is damaged ({report}): salvage what is intact with `vn100d recover`")]
-    Damaged {
-        /// The damage.
-        report: String,
-    },
+    #[error("the database is damaged ({0}): salvage what is intact with `vn100d recover`")]
+    Damaged(String),
     /// The database is damaged and is not opened for writing.
     #[error(
         "{path} is damaged ({report}): nothing is written to it; salvage what is intact with \
@@ -151,11 +139,8 @@ pub enum StoreError {
         lock: PathBuf,
     },
     /// The disk currently refuses writes.
-    #[error("the database takes nothing for now: {reason}")]
-    Refusing {
-        /// The last error.
-        reason: String,
-    },
+    #[error("the database takes nothing for now: {0}")]
+    Refusing(String),
     /// The file at the database's path is no longer the open one.
     #[error("the database {path} was deleted or replaced: {detail}")]
     Lost {
@@ -179,47 +164,26 @@ pub enum StoreError {
         found: String,
     },
     /// No capture has that id or name.
-    #[error("there is no capture `{asked}`: `vn100d captures` lists them")]
-    NoSuchCapture {
-        /// The requested id or name.
-        asked: String,
-    },
+    #[error("there is no capture `{0}`: `vn100d captures` lists them")]
+    NoSuchCapture(String),
     /// No job has that id.
-    #[error("there is no job {id}")]
-    NoSuchJob {
-        /// The requested id.
-        id: i64,
-    },
+    #[error("there is no job {0}")]
+    NoSuchJob(i64),
     /// No complete reference has this digest.
-    #[error("the reference {sha256} is not in the database any more: send the diagnosis with its reference again")]
-    NoSuchReference {
-        /// SHA-256 of its text.
-        sha256: String,
-    },
+    #[error("the reference {0} is not in the database any more: send the diagnosis with its reference again")]
+    NoSuchReference(String),
     /// No sensor model has that id.
-    #[error("there is no sensor model `{asked}`: GET /v1/models lists them")]
-    NoSuchModel {
-        /// The requested id.
-        asked: String,
-    },
+    #[error("there is no sensor model `{0}`: GET /v1/models lists them")]
+    NoSuchModel(String),
     /// The maximum number of sensor models is stored.
-    #[error("there are {most} sensor models, as many as are kept: delete one first (DELETE /v1/models/model-…)")]
-    TooManyModels {
-        /// The maximum.
-        most: u64,
-    },
+    #[error("there are {0} sensor models, as many as are kept: delete one first (DELETE /v1/models/model-…)")]
+    TooManyModels(u64),
     /// No diagnosis has that id.
-    #[error("there is no diagnosis `{asked}`: GET /v1/diagnoses lists them")]
-    NoSuchDiagnosis {
-        /// The requested id.
-        asked: String,
-    },
+    #[error("there is no diagnosis `{0}`: GET /v1/diagnoses lists them")]
+    NoSuchDiagnosis(String),
     /// The name is taken.
-    #[error("a capture named `{name}` exists already: choose another name")]
-    NameTaken {
-        /// The name.
-        name: String,
-    },
+    #[error("a capture named `{0}` exists already: choose another name")]
+    NameTaken(String),
     /// The name is invalid.
     #[error("`{name}` cannot name a capture: {why}")]
     NameRefused {
@@ -245,17 +209,11 @@ pub enum StoreError {
         state: &'static str,
     },
     /// Too many jobs wait already.
-    #[error("{queued} jobs wait already: submit again once some are done (`vn100d jobs` lists them)")]
-    QueueFull {
-        /// The number of waiting jobs.
-        queued: u64,
-    },
+    #[error("{0} jobs wait already: submit again once some are done (`vn100d jobs` lists them)")]
+    QueueFull(u64),
     /// A cursor that this program did not issue.
-    #[error("`{found}` is not a cursor of this list: take the one that the previous page gave as `next`")]
-    BadCursor {
-        /// The cursor.
-        found: String,
-    },
+    #[error("`{0}` is not a cursor of this list: take the one that the previous page gave as `next`")]
+    BadCursor(String),
     /// The writer thread has ended.
     #[error("the store is closed")]
     Closed,
@@ -307,32 +265,30 @@ impl StoreError {
             Self::Create { source, .. } if failed_disk(source) => StoreErrorKind::Io,
             Self::Locked { .. }
             | Self::Create { .. }
-            | Self::Exists { .. }
-            | Self::InUse { .. }
+            | Self::Exists(_)
+            | Self::InUse(_)
             | Self::NetworkFileSystem { .. }
             | Self::Foreign { .. } => StoreErrorKind::CannotCreate,
             Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,
             Self::Read { .. }
-            | Self::Damaged { .. }
+            | Self::Damaged(_)
             | Self::RefusedDamaged { .. }
             | Self::MetDamage { .. }
             | Self::LogMissing { .. }
             | Self::Thread(_)
             | Self::Unwritten { .. } => StoreErrorKind::Io,
-            Self::NoDatabase { .. }
-            | Self::NoSuchCapture { .. }
-            | Self::NoSuchJob { .. }
-            | Self::NoSuchModel { .. }
-            | Self::NoSuchDiagnosis { .. } => StoreErrorKind::NotFound,
-            Self::NameTaken { .. } | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels { .. } => {
+            Self::NoDatabase(_)
+            | Self::NoSuchCapture(_)
+            | Self::NoSuchJob(_)
+            | Self::NoSuchModel(_)
+            | Self::NoSuchDiagnosis(_) => StoreErrorKind::NotFound,
+            Self::NameTaken(_) | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels(_) => {
                 StoreErrorKind::Conflict
             }
-            Self::NameRefused { .. } | Self::BadCursor { .. } => StoreErrorKind::Invalid,
-            Self::Closed
-            | Self::NoSuchReference { .. }
-            | Self::QueueFull { .. }
-            | Self::Refusing { .. }
-            | Self::Lost { .. } => StoreErrorKind::Unavailable,
+            Self::NameRefused { .. } | Self::BadCursor(_) => StoreErrorKind::Invalid,
+            Self::Closed | Self::NoSuchReference(_) | Self::QueueFull(_) | Self::Refusing(_) | Self::Lost { .. } => {
+                StoreErrorKind::Unavailable
+            }
             Self::Sqlite(error) => kind_of(error),
             Self::Migration(rusqlite_migration::Error::RusqliteError { err, .. }) => kind_of(err),
             Self::SqliteTooOld { .. } | Self::Migration(_) | Self::Json(_) | Self::Unknown { .. } => {
@@ -361,9 +317,7 @@ impl StoreError {
             Self::Sqlite(error) => {
                 matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
             }
-            Self::Damaged { .. } | Self::RefusedDamaged { .. } | Self::MetDamage { .. } | Self::LogMissing { .. } => {
-                true
-            }
+            Self::Damaged(_) | Self::RefusedDamaged { .. } | Self::MetDamage { .. } | Self::LogMissing { .. } => true,
             _ => false,
         }
     }

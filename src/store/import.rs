@@ -78,7 +78,7 @@ impl Store {
                     None => false,
                 };
                 if !mine && !name_is_free(transaction, name)? {
-                    return Err(StoreError::NameTaken { name: name.clone() });
+                    return Err(StoreError::NameTaken(name.clone()));
                 }
             }
             create(transaction, &capture, utc_ns, "importing", of_row.as_deref())
@@ -137,7 +137,7 @@ impl Import {
             )?;
             if !name_is_free(transaction, &called)? {
                 if let Some(name) = name {
-                    return Err(StoreError::NameTaken { name });
+                    return Err(StoreError::NameTaken(name));
                 }
                 let other = free_name(transaction, utc_ns)?;
                 transaction.execute("UPDATE capture SET name = ?2 WHERE id = ?1", params![id, other])?;

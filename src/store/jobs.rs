@@ -347,7 +347,7 @@ impl Store {
     pub fn cancel_job(&self, id: i64) -> Result<(), StoreError> {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
-            let job = job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?;
+            let job = job(transaction, id)?.ok_or(StoreError::NoSuchJob(id))?;
             if !matches!(job.state, JobState::Queued | JobState::Running) {
                 return Err(StoreError::JobEnded { id, state: job.state.name() });
             }
@@ -378,7 +378,7 @@ fn submit(
     let (end_seq, growing): (i64, bool) = transaction
         .query_row(sql, [new.capture_id], |row| Ok((row.get(0)?, row.get(1)?)))
         .optional()?
-        .ok_or_else(|| StoreError::NoSuchCapture { asked: new.capture_id.to_string() })?;
+        .ok_or_else(|| StoreError::NoSuchCapture(new.capture_id.to_string()))?;
     let kind = new.kind.name();
     let fingerprint = fingerprint(kind, new.capture_id, end_seq, &new.params);
     let sql = "SELECT id FROM job WHERE fingerprint = ?1 AND state IN ('queued', 'running', 'done')";
@@ -395,7 +395,7 @@ fn submit(
             let sql = "SELECT count(*) FROM job WHERE state = 'queued'";
             let queued = transaction.query_row(sql, [], |row| row.get::<_, i64>(0))? as u64;
             if queued >= queue_max {
-                return Err(StoreError::QueueFull { queued });
+                return Err(StoreError::QueueFull(queued));
             }
             drop_ended(transaction)?;
             let reference =
@@ -408,7 +408,7 @@ fn submit(
             (transaction.last_insert_rowid(), true)
         }
     };
-    Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob { id })?, is_new))
+    Ok((job(transaction, id)?.ok_or(StoreError::NoSuchJob(id))?, is_new))
 }
 
 /// Returns the SHA-256 of the properties that make two submissions the same, in hexadecimal digits.
@@ -462,7 +462,7 @@ impl Reader {
     /// # Errors
     /// [`StoreError::NoSuchJob`], or the error that the database reports.
     pub fn job(&self, id: i64) -> Result<JobRow, StoreError> {
-        job(&self.connection, id)?.ok_or(StoreError::NoSuchJob { id })
+        job(&self.connection, id)?.ok_or(StoreError::NoSuchJob(id))
     }
 
     /// Returns jobs, the latest first; only those of a capture or in a state, if requested.
@@ -556,7 +556,7 @@ mod tests {
         let known = world.store.submit_job(job(JobKind::Allan, serde_json::json!({})), u64::MAX).unwrap().0.id;
         let reader = world.reader();
         assert_eq!(reader.jobs(None, None, &PageRequest::first()).unwrap().rows.len(), 1);
-        assert!(matches!(reader.job(unknown), Err(StoreError::NoSuchJob { .. })));
+        assert!(matches!(reader.job(unknown), Err(StoreError::NoSuchJob(_))));
         assert_eq!(world.store.claim_job().unwrap().map(|job| job.id), Some(known));
         assert!(world.store.claim_job().unwrap().is_none());
     }

@@ -39,7 +39,7 @@ fn model_of(row: &Row<'_>) -> rusqlite::Result<ModelRow> {
 }
 
 fn unknown(id: i64) -> StoreError {
-    StoreError::NoSuchModel { asked: format!("model-{id}") }
+    StoreError::NoSuchModel(format!("model-{id}"))
 }
 
 impl Store {
@@ -56,7 +56,7 @@ impl Store {
             }
             let kept: i64 = transaction.query_row("SELECT count(*) FROM model", [], |row| row.get(0))?;
             if kept as u64 >= MODELS_MAX {
-                return Err(StoreError::TooManyModels { most: MODELS_MAX });
+                return Err(StoreError::TooManyModels(MODELS_MAX));
             }
             transaction.execute(
                 "INSERT INTO model (name, rate_hz, created_utc_ns, body) VALUES (?1, ?2, ?3, ?4)",
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!((one.0.head.id, one.1, other.0.head.id, other.1), (1, true, 2, true));
         assert_eq!((again.0, again.1), (one.0.clone(), false));
         world.store.delete_model(2).unwrap();
-        assert!(matches!(world.store.delete_model(2), Err(StoreError::NoSuchModel { .. })));
+        assert!(matches!(world.store.delete_model(2), Err(StoreError::NoSuchModel(_))));
         assert_eq!(keep("[]").0.head.id, 3);
         let reader = world.reader();
         assert_eq!(reader.model(1).unwrap(), one.0);
@@ -133,7 +133,7 @@ mod tests {
             keep(number).unwrap();
         }
         let refused = keep(MODELS_MAX).unwrap_err();
-        assert!(matches!(refused, StoreError::TooManyModels { most: MODELS_MAX }), "{refused}");
+        assert!(matches!(refused, StoreError::TooManyModels(MODELS_MAX)), "{refused}");
         assert!(!keep(7).unwrap().1);
         world.store.delete_model(1).unwrap();
         assert!(keep(MODELS_MAX).unwrap().1);

@@ -85,7 +85,7 @@ impl Store {
 pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, StoreError> {
     let sql = "UPDATE reference SET claimed = 1 WHERE sha256 = ?1 RETURNING reference_id";
     let id = transaction.query_row(sql, [sha256], |row| row.get(0)).optional()?;
-    let unknown = || StoreError::NoSuchReference { sha256: sha256.to_owned() };
+    let unknown = || StoreError::NoSuchReference(sha256.to_owned());
     let id = id.ok_or_else(unknown)?;
     if is_whole(transaction, id)? { Ok(id) } else { Err(unknown()) }
 }
@@ -102,7 +102,7 @@ impl Reader {
     /// # Errors
     /// [`StoreError::NoSuchReference`], or the error that the database reports.
     pub fn reference(&self, sha256: &str) -> Result<String, StoreError> {
-        let unknown = || StoreError::NoSuchReference { sha256: sha256.to_owned() };
+        let unknown = || StoreError::NoSuchReference(sha256.to_owned());
         let sql =
             "SELECT content FROM reference_part JOIN reference USING (reference_id) WHERE sha256 = ?1 ORDER BY part";
         let mut statement = self.connection.prepare_cached(sql)?;
@@ -147,7 +147,7 @@ mod tests {
         let (id, whole) = world.store.begin_reference("abc", text.len() as u64).unwrap();
         assert!(!whole);
         let refused = world.store.submit_job(job(one, 1, "abc"), u64::MAX).unwrap_err();
-        assert!(matches!(refused, StoreError::NoSuchReference { .. }), "it is not whole yet: {refused}");
+        assert!(matches!(refused, StoreError::NoSuchReference(_)), "it is not whole yet: {refused}");
         for (part, content) in (0..).zip(text.as_bytes().chunks(REFERENCE_PART_BYTES)) {
             world.store.keep_reference_part(id, part, content.to_vec()).unwrap();
         }
@@ -167,7 +167,7 @@ mod tests {
         world.store.delete_capture(other).unwrap();
         assert!(reader.has_deleted().unwrap());
         while world.store.purge_step().unwrap() {}
-        assert!(matches!(reader.reference("abc").unwrap_err(), StoreError::NoSuchReference { .. }));
+        assert!(matches!(reader.reference("abc").unwrap_err(), StoreError::NoSuchReference(_)));
         assert_eq!((parts(&reader), reader.has_deleted().unwrap()), (0, false));
     }
 

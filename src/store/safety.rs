@@ -150,7 +150,7 @@ fn a_healthy_database_is_recovered_as_it_is() {
     let out = world.directory.path().join("out.db");
     let report = recover(&copy, &out, false).unwrap();
     assert!(!report.has_damage(), "{report:?}");
-    assert!(matches!(recover(&copy, &out, false), Err(StoreError::Exists { .. })));
+    assert!(matches!(recover(&copy, &out, false), Err(StoreError::Exists(_))));
     assert!(matches!(recover(&path, &out, true), Err(StoreError::Locked { .. })));
     let reader = Reader::open(&out).unwrap();
     let after = reader.capture(id).unwrap();
@@ -260,19 +260,19 @@ fn a_backup_is_whole_and_a_database_of_its_own() {
         reader.connection.query_row("SELECT identity FROM writer", [], |row| row.get(0)).unwrap()
     };
     assert_ne!(identity(&out), identity(world.store.path()));
-    assert!(matches!(world.reader().backup(&out, false, &mut |_, _| ()), Err(StoreError::Exists { .. })));
+    assert!(matches!(world.reader().backup(&out, false, &mut |_, _| ()), Err(StoreError::Exists(_))));
     world.reader().backup(&out, true, &mut |_, _| ()).unwrap();
     // A backup never replaces the database itself, nor a file whose log exists.
     let itself = world.store.path();
-    assert!(matches!(world.reader().backup(itself, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
+    assert!(matches!(world.reader().backup(itself, true, &mut |_, _| ()), Err(StoreError::InUse(_))));
     for beside in ["-wal", "-shm", ".lock"] {
         let mut path = itself.as_os_str().to_owned();
         path.push(beside);
         let refused = world.reader().backup(path.as_ref(), true, &mut |_, _| ());
-        assert!(matches!(refused, Err(StoreError::InUse { .. })), "{beside}: {refused:?}");
+        assert!(matches!(refused, Err(StoreError::InUse(_))), "{beside}: {refused:?}");
     }
     std::fs::write(world.directory.path().join("copy.db-wal"), b"log").unwrap();
-    assert!(matches!(world.reader().backup(&out, true, &mut |_, _| ()), Err(StoreError::InUse { .. })));
+    assert!(matches!(world.reader().backup(&out, true, &mut |_, _| ()), Err(StoreError::InUse(_))));
     let left: Vec<_> =
         std::fs::read_dir(world.directory.path()).unwrap().flatten().map(|file| file.file_name()).collect();
     assert!(!left.iter().any(|name| name.to_string_lossy().ends_with(".part")), "{left:?}");
@@ -467,11 +467,11 @@ fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
     let (mut writer, progress, _) = beside_damage(&world);
     writer.pretend_io_error();
     assert!(!progress::locked(&progress).damaged);
-    writer.take_report(Failure::of(&StoreError::Damaged { report: "a page".to_owned() }));
+    writer.take_report(Failure::of(&StoreError::Damaged("a page".to_owned())));
     let seen = progress::locked(&progress).clone();
     assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("vn100d recover")), "{seen:?}");
     // The damage is reported once.
-    writer.take_report(Failure::of(&StoreError::Damaged { report: "another".to_owned() }));
+    writer.take_report(Failure::of(&StoreError::Damaged("another".to_owned())));
     assert_eq!(progress::locked(&progress).failures, seen.failures);
 }
 

@@ -152,7 +152,7 @@ impl Reader {
         let sql = "SELECT segment_id, device_time_ns, host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2";
         let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, Option<i64>>(1)?.map(|ns| ns as u64), row.get(2)?));
         let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], read);
-        found.optional()?.ok_or_else(|| StoreError::Damaged { report: format!("sample {seq} is not there") })
+        found.optional()?.ok_or_else(|| StoreError::Damaged(format!("sample {seq} is not there")))
     }
 }
 
@@ -160,7 +160,7 @@ fn push(chunk: &mut Chunk, row: &Row<'_>) -> Result<(), StoreError> {
     let seq = row.get_ref(0)?.as_i64().map_err(rusqlite::Error::from)? as u64;
     if seq != chunk.next_seq() {
         let report = format!("sample {} is not there, the next one is {seq}", chunk.next_seq());
-        return Err(StoreError::Damaged { report });
+        return Err(StoreError::Damaged(report));
     }
     chunk.segment.push(row.get(1)?);
     for (column, index) in chunk.columns.iter_mut().zip(2..) {

@@ -182,7 +182,7 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     check_sqlite()?;
     match std::fs::metadata(path) {
         Ok(file) if file.len() > 0 => {}
-        _ => return Err(StoreError::NoDatabase { path: path.to_owned() }),
+        _ => return Err(StoreError::NoDatabase(path.to_owned())),
     }
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let mut connection = Connection::open_with_flags(path, flags)?;

@@ -127,9 +127,10 @@ impl Reader {
     pub fn segment(&self, capture_id: i64, segment: u32) -> Result<SegmentRow, StoreError> {
         let before = i64::from(segment.saturating_sub(1));
         let rows = self.segments(capture_id, &PageRequest::one_after("segments", before))?.rows;
-        rows.into_iter().next().filter(|row| row.segment == segment).ok_or_else(|| StoreError::Damaged {
-            report: format!("segment {segment} of capture {capture_id} is not there"),
-        })
+        rows.into_iter()
+            .next()
+            .filter(|row| row.segment == segment)
+            .ok_or_else(|| StoreError::Damaged(format!("segment {segment} of capture {capture_id} is not there")))
     }
 
     /// Returns civil time minus device time, ns, at the first sample of an epoch of the sensor's clock; `None` if its
@@ -151,9 +152,9 @@ impl Reader {
     pub fn segment_rate_hz(&self, capture_id: i64, segment: u32) -> Result<f64, StoreError> {
         let sql = "SELECT rate_hz FROM segment WHERE capture_id = ?1 AND segment_id = ?2";
         let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, segment], |row| row.get(0));
-        found.optional()?.ok_or_else(|| StoreError::Damaged {
-            report: format!("segment {segment} of capture {capture_id} is not there"),
-        })
+        found
+            .optional()?
+            .ok_or_else(|| StoreError::Damaged(format!("segment {segment} of capture {capture_id} is not there")))
     }
 
     /// Returns the number of samples missing before the sample `seq`, over all gaps that lie before it.

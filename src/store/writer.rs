@@ -267,7 +267,7 @@ impl Writer {
         if self.retry_at.is_some() && self.connection.is_none() {
             // Only the batch tries the disk again, at its own pace: a command that arrives now fails at once.
             let reason = locked(&self.progress).error.clone().unwrap_or_default();
-            work(Err(StoreError::Refusing { reason }));
+            work(Err(StoreError::Refusing(reason)));
             return;
         }
         let failure = match self.connection() {
@@ -303,7 +303,7 @@ impl Writer {
     /// Reopens the same file, if it still holds the committed data.
     fn reopen(&mut self) -> Result<(), StoreError> {
         let connection = schema::reopen(&self.path).map_err(|error| match error {
-            StoreError::Foreign { .. } => StoreError::Damaged { report: "its header is not one of ours".to_owned() },
+            StoreError::Foreign { .. } => StoreError::Damaged("its header is not one of ours".to_owned()),
             other => other,
         })?;
         if identity_of(&connection)? != self.identity {

@@ -31,7 +31,7 @@ struct NoImports;
 impl Importer for NoImports {
     fn import(&self, request: ImportRequest) -> Result<ImportReport, ImportError> {
         let bytes = std::fs::read(&request.file).unwrap();
-        Err(ImportError::Recording { reason: format!("{} has {} bytes", request.called, bytes.len()) })
+        Err(ImportError::Recording(format!("{} has {} bytes", request.called, bytes.len())))
     }
 }
 
@@ -97,7 +97,7 @@ impl World {
                 match command {
                     Command::Start(request, reply) => {
                         let outcome = match running {
-                            Some(running) => Err(ControlError::Busy { running }),
+                            Some(running) => Err(ControlError::Busy(running)),
                             None => Ok(start(&side_store, &request).await),
                         };
                         asked.lock().unwrap().push(request);
@@ -112,7 +112,7 @@ impl World {
                         running = None;
                         reply.send(Ok(())).unwrap();
                     }
-                    Command::Stop(id, reply) => reply.send(Err(ControlError::NotRunning { id })).unwrap(),
+                    Command::Stop(id, reply) => reply.send(Err(ControlError::NotRunning(id))).unwrap(),
                 }
             }
         });

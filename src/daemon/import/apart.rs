@@ -48,7 +48,7 @@ pub(super) fn read_apart(
     keep_on: &KeepOn,
     take: &mut dyn FnMut(Step) -> Result<bool, ImportError>,
 ) -> Result<(), ImportError> {
-    let process = |error: std::io::Error| ImportError::Process { reason: error.to_string() };
+    let process = |error: std::io::Error| ImportError::Process(error.to_string());
     let mut child =
         Child::<Message>::start(MEMORY_BYTES, PROCESSOR_S, &["import".as_ref()], BODY_MAX).map_err(process)?;
     let order = serde_json::to_vec(&Order { request: request.clone(), started_utc_ns });
@@ -67,15 +67,15 @@ pub(super) fn read_apart(
             Received::Ended(ended) if ended.out_of_memory => {
                 let most = MEMORY_BYTES >> 20;
                 let reason = format!("reading {} takes more than {most} MiB of memory", request.file.display());
-                return Err(ImportError::Refused { reason });
+                return Err(ImportError::Refused(reason));
             }
             // The next process would end in the same way.
             Received::Ended(ended) if ended.out_of_time => {
                 let most = PROCESSOR_S / 3600;
                 let reason = format!("reading {} takes more than {most} h of processor time", request.file.display());
-                return Err(ImportError::Refused { reason });
+                return Err(ImportError::Refused(reason));
             }
-            Received::Ended(ended) => return Err(ImportError::Process { reason: ended.reason }),
+            Received::Ended(ended) => return Err(ImportError::Process(ended.reason)),
             Received::Frame(Frame { header, body }) => match header {
                 Message::Identified(fingerprint) => Step::Identified(fingerprint),
                 Message::Found => {
@@ -84,11 +84,11 @@ pub(super) fn read_apart(
                 }
                 Message::Records => {
                     let records: Result<Vec<Record>, _> = rmp_serde::from_slice(&body);
-                    Step::Records(records.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+                    Step::Records(records.map_err(|error| ImportError::Process(error.to_string()))?)
                 }
                 Message::Ended(last_utc_ns, counts) => Step::Ended(last_utc_ns, counts),
-                Message::Refused => return Err(ImportError::Refused { reason: reason(&body) }),
-                Message::Unread => return Err(ImportError::Process { reason: reason(&body) }),
+                Message::Refused => return Err(ImportError::Refused(reason(&body))),
+                Message::Unread => return Err(ImportError::Process(reason(&body))),
             },
         };
         let is_end = matches!(step, Step::Ended(..));
@@ -116,11 +116,11 @@ pub fn answer(mut order: impl Read, mut out: impl Write) -> Result<(), FrameErro
             Step::Identified(fingerprint) => (Message::Identified(fingerprint), Vec::new()),
             Step::Found(facts) => {
                 let body = serde_json::to_vec(&facts);
-                (Message::Found, body.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+                (Message::Found, body.map_err(|error| ImportError::Process(error.to_string()))?)
             }
             Step::Records(records) => {
                 let body = rmp_serde::to_vec(&records);
-                (Message::Records, body.map_err(|error| ImportError::Process { reason: error.to_string() })?)
+                (Message::Records, body.map_err(|error| ImportError::Process(error.to_string()))?)
             }
             Step::Ended(last_utc_ns, counts) => (Message::Ended(last_utc_ns, counts), Vec::new()),
         };
@@ -133,7 +133,7 @@ pub fn answer(mut order: impl Read, mut out: impl Write) -> Result<(), FrameErro
     match (read, broken) {
         (_, Some(error)) => Err(error),
         (Ok(()), None) => Ok(()),
-        (Err(error @ (ImportError::Read { .. } | ImportError::Process { .. })), None) => {
+        (Err(error @ (ImportError::Read { .. } | ImportError::Process(_))), None) => {
             write_frame(&mut out, &Message::Unread, error.to_string().as_bytes())
         }
         (Err(error), None) => write_frame(&mut out, &Message::Refused, error.to_string().as_bytes()),

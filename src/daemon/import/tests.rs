@@ -33,7 +33,7 @@ fn an_import_that_fails_because_the_daemon_ends_reports_this_reason() {
         };
         importer.import(request).unwrap_err()
     };
-    assert!(matches!(import(), control::ImportError::Process { .. }), "the daemon is not ending");
+    assert!(matches!(import(), control::ImportError::Process(_)), "the daemon is not ending");
     jobs.stop();
     store.close().unwrap();
     let error = super::import(&store, &SystemClock, Source::of(&file), None, &mut |_, _| Ok(())).unwrap_err();

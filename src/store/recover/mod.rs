@@ -102,7 +102,7 @@ impl RecoverReport {
 /// the new database cannot be written.
 pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, StoreError> {
     if !path.is_file() {
-        return Err(StoreError::NoDatabase { path: path.to_owned() });
+        return Err(StoreError::NoDatabase(path.to_owned()));
     }
     lock::refuse_writer(path)?;
     let image = Image::open(path, &schema::wal_path(path))

@@ -80,7 +80,7 @@ pub(in crate::store) fn quick_check(connection: &Connection, limit: Duration) ->
     connection.progress_handler(0, None::<fn() -> bool>)?;
     match report {
         Ok(report) if report == "ok" => Ok(()),
-        Ok(report) => Err(StoreError::Damaged { report: one_line(&report) }),
+        Ok(report) => Err(StoreError::Damaged(one_line(&report))),
         Err(error) if error.sqlite_error_code() == Some(rusqlite::ErrorCode::OperationInterrupted) => {
             tracing::warn!(message = "The database is too large to be checked in passing.", ?limit);
             Ok(())

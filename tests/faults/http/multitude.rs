@@ -311,7 +311,7 @@ impl vn100d::control::Importer for NoImports {
         &self,
         request: vn100d::control::ImportRequest,
     ) -> Result<vn100d::control::ImportReport, vn100d::control::ImportError> {
-        Err(vn100d::control::ImportError::Recording { reason: format!("{} is no recording", request.called) })
+        Err(vn100d::control::ImportError::Recording(format!("{} is no recording", request.called)))
     }
 }
 
@@ -327,8 +327,8 @@ impl Inside {
         tokio::spawn(async move {
             while let Some(command) = commands.recv().await {
                 match command {
-                    Command::Start(_, reply) => drop(reply.send(Err(ControlError::Busy { running: 1 }))),
-                    Command::Stop(id, reply) => drop(reply.send(Err(ControlError::NotRunning { id }))),
+                    Command::Start(_, reply) => drop(reply.send(Err(ControlError::Busy(1)))),
+                    Command::Stop(id, reply) => drop(reply.send(Err(ControlError::NotRunning(id)))),
                 }
             }
         });

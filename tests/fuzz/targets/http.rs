@@ -26,7 +26,7 @@ struct NoImports;
 
 impl Importer for NoImports {
     fn import(&self, request: ImportRequest) -> Result<ImportReport, ImportError> {
-        Err(ImportError::Recording { reason: format!("{} is no recording", request.called) })
+        Err(ImportError::Recording(format!("{} is no recording", request.called)))
     }
 }
 
