@@ -3,6 +3,11 @@
 //! Functions that need the time take a [`Clock`]. Three exist: the system's, a scaled one that an emulator and the
 //! daemon share to simulate a night within a minute, and a manual one for tests.
 
+#[cfg(test)]
+mod manual;
+
+#[cfg(test)]
+pub use manual::ManualClock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -137,50 +142,6 @@ impl Clock for ScaledClock {
     }
     fn speed(&self) -> f64 {
         self.speed
-    }
-}
-
-/// A clock that advances only on request; for tests.
-#[derive(Debug, Default)]
-pub struct ManualClock {
-    mono_ns: AtomicU64,
-    slept_ns: AtomicU64,
-    utc_offset_ns: std::sync::atomic::AtomicI64,
-}
-
-impl ManualClock {
-    /// Creates a clock whose monotonic time is 0 and whose civil time is `utc_ns`.
-    pub fn new(utc_ns: i64) -> Self {
-        Self {
-            mono_ns: AtomicU64::new(0),
-            slept_ns: AtomicU64::new(0),
-            utc_offset_ns: std::sync::atomic::AtomicI64::new(utc_ns),
-        }
-    }
-    /// Lets `by` pass.
-    pub fn advance(&self, by: Duration) {
-        self.mono_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
-    }
-    /// Lets the machine sleep for `by`.
-    pub fn suspend(&self, by: Duration) {
-        self.slept_ns.fetch_add(by.as_nanos() as u64, Ordering::AcqRel);
-        self.advance(by);
-    }
-    /// Steps the civil time without changing the monotonic one.
-    pub fn step_utc(&self, by_ns: i64) {
-        self.utc_offset_ns.fetch_add(by_ns, Ordering::AcqRel);
-    }
-}
-
-impl Clock for ManualClock {
-    fn mono_ns(&self) -> u64 {
-        self.mono_ns.load(Ordering::Acquire)
-    }
-    fn awake_ns(&self) -> u64 {
-        self.mono_ns() - self.slept_ns.load(Ordering::Acquire)
-    }
-    fn utc_ns(&self) -> i64 {
-        self.utc_offset_ns.load(Ordering::Acquire) + self.mono_ns() as i64
     }
 }
 
