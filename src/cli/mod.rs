@@ -127,8 +127,7 @@ pub struct Context {
 impl Context {
     /// Returns the effective configuration.
     fn load(&self, overrides: &Overrides) -> Result<Config, ConfigError> {
-        let loaded = crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)?;
-        Ok(loaded.config)
+        crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)
     }
 
     /// Returns the database's path.

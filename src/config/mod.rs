@@ -26,7 +26,7 @@ pub use values::{
 use source::Source;
 use std::io::Read as _;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The values of the command line that override the file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -40,34 +40,25 @@ pub struct Overrides {
     pub without_token: bool,
 }
 
-/// A configuration and the file it came from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Loaded {
-    /// The effective configuration.
-    pub config: Config,
-    /// The file; `None` if there was none and the defaults are used.
-    pub file: Option<PathBuf>,
-}
-
 /// Finds, reads and checks the configuration: `--config`, `VN100D_CONFIG`, `$XDG_CONFIG_HOME/vn100d/vn100d.toml`,
 /// `/etc/vn100d/vn100d.toml`, else the defaults.
 ///
 /// # Errors
 /// [`ConfigError`]: exit code 78.
-pub fn load(flag: Option<&Path>, environment: &Environment, overrides: &Overrides) -> Result<Loaded, ConfigError> {
+pub fn load(flag: Option<&Path>, environment: &Environment, overrides: &Overrides) -> Result<Config, ConfigError> {
     if let Some(file) = environment.named_config(flag) {
         let text = text_in(&file).map_err(|source| ConfigError::Read { file: file.clone(), source })?;
-        return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) });
+        return finish(&Source::new(&file, &text), overrides);
     }
     for file in environment.searched_configs() {
         match text_in(&file) {
-            Ok(text) => return Ok(Loaded { config: finish(&Source::new(&file, &text), overrides)?, file: Some(file) }),
+            Ok(text) => return finish(&Source::new(&file, &text), overrides),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             Err(error) if error.kind() == std::io::ErrorKind::NotADirectory => {}
             Err(source) => return Err(ConfigError::Read { file, source }),
         }
     }
-    Ok(Loaded { config: finish(&Source::new(Path::new(""), ""), overrides)?, file: None })
+    finish(&Source::new(Path::new(""), ""), overrides)
 }
 
 /// Reads and checks the text of a file.
