@@ -16,7 +16,8 @@ use serde::Serialize;
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
 /// The types of problems; few, so that a program can handle each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "kebab-case", prefix = "urn:vn100d:problem:")]
 #[expect(missing_docs, reason = "title() says it")]
 pub enum ProblemType {
     BadRequest,
@@ -36,42 +37,9 @@ pub enum ProblemType {
 }
 
 impl ProblemType {
-    /// All types.
-    pub const ALL: [Self; 14] = [
-        Self::BadRequest,
-        Self::NotAuthorized,
-        Self::NotFound,
-        Self::MethodNotAllowed,
-        Self::NotAcceptable,
-        Self::Conflict,
-        Self::TooLarge,
-        Self::UnsupportedMediaType,
-        Self::AnalysisFailed,
-        Self::Internal,
-        Self::Unavailable,
-        Self::Busy,
-        Self::Timeout,
-        Self::BodyTimeout,
-    ];
-
     /// Returns the member `type` (docs/api.md lists them).
     pub fn uri(self) -> &'static str {
-        match self {
-            Self::BadRequest => "urn:vn100d:problem:bad-request",
-            Self::NotAuthorized => "urn:vn100d:problem:not-authorized",
-            Self::NotFound => "urn:vn100d:problem:not-found",
-            Self::MethodNotAllowed => "urn:vn100d:problem:method-not-allowed",
-            Self::NotAcceptable => "urn:vn100d:problem:not-acceptable",
-            Self::Conflict => "urn:vn100d:problem:conflict",
-            Self::TooLarge => "urn:vn100d:problem:too-large",
-            Self::UnsupportedMediaType => "urn:vn100d:problem:unsupported-media-type",
-            Self::AnalysisFailed => "urn:vn100d:problem:analysis-failed",
-            Self::Internal => "urn:vn100d:problem:internal",
-            Self::Unavailable => "urn:vn100d:problem:unavailable",
-            Self::Busy => "urn:vn100d:problem:busy",
-            Self::Timeout => "urn:vn100d:problem:timeout",
-            Self::BodyTimeout => "urn:vn100d:problem:body-timeout",
-        }
+        self.into()
     }
 
     /// Returns the member `title`: the same for every problem of this type.
@@ -364,12 +332,13 @@ fn unexplained(status: StatusCode, path: &str) -> ApiError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use strum::VariantArray as _;
 
     #[test]
     fn every_type_has_its_own_name_and_title_and_is_documented() {
         let documentation = include_str!("../../docs/api.md");
-        for (index, kind) in ProblemType::ALL.into_iter().enumerate() {
-            for other in &ProblemType::ALL[index + 1..] {
+        for (index, kind) in ProblemType::VARIANTS.iter().enumerate() {
+            for other in &ProblemType::VARIANTS[index + 1..] {
                 assert_ne!(kind.uri(), other.uri());
                 assert_ne!(kind.title(), other.title());
             }

@@ -225,8 +225,7 @@ impl Notice {
     fn storage_message(&self) -> String {
         let Some(storage) = &self.storage else { return "storage".to_owned() };
         let free = storage.free_bytes >> 20;
-        let state = serde_json::to_value(storage.state).ok();
-        let state = state.as_ref().and_then(serde_json::Value::as_str).unwrap_or_default();
+        let state = storage.state.name();
         if self.event == NotifyEvent::StorageOk {
             return format!("storage is well again: {free} MiB free");
         }

@@ -4,7 +4,7 @@
 //! server, and, for each scrape, the [`Status`] and the writer's figures. Out: text. There is no global registry and no
 //! thread: a scrape reads only memory, and is answered even if the disk hangs.
 
-use super::{SensorState, Status, StorageState};
+use super::Status;
 use imu_core::sample::{DiscardCause, GapCause, Record};
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
@@ -15,6 +15,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use std::fmt;
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use strum::VariantArray;
 
 /// Media type of [`Metrics::render`]'s text (OpenMetrics 1.0, section "Text Format").
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -39,7 +40,8 @@ pub struct WriterFigures {
     pub slowest_commit_s: f64,
     /// Records that the schema refused: faults of this program.
     pub refused: u64,
-    /// Samples committed per second, averaged over half a minute.
+    /// Samples committed per second of the store's clock, averaged over half a minute. Forecasts use the captures'
+    /// time, even if that is accelerated.
     pub samples_per_s: f64,
 }
 
@@ -211,8 +213,7 @@ impl Metrics {
 }
 
 fn sensor(registry: &mut Registry, status: &Status) {
-    let names = SensorState::NAMES;
-    states(registry, "sensor_state", "1 for the state the sensor's connection is in", names, status.sensor.state);
+    states(registry, "sensor_state", "1 for the state the sensor's connection is in", status.sensor.state);
     if let Some(rate_hz) = status.sensor.rate_hz {
         gauge(registry, "sensor_rate_hertz", "Output rate of the sensor", rate_hz);
     }
@@ -235,18 +236,8 @@ fn capture_now(registry: &mut Registry, status: &Status) {
 }
 
 fn storage(registry: &mut Registry, status: &Status, writer: &WriterFigures) {
-    const STATES: [(StorageState, &str); 8] = [
-        (StorageState::Ok, "ok"),
-        (StorageState::Slow, "slow"),
-        (StorageState::Degraded, "degraded"),
-        (StorageState::StorageFull, "storage_full"),
-        (StorageState::StorageReadonly, "storage_readonly"),
-        (StorageState::StorageLocked, "storage_locked"),
-        (StorageState::StorageError, "storage_error"),
-        (StorageState::StorageLost, "storage_lost"),
-    ];
     let storage = &status.storage;
-    states(registry, "storage_state", "1 for the state the store is in", STATES, storage.state);
+    states(registry, "storage_state", "1 for the state the store is in", storage.state);
     gauge(registry, "database_bytes", "Size of the database file", storage.database_bytes as f64);
     gauge(registry, "wal_bytes", "Size of the write-ahead log", storage.wal_bytes as f64);
     gauge(registry, "free_bytes", "Free space of the database's file system", storage.free_bytes as f64);
@@ -321,17 +312,15 @@ fn counters<'a>(
     register(registry, name, help, family);
 }
 
-fn states<S: PartialEq, const N: usize>(
-    registry: &mut Registry,
-    name: &str,
-    help: &str,
-    all: [(S, &'static str); N],
-    now: S,
-) {
+fn states<S: VariantArray + PartialEq + Copy>(registry: &mut Registry, name: &str, help: &str, now: S)
+where
+    &'static str: From<S>,
+{
     let family = Family::<Label, GaugeF64>::default();
-    for (state, label) in all {
-        let is_now = if state == now { 1.0 } else { 0.0 };
-        family.get_or_create(&Label { name: "state", value: label.to_owned() }).set(is_now);
+    for state in S::VARIANTS {
+        let is_now = if *state == now { 1.0 } else { 0.0 };
+        let value = <&str>::from(*state).to_owned();
+        family.get_or_create(&Label { name: "state", value }).set(is_now);
     }
     register(registry, name, help, family);
 }
@@ -351,7 +340,7 @@ impl EncodeLabelSet for Label {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::observe::{CaptureStatus, JobsStatus};
+    use crate::observe::{CaptureStatus, JobsStatus, SensorState};
     use imu_core::sample::{Gap, Sample};
 
     fn render(metrics: &Metrics, status: &Status) -> String {

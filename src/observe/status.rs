@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 /// The state of the connection to the sensor (docs/formats.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum SensorState {
     /// There is no port to open.
     #[default]
@@ -37,24 +39,9 @@ pub enum SensorState {
 }
 
 impl SensorState {
-    /// All states and their names in JSON.
-    pub(super) const NAMES: [(Self, &str); 11] = [
-        (Self::Absent, "absent"),
-        (Self::Opening, "opening"),
-        (Self::Probing, "probing"),
-        (Self::Streaming, "streaming"),
-        (Self::Stalled, "stalled"),
-        (Self::NoValidFrames, "no_valid_frames"),
-        (Self::UnexpectedFormat, "unexpected_format"),
-        (Self::PortBusy, "port_busy"),
-        (Self::NoPermission, "no_permission"),
-        (Self::WrongUnit, "wrong_unit"),
-        (Self::Backoff, "backoff"),
-    ];
-
-    /// Returns the name in JSON.
+    /// Returns the name of the state, as documents write it.
     pub fn name(self) -> &'static str {
-        Self::NAMES.iter().find(|(state, _)| *state == self).map_or("", |(_, name)| name)
+        self.into()
     }
 }
 
@@ -140,6 +127,8 @@ pub struct CaptureStatus {
 /// The state of the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum StorageState {
     /// Commits succeed.
     #[default]
@@ -158,6 +147,13 @@ pub enum StorageState {
     StorageError,
     /// The database's file was deleted or replaced.
     StorageLost,
+}
+
+impl StorageState {
+    /// Returns the name of the state, as documents write it.
+    pub fn name(self) -> &'static str {
+        self.into()
+    }
 }
 
 /// The state of the store, with its figures.
