@@ -99,7 +99,12 @@ impl NotifyFigures {
     pub fn status(&self) -> NotifyStatus {
         let mut sum = NotifyStatus::default();
         for figures in &self.0 {
-            figures.add_to(&mut sum);
+            let own = figures.lock();
+            sum.sent += own.sent;
+            sum.failed += own.failed;
+            sum.dropped += own.dropped;
+            sum.queued += own.queued;
+            sum.error = sum.error.or_else(|| own.error.clone());
         }
         sum
     }

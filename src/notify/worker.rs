@@ -3,8 +3,8 @@
 use super::deliver::{DeliverError, Receiver};
 use super::notice::Message;
 use crate::observe::NotifyStatus;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -36,30 +36,14 @@ impl Effort {
     }
 }
 
-/// Counts of one receiver.
+/// The counts of one receiver, which its thread shares.
 #[derive(Debug, Default)]
-pub struct Figures {
-    sent: AtomicU64,
-    failed: AtomicU64,
-    dropped: AtomicU64,
-    queued: AtomicU64,
-    error: Mutex<Option<String>>,
-}
+pub struct Figures(Mutex<NotifyStatus>);
 
 impl Figures {
-    /// Adds these counts to a sum.
-    pub fn add_to(&self, sum: &mut NotifyStatus) {
-        let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        sum.sent += read(&self.sent);
-        sum.failed += read(&self.failed);
-        sum.dropped += read(&self.dropped);
-        sum.queued += read(&self.queued);
-        let error = self.error.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        sum.error = sum.error.take().or(error);
-    }
-
-    fn set_error(&self, error: Option<String>) {
-        *self.error.lock().unwrap_or_else(PoisonError::into_inner) = error;
+    /// Locks the counts.
+    pub fn lock(&self) -> MutexGuard<'_, NotifyStatus> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -103,13 +87,14 @@ impl Worker {
 
     /// Puts a message into the queue; never waits.
     pub fn put(&self, message: Arc<Message>) {
-        let figures = &self.shared.figures;
-        figures.queued.fetch_add(1, Ordering::Relaxed);
+        self.shared.figures.lock().queued += 1;
         if let Err(mpsc::TrySendError::Full(message) | mpsc::TrySendError::Disconnected(message)) =
             self.queue.try_send(message)
         {
-            figures.queued.fetch_sub(1, Ordering::Relaxed);
-            if figures.dropped.fetch_add(1, Ordering::Relaxed) == 0 {
+            let mut figures = self.shared.figures.lock();
+            figures.queued -= 1;
+            figures.dropped += 1;
+            if figures.dropped == 1 {
                 tracing::warn!(event = message.event, "the queue of notifications is full, newer ones are dropped");
             }
         }
@@ -143,15 +128,13 @@ impl Worker {
 fn work(receiver: &Receiver, effort: Effort, messages: &mpsc::Receiver<Arc<Message>>, shared: &Shared) {
     while let Ok(message) = messages.recv() {
         let outcome = deliver(receiver, effort, &message, shared);
-        shared.figures.queued.fetch_sub(1, Ordering::Relaxed);
+        let mut figures = shared.figures.lock();
+        figures.queued -= 1;
+        figures.error = outcome.as_ref().err().map(ToString::to_string);
         match outcome {
-            Ok(()) => {
-                shared.figures.sent.fetch_add(1, Ordering::Relaxed);
-                shared.figures.set_error(None);
-            }
+            Ok(()) => figures.sent += 1,
             Err(error) => {
-                shared.figures.failed.fetch_add(1, Ordering::Relaxed);
-                shared.figures.set_error(Some(error.to_string()));
+                figures.failed += 1;
                 tracing::warn!(event = message.event, %error, "a notification was given up");
             }
         }
@@ -170,7 +153,7 @@ fn deliver(receiver: &Receiver, effort: Effort, message: &Message, shared: &Shar
         if failed >= effort.attempts || !error.may_pass() {
             return Err(error);
         }
-        shared.figures.set_error(Some(error.to_string()));
+        shared.figures.lock().error = Some(error.to_string());
         tracing::debug!(%error, failed, "a notification is tried again");
         let until = Instant::now() + effort.wait(failed);
         while Instant::now() < until {
