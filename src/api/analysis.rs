@@ -84,7 +84,6 @@ enum Found {
     (status = 202, body = Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "There is not enough data")))]
 pub(super) async fn statistics(
     State(state): State<ApiState>,
@@ -105,7 +104,6 @@ pub(super) async fn statistics(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
     (status = 400, body = Problem, content_type = "application/problem+json", description = "There is no such estimator"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json",
      description = "There is not enough data, or too much for this estimator or these averaging times")))]
 pub(super) async fn allan(
@@ -143,7 +141,6 @@ fn still_runs(id: i64, estimator: Estimator) -> JobError {
     (status = 304, description = "`If-None-Match` names the result"),
     (status = 400, body = Problem, content_type = "application/problem+json",
      description = "There is no such format or datasheet, or both are asked for"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json",
      description = "There is not enough data, or a channel that the text would hold is not usable")))]
 pub(super) async fn noise(

@@ -110,7 +110,6 @@ const LARGE_BODY: aside::Kind = aside::Kind {
     (status = 202, body = jobs::Job, description = "It is queued", headers(("Location" = String, description = "The job"))),
     (status = 200, body = jobs::Job, description = "It was asked for before"),
     (status = 400, body = Problem, content_type = "application/problem+json", description = "No model, or an impossible one"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 408, body = Problem, content_type = "application/problem+json", description = "The body does not come"),
     (status = 413, body = Problem, content_type = "application/problem+json", description = "More than 32 MiB, or a model of more than 64 KiB"),
     (status = 415, body = Problem, content_type = "application/problem+json"),
@@ -180,7 +179,6 @@ pub(super) async fn list(
     (status = 202, body = jobs::Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "They cannot be compared")))]
 pub(super) async fn show(State(state): State<ApiState>, headers: HeaderMap, P(id): P) -> Result<Response, ApiError> {
     part(&state, &headers, id, "report", |document| document.report.get().to_owned()).await
@@ -194,7 +192,6 @@ pub(super) async fn show(State(state): State<ApiState>, headers: HeaderMap, P(id
     (status = 202, body = jobs::Job, description = "Not done yet", headers(
         ("Location" = String, description = "The job"), ("Retry-After" = u32, description = "When to ask again, s"))),
     (status = 304, description = "`If-None-Match` names the result"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 422, body = Problem, content_type = "application/problem+json", description = "They cannot be compared")))]
 pub(super) async fn model(State(state): State<ApiState>, headers: HeaderMap, P(id): P) -> Result<Response, ApiError> {
     part(&state, &headers, id, "model", |document| document.model.get().to_owned()).await

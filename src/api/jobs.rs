@@ -167,8 +167,7 @@ fn submitted((row, is_new): (JobRow, bool)) -> Response {
 
 /// One job.
 #[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = i64, Path, description = "Id")), responses(
-    (status = 200, body = Job, headers(("Retry-After" = u32, description = "While it is queued or runs"))),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = Job, headers(("Retry-After" = u32, description = "While it is queued or runs")))))]
 pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
     let id = job_id(&id)?;
     Ok(answer(StatusCode::OK, state.read(move |reader| reader.job(id)).await?))
@@ -177,7 +176,6 @@ pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Resp
 /// Cancels a queued or running job.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = i64, Path, description = "Id")), responses(
     (status = 200, body = Job, description = "It is cancelled"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 409, body = Problem, content_type = "application/problem+json", description = "It has ended already")))]
 pub(super) async fn cancel(State(state): State<ApiState>, P(id): P) -> Result<Response, ApiError> {
     let id = job_id(&id)?;

@@ -40,10 +40,13 @@ pub fn document() -> String {
 
 fn text(document: &Document) -> String {
     let mut document = document.clone();
-    for item in document.paths.paths.values_mut() {
+    for (path, item) in &mut document.paths.paths {
         for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
             let responses = &mut operation.responses.responses;
-            responses.insert("default".to_owned(), any_error().into());
+            responses.insert("default".to_owned(), problem("Any other error: docs/api.md, Problems").into());
+            if path.contains("{id}") {
+                responses.entry("404".to_owned()).or_insert_with(|| problem("").into());
+            }
         }
     }
     let mut text = document.to_pretty_json().unwrap_or_default();
@@ -52,10 +55,10 @@ fn text(document: &Document) -> String {
 }
 
 /// Returns the answer that every operation may give besides its own.
-fn any_error() -> utoipa::openapi::Response {
+fn problem(description: &str) -> utoipa::openapi::Response {
     let schema = utoipa::openapi::Ref::from_schema_name("Problem");
     utoipa::openapi::ResponseBuilder::new()
-        .description("Any other error: docs/api.md, Problems")
+        .description(description)
         .content(super::PROBLEM_JSON, utoipa::openapi::Content::new(Some(schema)))
         .build()
 }

@@ -75,7 +75,6 @@ pub(super) struct Samples {
     params(("id" = String, Path, description = "Id, name, or `latest`"), SamplesQuery), responses(
     (status = 200, content((Samples = "application/json"), (String = "text/csv"), (String = "application/x-ndjson"))),
     (status = 400, body = Problem, content_type = "application/problem+json"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 406, body = Problem, content_type = "application/problem+json"),
     (status = 429, body = Problem, content_type = "application/problem+json", description = "Too many large queries at once")))]
 pub(super) async fn samples(
