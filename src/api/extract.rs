@@ -22,31 +22,17 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Q<T> {
     }
 }
 
-/// The part of the path in braces.
+/// The part of the path in braces, or a tuple of several.
 #[derive(Debug, Clone)]
-pub(super) struct P(pub String);
+pub(super) struct P<T = String>(pub T);
 
-impl<S: Send + Sync> FromRequestParts<S> for P {
+impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for P<T> {
     type Rejection = ApiError;
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
-        let Path(name) = Path::<String>::from_request_parts(parts, state)
+        let Path(names) = Path::<T>::from_request_parts(parts, state)
             .await
             .map_err(|rejection| ApiError::bad_request(rejection.body_text()))?;
-        Ok(Self(name))
-    }
-}
-
-/// Two parts of the path.
-#[derive(Debug, Clone)]
-pub(super) struct P2(pub String, pub String);
-
-impl<S: Send + Sync> FromRequestParts<S> for P2 {
-    type Rejection = ApiError;
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
-        let Path((one, other)) = Path::<(String, String)>::from_request_parts(parts, state)
-            .await
-            .map_err(|rejection| ApiError::bad_request(rejection.body_text()))?;
-        Ok(Self(one, other))
+        Ok(Self(names))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::analysis::{self, Drawn};
 use super::conditional;
-use super::extract::{P, P2, Q};
+use super::extract::{P, Q};
 use super::latest;
 use super::problem::{ApiError, ProblemType};
 use super::samples;
@@ -140,7 +140,7 @@ fn under_way(kind: JobKind, jobs: &[JobRow]) -> String {
 /// Returns a channel's page over time.
 pub(super) async fn series(
     State(state): State<ApiState>,
-    P2(name, channel): P2,
+    P((name, channel)): P<(String, String)>,
     Q(query): Q<SeriesQuery>,
 ) -> Result<Response, ApiError> {
     let [from, to] = [query.from, query.to].map(|text| text.as_deref().map(samples::time).transpose());

@@ -2,7 +2,7 @@
 
 use super::analysis::{self, Drawn};
 use super::conditional;
-use super::extract::{P2, Q};
+use super::extract::{P, Q};
 use super::problem::{ApiError, Problem, ProblemType};
 use super::samples;
 use super::state::ApiState;
@@ -40,7 +40,7 @@ pub(super) struct PlotQuery {
 pub(super) async fn plot(
     State(state): State<ApiState>,
     headers: HeaderMap,
-    P2(capture, file): P2,
+    P((capture, file)): P<(String, String)>,
     Q(query): Q<PlotQuery>,
 ) -> Result<Response, ApiError> {
     let (stem, form) = file.rsplit_once('.').unwrap_or((file.as_str(), ""));
