@@ -1,15 +1,14 @@
 //! Imports: a recording's bytes arrive as a body, are stored in a file beside the database, and become a capture. The
 //! daemon need not be able to read the user's files, nor the user to write the database.
 
-use super::aside;
 use super::extract::Q;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
+use super::{aside, page};
 use crate::control::{ImportError, ImportReport, ImportRequest, MessageText};
-use axum::Json;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{HeaderMap, header};
+use axum::response::Response;
 use serde::Deserialize;
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
@@ -107,13 +106,7 @@ pub(super) async fn import(
     });
     thread.map_err(|error| ApiError::unavailable(format!("an import cannot be started now: {error}"), 5))?;
     let report = outcome.await.map_err(|_| ApiError::internal("an import ended abnormally"))??;
-    let status = if report.new { StatusCode::CREATED } else { StatusCode::OK };
-    let location = HeaderValue::from_str(&format!("/v1/captures/{}", report.capture));
-    let mut response = (status, Json(report)).into_response();
-    if let Ok(location) = location {
-        response.headers_mut().insert(header::LOCATION, location);
-    }
-    Ok(response)
+    Ok(page::made(report.new, &format!("/v1/captures/{}", report.capture), report))
 }
 
 /// Refuses all that can be refused before the body arrives, and returns the definitions of messages.
@@ -173,6 +166,7 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::HeaderValue;
 
     #[test]
     fn what_is_stated_about_a_recording_is_checked_before_its_body_comes() {

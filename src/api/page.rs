@@ -3,7 +3,7 @@
 use super::problem::ApiError;
 use crate::store::{Page, PageRequest};
 use axum::Json;
-use axum::http::{HeaderValue, Uri, header};
+use axum::http::{HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
@@ -48,6 +48,16 @@ pub(super) fn answer<T, B: Serialize>(
     let mut response = Json(build(page.rows, page.next)).into_response();
     if let Some(link) = link {
         response.headers_mut().insert(header::LINK, link);
+    }
+    response
+}
+
+/// Answers with what a request made, or with what an earlier one made, and its place.
+pub(super) fn made(is_new: bool, place: &str, body: impl Serialize) -> Response {
+    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
+    let mut response = (status, Json(body)).into_response();
+    if let Ok(location) = HeaderValue::from_str(place) {
+        response.headers_mut().insert(header::LOCATION, location);
     }
     response
 }
