@@ -5,11 +5,11 @@ use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::control::CaptureRequest;
-use crate::store::{CaptureFilter, CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
+use crate::store::{CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderValue, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{StatusCode, Uri};
+use axum::response::Response;
 use chrono::{DateTime, Utc};
 use imu_core::sample::audit::Report;
 use imu_core::units::{format_duration, parse_duration};
@@ -108,8 +108,7 @@ pub(super) async fn list(
     Q(query): Q<CapturesQuery>,
 ) -> Result<Response, ApiError> {
     let request = page::request(query.limit, query.cursor)?;
-    let filter = CaptureFilter { state: query.state };
-    let found = state.read(move |reader| reader.captures(&filter, &request)).await?;
+    let found = state.read(move |reader| reader.captures(query.state, &request)).await?;
     Ok(page::answer(&uri, found, |captures, next| Captures { captures, next }))
 }
 
@@ -140,18 +139,13 @@ pub(super) async fn start(State(state): State<ApiState>, J(body, _permit): J<Sta
         .transpose()?;
     let id = state.parts.control.start(CaptureRequest { duration, name: body.name, start_at_utc_ns }).await?;
     let capture = state.read(move |reader| reader.capture(id)).await?;
-    let mut response = (StatusCode::CREATED, Json(capture)).into_response();
-    if let Ok(location) = HeaderValue::from_str(&format!("/v1/captures/{id}")) {
-        response.headers_mut().insert(header::LOCATION, location);
-    }
-    Ok(response)
+    Ok(page::made(true, &format!("/v1/captures/{id}"), capture))
 }
 
 /// One capture with its counts.
 #[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
-    (status = 200, body = CaptureWithAccounting),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = CaptureWithAccounting)))]
 pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureWithAccounting>, ApiError> {
     let (capture, accounting, clocks) = state
         .read(move |reader| {
@@ -172,7 +166,6 @@ pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Js
 #[utoipa::path(delete, path = "/v1/captures/{id}", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
     (status = 204, description = "It is gone"),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 409, body = Problem, content_type = "application/problem+json", description = "It runs, waits or is pinned")))]
 pub(super) async fn delete(State(state): State<ApiState>, P(name): P) -> Result<StatusCode, ApiError> {
     let id = state.resolve(name).await?;
@@ -191,7 +184,6 @@ pub(super) async fn delete(State(state): State<ApiState>, P(name): P) -> Result<
 #[utoipa::path(post, path = "/v1/captures/{id}/stop", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
     (status = 200, body = CaptureRow),
-    (status = 404, body = Problem, content_type = "application/problem+json"),
     (status = 409, body = Problem, content_type = "application/problem+json", description = "It is not running")))]
 pub(super) async fn stop(State(state): State<ApiState>, P(name): P) -> Result<Json<CaptureRow>, ApiError> {
     let id = state.resolve(name).await?;
@@ -203,8 +195,7 @@ pub(super) async fn stop(State(state): State<ApiState>, P(name): P) -> Result<Js
 #[utoipa::path(post, path = "/v1/captures/{id}/pin", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`")),
     request_body(content = Option<PinBody>, description = "Without a body: pinned"), responses(
-    (status = 200, body = CaptureRow),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = CaptureRow)))]
 pub(super) async fn pin(
     State(state): State<ApiState>,
     P(name): P,
@@ -219,8 +210,7 @@ pub(super) async fn pin(
 /// A capture's gaps: their times, their missing samples, their causes.
 #[utoipa::path(get, path = "/v1/captures/{id}/gaps", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
-    (status = 200, body = Gaps),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = Gaps)))]
 pub(super) async fn gaps(
     State(state): State<ApiState>,
     uri: Uri,
@@ -235,8 +225,7 @@ pub(super) async fn gaps(
 /// A capture's segments: the longest stretches without a gap, at one rate and one configuration.
 #[utoipa::path(get, path = "/v1/captures/{id}/segments", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
-    (status = 200, body = Segments),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = Segments)))]
 pub(super) async fn segments(
     State(state): State<ApiState>,
     uri: Uri,
@@ -251,8 +240,7 @@ pub(super) async fn segments(
 /// A capture's events.
 #[utoipa::path(get, path = "/v1/captures/{id}/events", tag = "captures",
     params(("id" = String, Path, description = "Id, name, or `latest`"), PageQuery), responses(
-    (status = 200, body = Events),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = Events)))]
 pub(super) async fn events(
     State(state): State<ApiState>,
     uri: Uri,

@@ -48,16 +48,7 @@ pub(super) async fn readyz(State(state): State<ApiState>) -> Result<Json<Ready>,
 pub(super) async fn metrics(State(state): State<ApiState>) -> Result<Response, ApiError> {
     crate::observe::provoke::provoke(crate::observe::provoke::Point::Handler);
     let progress = state.parts.store.progress();
-    let writer = WriterFigures {
-        commits: progress.commits,
-        failures: progress.failures,
-        committed: progress.committed.values().sum(),
-        busy: progress.busy,
-        slow_commits: progress.slow_commits,
-        slowest_commit_s: progress.slowest_commit.as_secs_f64(),
-        refused: progress.refused,
-        samples_per_s: progress.samples_per_s,
-    };
+    let writer = WriterFigures { committed: progress.committed.values().sum(), ..progress.figures };
     let text = state
         .parts
         .metrics
@@ -71,14 +62,14 @@ fn reasons(status: &Status, reserve_bytes: u64) -> Vec<String> {
     let mut reasons = Vec::new();
     let capturing = status.capture.as_ref().is_some_and(|capture| capture.state == "capturing");
     if capturing && status.sensor.state != SensorState::Streaming {
-        let state = named(&status.sensor.state);
+        let state = status.sensor.state.name();
         let hint = status.sensor.hint.as_deref().unwrap_or("no samples arrive");
         reasons.push(format!("sensor {state}: {hint}"));
     }
     let storage = &status.storage;
     if storage.state != StorageState::Ok {
         let error = storage.error.as_deref().unwrap_or("commits are late");
-        reasons.push(format!("storage {}: {error}", named(&storage.state)));
+        reasons.push(format!("storage {}: {error}", storage.state.name()));
     }
     if let Some(wait_s) = storage.oldest_waiting_s.filter(|wait_s| *wait_s > WAIT_MAX_S) {
         reasons.push(format!(
@@ -94,11 +85,6 @@ fn reasons(status: &Status, reserve_bytes: u64) -> Vec<String> {
         ));
     }
     reasons
-}
-
-/// Returns the name of a state in JSON.
-pub(super) fn named(state: &impl Serialize) -> String {
-    serde_json::to_value(state).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use super::problem::ApiError;
 use super::state::ApiState;
 use crate::page::Stored;
-use crate::store::{CaptureFilter, JobRow, JobState, PageRequest};
+use crate::store::{JobRow, JobState, PageRequest};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -79,7 +79,7 @@ async fn read(state: &ApiState) -> Result<Stored, ApiError> {
             }
             jobs.truncate(ROWS as usize);
             Ok(Stored {
-                captures: reader.captures(&CaptureFilter::default(), &some)?.rows,
+                captures: reader.captures(None, &some)?.rows,
                 jobs,
                 diagnoses: reader.diagnoses(None, &some)?.rows,
                 causes: running.map(|id| reader.missing_by_cause(id)).transpose()?.unwrap_or_default(),

@@ -5,34 +5,14 @@ use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::jobs::JobError;
-use crate::store::{ModelHead, ModelRow, StoreError, UtcNs};
+use crate::store::{ModelEntry, ModelRow, StoreError};
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderValue, StatusCode, Uri, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{StatusCode, Uri};
+use axum::response::Response;
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
 use serde_json::Value;
-
-/// The properties of a sensor model.
-#[derive(Debug, Serialize, utoipa::ToSchema)]
-pub(super) struct ModelEntry {
-    /// The id: `model-1`, `model-2`…
-    id: String,
-    /// The name.
-    name: String,
-    /// The output rate in Hz.
-    rate_hz: f64,
-    /// When it was stored.
-    created_at: UtcNs,
-}
-
-impl From<ModelHead> for ModelEntry {
-    fn from(head: ModelHead) -> Self {
-        let ModelHead { id, name, rate_hz, created_at } = head;
-        Self { id: format!("model-{id}"), name, rate_hz, created_at }
-    }
-}
 
 /// A sensor model with its properties.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
@@ -47,7 +27,7 @@ pub(super) struct Model {
 impl TryFrom<ModelRow> for Model {
     type Error = JobError;
     fn try_from(row: ModelRow) -> Result<Self, JobError> {
-        Ok(Self { model: serde_json::from_str(&row.body)?, entry: row.head.into() })
+        Ok(Self { model: serde_json::from_str(&row.body)?, entry: row.entry })
     }
 }
 
@@ -70,9 +50,7 @@ pub(super) async fn list(
 ) -> Result<Response, ApiError> {
     let request = query.request()?;
     let found = state.read(move |reader| reader.models(&request)).await?;
-    let entries =
-        |rows: Vec<ModelHead>, next| Models { models: rows.into_iter().map(ModelEntry::from).collect(), next };
-    Ok(page::answer(&uri, found, entries))
+    Ok(page::answer(&uri, found, |models, next| Models { models, next }))
 }
 
 /// Stores a sensor model. The same model again returns the same entry.
@@ -87,20 +65,13 @@ pub(super) async fn keep(State(state): State<ApiState>, J(body, _permit): J<Valu
     let text = serde_json::to_string(&model).map_err(JobError::from)?;
     let (row, is_new) = state.change(move |parts| parts.store.keep_model(&model.name, model.rate_hz, text)).await?;
     let model = Model::try_from(row)?;
-    let location = HeaderValue::from_str(&format!("/v1/models/{}", model.entry.id));
-    let status = if is_new { StatusCode::CREATED } else { StatusCode::OK };
-    let mut response = (status, Json(model)).into_response();
-    if let Ok(location) = location {
-        response.headers_mut().insert(header::LOCATION, location);
-    }
-    Ok(response)
+    Ok(page::made(is_new, &format!("/v1/models/{}", model.entry.id), model))
 }
 
 /// One sensor model.
 #[utoipa::path(get, path = "/v1/models/{id}", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, as `model-1`")), responses(
-    (status = 200, body = Model),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 200, body = Model)))]
 pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Json<Model>, ApiError> {
     let row = state.read(move |reader| reader.model(number(&id)?)).await?;
     Ok(Json(Model::try_from(row)?))
@@ -109,8 +80,7 @@ pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Json
 /// Deletes a sensor model; diagnoses that were requested with it stay.
 #[utoipa::path(delete, path = "/v1/models/{id}", tag = "diagnoses",
     params(("id" = String, Path, description = "Id, as `model-1`")), responses(
-    (status = 204, description = "It is gone"),
-    (status = 404, body = Problem, content_type = "application/problem+json")))]
+    (status = 204, description = "It is gone")))]
 pub(super) async fn delete(State(state): State<ApiState>, P(id): P) -> Result<StatusCode, ApiError> {
     state.change(move |parts| parts.store.delete_model(number(&id)?)).await?;
     Ok(StatusCode::NO_CONTENT)

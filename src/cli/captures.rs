@@ -1,13 +1,12 @@
 //! `vn100d captures`: the list.
 
 use super::{Context, Outcome, all, print_json, table};
-use crate::store::CaptureFilter;
 use std::io::Write as _;
 
 /// Prints all captures, newest first.
 pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
     let reader = context.reader()?;
-    let captures = all(|page| reader.captures(&CaptureFilter::default(), page))?;
+    let captures = all(|page| reader.captures(None, page))?;
     if context.json {
         print_json(&serde_json::json!({ "captures": captures, "next": null }))?;
         return Ok(Outcome::Done);

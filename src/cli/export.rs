@@ -7,7 +7,7 @@ use super::samples::{Block, Part, Samples};
 use super::source::file;
 use super::subject::Stop;
 use super::{Context, Outcome, print_json, usage};
-use crate::store::{CaptureFilter, StoreError};
+use crate::store::StoreError;
 use anyhow::Context as _;
 use imu_core::sample::{Channel, ChannelError};
 use imu_files::export::samples::{About, ExportError, SampleFormat, Tally, partition_path};
@@ -177,7 +177,7 @@ fn wanted(context: &Context, args: &ExportArgs) -> anyhow::Result<Vec<i64>> {
         ids.push(context.capture(named)?.1.id);
     }
     if args.all {
-        let captures = super::all(|page| reader.captures(&CaptureFilter::default(), page))?;
+        let captures = super::all(|page| reader.captures(None, page))?;
         ids.extend(captures.iter().filter(|capture| capture.samples > 0).map(|capture| capture.id));
     }
     ids.sort_unstable();

@@ -2,7 +2,7 @@
 
 use super::Window;
 use crate::plot::{Course, Density, Gap, Gaps, NamedLine};
-use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError};
+use crate::store::{GapRow, PageRequest, Reader, SampleRange, StoreError, chunks};
 use imu_core::sample::{Channel, Triad};
 use imu_files::export::samples::Bucket;
 use imu_noise::welch::Welch;
@@ -57,13 +57,10 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
             points.push((time_ns as f64 / 1e9, ends[0], ends[1]));
         }
     };
-    let mut next_seq = range.from_seq;
-    while next_seq < range.to_seq {
-        let limit = CHUNK.min(usize::try_from(range.to_seq - next_seq).unwrap_or(CHUNK));
-        let chunk = reader.read_samples(range.capture.id, next_seq, limit, &[channel])?;
-        if chunk.is_empty() {
-            break;
-        }
+    let id = range.capture.id;
+    let read = |seq, limit| reader.read_samples(id, seq, limit, &[channel]);
+    for chunk in chunks(range.from_seq..range.to_seq, CHUNK, read) {
+        let chunk = chunk?;
         let times = range.axis.times(reader, &chunk)?;
         let values = chunk.columns.first().map(Vec::as_slice).unwrap_or_default();
         for (time_ns, value) in times.into_iter().zip(values) {
@@ -71,7 +68,6 @@ pub(super) fn course(reader: &Reader, capture: &str, channel: Channel, window: W
                 take(&mut bucket);
             }
         }
-        next_seq = chunk.next_seq();
     }
     take(&mut bucket);
     let ends_s = range.ends_s(reader)?;
@@ -98,13 +94,9 @@ pub(super) fn density(
     let stretches = stretches(reader, range.capture.id)?;
     let mut spectra: Vec<Welch> = channels.iter().map(|_| Welch::new(&stretches, rate_hz)).collect();
     let mut segment = None;
-    let mut next_seq = range.from_seq;
-    while next_seq < range.to_seq {
-        let limit = CHUNK.min(usize::try_from(range.to_seq - next_seq).unwrap_or(CHUNK));
-        let chunk = reader.read_chunk(range.capture.id, next_seq, limit, &channels)?;
-        if chunk.is_empty() {
-            break;
-        }
+    let read = |seq, limit| reader.read_chunk(range.capture.id, seq, limit, &channels);
+    for chunk in chunks(range.from_seq..range.to_seq, CHUNK, read) {
+        let chunk = chunk?;
         let mut from = 0;
         while let Some(own) = chunk.segment.get(from).copied() {
             let to = from + chunk.segment[from..].iter().take_while(|other| **other == own).count();
@@ -116,7 +108,6 @@ pub(super) fn density(
             }
             from = to;
         }
-        next_seq = chunk.next_seq();
     }
     let mut frequency_hz = Vec::new();
     let mut drawn = Vec::new();

@@ -8,7 +8,6 @@
 use super::fold::{GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
 use super::report::{self, Extent};
-use super::runner::CHUNK;
 use super::{JobError, JobParameters, SampleSource};
 use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;
@@ -55,26 +54,21 @@ impl Curves {
     }
 
     /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains; `None` if it is damaged.
-    pub(super) fn restore(
-        plan: Plan,
-        parameters: &JobParameters,
+    pub(super) fn restored(
+        mut self,
         state: &[u8],
         next_seq: u64,
         source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
-        let mut curves = Self::new(plan, parameters)?;
-        let Some(done) = decode(state).filter(|done| done.len() <= curves.plan.channels.len()) else { return Ok(None) };
-        curves.done = done;
-        curves.begin_pass();
-        let channels = curves.read_channels().to_vec();
-        let mut from = 0;
-        while from < next_seq && !channels.is_empty() {
-            let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
-            let chunk = curves.plan.read_chunk(source, from, limit, &channels)?;
-            curves.take(&chunk);
-            from = chunk.next_seq();
+        let Some(done) = decode(state).filter(|done| done.len() <= self.plan.channels.len()) else { return Ok(None) };
+        self.done = done;
+        self.begin_pass();
+        let channels = self.read_channels().to_vec();
+        let (plan, end) = (self.plan.clone(), if channels.is_empty() { 0 } else { next_seq });
+        for chunk in plan.chunks(source, 0..end, &channels) {
+            self.take(&chunk?);
         }
-        Ok(Some(curves))
+        Ok(Some(self))
     }
 
     fn begin_pass(&mut self) {

@@ -9,7 +9,7 @@ use super::runner::CHUNK;
 use super::spectra::Spectra;
 use super::sums::Summation;
 use super::{AnalysisRequest, Documents, JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport};
-use crate::store::{CaptureRow, JobState, Reader};
+use crate::store::{CaptureRow, JobState, Reader, chunks};
 use imu_core::sample::{Channel, StatedSampling};
 use imu_noise::NoiseReport;
 use imu_noise::allan::{AllanReport, Estimator};
@@ -55,15 +55,9 @@ pub fn allan(source: &dyn SampleSource, plan: Plan, parameters: &JobParameters) 
 pub fn statistics(reader: &Reader, capture_id: i64) -> Result<StatisticsReport, JobError> {
     let row = reader.capture(capture_id)?;
     let mut distribution = Distribution::new(row.channels);
-    let mut next_seq = 0;
-    while next_seq < row.samples {
-        let limit = CHUNK.min(usize::try_from(row.samples - next_seq).unwrap_or(CHUNK));
-        let chunk = reader.read_chunk(capture_id, next_seq, limit, distribution.read_channels())?;
-        if chunk.is_empty() {
-            break;
-        }
-        distribution.take(&chunk);
-        next_seq = chunk.next_seq();
+    let channels = distribution.read_channels().to_vec();
+    for chunk in chunks(0..row.samples, CHUNK, |seq, limit| reader.read_chunk(capture_id, seq, limit, &channels)) {
+        distribution.take(&chunk?);
     }
     Ok(report::statistics(distribution.statistics(), Extent::read(reader, capture_id, row.samples)?))
 }

@@ -10,7 +10,7 @@ use super::plan::{Plan, Slice};
 use super::runner::CHUNK;
 use super::threads::side_by_side;
 use super::{JobError, SampleSource};
-use crate::store::{Chunk, Missing};
+use crate::store::{Chunk, Missing, chunks};
 use imu_core::sample::Channel;
 use imu_noise::NoiseParameters;
 use imu_noise::allan::FixedPoint;
@@ -85,13 +85,9 @@ impl<'a> Blocks<'a> {
         let mut all: Vec<Portion> = channels.iter().map(|_| Portion::default()).collect();
         let mut last: Vec<Option<(u32, f64)>> = vec![None; channels.len()];
         // The sample before the range shows whether its first one continues a stretch.
-        let mut from_seq = range.start.saturating_sub(1).max(start);
-        while from_seq < range.end {
-            let limit = CHUNK.min(usize::try_from(range.end - from_seq).unwrap_or(CHUNK));
-            let chunk = read(from_seq, limit)?;
-            if chunk.is_empty() {
-                break;
-            }
+        let from_seq = range.start.saturating_sub(1).max(start);
+        for chunk in chunks(from_seq..range.end, CHUNK, read) {
+            let chunk = chunk?;
             // A value that the sums reject is no measurement here either.
             let ranges = channels.iter().map(|channel| FixedPoint::for_channel(*channel).range());
             let ranges: Vec<f64> = ranges.collect();
@@ -122,7 +118,6 @@ impl<'a> Blocks<'a> {
                     }
                 }
             }
-            from_seq = chunk.next_seq();
         }
         Ok(all)
     }

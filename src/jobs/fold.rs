@@ -34,10 +34,12 @@ pub(super) fn begin(
                 (None, Estimator::Oadev) => Box::new(Summation::new(plan, parameters)?),
                 (None, _) => Box::new(Curves::new(plan, parameters)?),
                 (Some(state), Estimator::Oadev) => {
-                    Box::new(Summation::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?)
+                    let begun = Summation::new(plan, parameters)?;
+                    Box::new(begun.restored(state, next_seq, reader)?.ok_or_else(damaged)?)
                 }
                 (Some(state), _) => {
-                    Box::new(Curves::restore(plan, parameters, state, next_seq, reader)?.ok_or_else(damaged)?)
+                    let begun = Curves::new(plan, parameters)?;
+                    Box::new(begun.restored(state, next_seq, reader)?.ok_or_else(damaged)?)
                 }
             }
         }
@@ -45,7 +47,7 @@ pub(super) fn begin(
             let at_rest = at_rest(reader, plan()?, state.is_none(), go_on)?;
             let next_seq = next_seq.min(at_rest.plan.end_seq);
             Box::new(match state {
-                Some(state) => Spectra::restore(at_rest.plan, state, next_seq, reader)?.ok_or_else(damaged)?,
+                Some(state) => Spectra::new(at_rest.plan).restored(state, next_seq, reader)?.ok_or_else(damaged)?,
                 None => Spectra::of(at_rest),
             })
         }

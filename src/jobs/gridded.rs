@@ -6,8 +6,6 @@ use imu_diagnosis::{Diagnosis, Recording};
 
 /// Gaps longer than this end a record, s: noise cannot be determined across them.
 const LONGEST_GAP_S: f64 = 60.0;
-/// Samples read at a time.
-const CHUNK: usize = 65_536;
 
 /// The longest part of a plan's samples without a long gap.
 #[derive(Debug, Clone)]
@@ -66,11 +64,9 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
     let longest_gap = (LONGEST_GAP_S * plan.rate_hz) as u64;
     let (mut best, mut total): (Option<Part>, u64) = (None, 0);
     let (mut open, mut full): (Option<Part>, bool) = (None, false);
-    let mut seq = slice.samples.start;
-    while seq < slice.samples.end {
-        let limit = CHUNK.min(usize::try_from(slice.samples.end - seq).unwrap_or(CHUNK));
-        let chunk = plan.read_chunk(source, seq, limit, &channels)?;
-        let stamps = source.stamps(slice.capture_id, seq - slice.samples.start, chunk.len())?;
+    for chunk in plan.chunks(source, slice.samples.clone(), &channels) {
+        let chunk = chunk?;
+        let stamps = source.stamps(slice.capture_id, chunk.first_seq - slice.samples.start, chunk.len())?;
         for (number, rows) in plan.runs(&chunk) {
             if number.is_none() {
                 continue;
@@ -96,10 +92,9 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
                 part.stamps.push(stamps.get(row).copied().flatten());
             }
         }
-        seq = chunk.next_seq();
         if full {
             // No other part is longer.
-            total += slice.samples.end.saturating_sub(seq);
+            total += slice.samples.end.saturating_sub(chunk.next_seq());
             break;
         }
     }

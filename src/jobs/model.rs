@@ -13,9 +13,6 @@ use imu_noise::NoiseReport;
 use imu_noise::statistics::Moments;
 use std::collections::BTreeMap;
 
-/// Samples read at a time.
-const CHUNK: usize = 65_536;
-
 /// A model of samples.
 #[derive(Debug, Clone)]
 pub struct Fitted {
@@ -93,16 +90,14 @@ fn refusal(report: &NoiseReport, plain: &SensorModel, model: &SensorModel, found
 fn levels(source: &dyn SampleSource, plan: &Plan) -> Result<BTreeMap<Channel, f64>, StoreError> {
     let channels: Vec<Channel> = plan.channels.iter().copied().chain([Channel::Temperature]).collect();
     let mut seen: Vec<Moments> = channels.iter().map(|_| Moments::default()).collect();
-    let mut next_seq = 0;
-    while next_seq < plan.end_seq {
-        let chunk = plan.read_chunk(source, next_seq, CHUNK, &channels)?;
+    for chunk in plan.chunks(source, 0..plan.end_seq, &channels) {
+        let chunk = chunk?;
         for (_, rows) in plan.runs(&chunk).into_iter().filter(|(number, _)| number.is_some()) {
             for (moments, column) in seen.iter_mut().zip(&chunk.columns) {
                 let values = column.get(rows.clone()).unwrap_or_default();
                 values.iter().filter(|value| value.is_finite()).for_each(|value| moments.add(*value));
             }
         }
-        next_seq = chunk.next_seq();
     }
     Ok(channels.into_iter().zip(seen).filter_map(|(channel, moments)| Some((channel, moments.mean()?))).collect())
 }

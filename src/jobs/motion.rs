@@ -7,7 +7,6 @@
 
 use super::held::Held;
 use super::raw_counts::RawCounts;
-use super::runner::CHUNK;
 use super::{JobError, Plan, SampleSource};
 use crate::store::Missing;
 use imu_noise::robust::BLOCK;
@@ -41,10 +40,8 @@ pub(super) fn at_rest(
         let missing = source.missing(slice.capture_id)?;
         let samples = slice.samples.end - slice.samples.start;
         let mut stillness = Stillness::new(plan.rate_hz, samples);
-        let mut next_seq = slice.samples.start;
-        while next_seq < slice.samples.end {
-            let limit = CHUNK.min(usize::try_from(slice.samples.end - next_seq).unwrap_or(CHUNK));
-            let chunk = plan.read_chunk(source, next_seq, limit, &channels)?;
+        for chunk in plan.chunks(source, slice.samples.clone(), &channels) {
+            let chunk = chunk?;
             for (number, rows) in plan.runs(&chunk) {
                 if number.is_none() {
                     continue;
@@ -53,7 +50,6 @@ pub(super) fn at_rest(
                 let column = |at: Option<usize>| chunk.columns.get(at?)?.get(rows.clone());
                 stillness.push(own + missing.up_to(own), at.map(|at| column(at).unwrap_or_default()));
             }
-            next_seq = chunk.next_seq();
             if let Some(held) = &mut held {
                 held.take(&chunk);
             }

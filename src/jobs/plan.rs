@@ -6,9 +6,10 @@
 //! them.
 
 use super::raw_counts::RawCounts;
+use super::runner::CHUNK;
 use super::sampling::{SamplingError, of_configuration, sampling};
 use super::{JobError, SampleSource};
-use crate::store::{Chunk, PageRequest, Reader, StoreError};
+use crate::store::{Chunk, PageRequest, Reader, StoreError, chunks};
 use imu_core::sample::{Channel, StatedSampling, Triad};
 use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
@@ -212,6 +213,19 @@ impl Plan {
     /// Returns the sampling of a channel, if known.
     pub fn sampling(&self, channel: Channel) -> Option<&Sampling> {
         self.sampling.get(&channel.triad()?)
+    }
+
+    /// Reads the samples of a range of the plan's numbers, chunk by chunk.
+    ///
+    /// # Errors
+    /// As [`Self::read_chunk`].
+    pub(super) fn chunks(
+        &self,
+        source: &dyn SampleSource,
+        range: Range<u64>,
+        channels: &[Channel],
+    ) -> impl Iterator<Item = Result<Chunk, StoreError>> {
+        chunks(range, CHUNK, move |seq, limit| self.read_chunk(source, seq, limit, channels))
     }
 
     /// Returns the next samples from number `seq` on, at most `limit`, of one capture; numbers are the plan's. Empty at

@@ -9,7 +9,7 @@ use super::held::Held;
 use super::motion::AtRest;
 use super::plan::{Plan, feed};
 use super::report;
-use super::runner::{CHUNK, FOLDED, FOLDED_SHORT};
+use super::runner::{FOLDED, FOLDED_SHORT};
 use super::threads::side_by_side;
 use super::{JobError, SampleSource};
 use crate::store::{Chunk, JobRow, Reader};
@@ -62,16 +62,12 @@ impl Spectra {
     }
 
     /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains; `None` if it is damaged.
-    pub(super) fn restore(
-        plan: Plan,
+    pub(super) fn restored(
+        mut self,
         state: &[u8],
         next_seq: u64,
         source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
-        Self::new(plan).restored(state, next_seq, source)
-    }
-
-    fn restored(mut self, state: &[u8], next_seq: u64, source: &dyn SampleSource) -> Result<Option<Self>, JobError> {
         let Some((done, running)) = decode(state) else { return Ok(None) };
         self.done = done;
         self.held = None;
@@ -82,15 +78,9 @@ impl Spectra {
         let mut current = Vec::new();
         for (channel, (sums, open)) in channels.iter().zip(running) {
             let mut estimator = DstEstimator::resume(FixedPoint::for_channel(*channel), sums);
-            let Some(mut from) = next_seq.checked_sub(open) else { return Ok(None) };
-            while from < next_seq {
-                let limit = CHUNK.min(usize::try_from(next_seq - from).unwrap_or(usize::MAX));
-                let chunk = self.plan.read_chunk(source, from, limit, &[*channel])?;
-                if chunk.is_empty() {
-                    return Ok(None);
-                }
-                estimator.push(&mut self.transform, chunk.columns.first().map(Vec::as_slice).unwrap_or_default());
-                from = chunk.next_seq();
+            let Some(from) = next_seq.checked_sub(open) else { return Ok(None) };
+            for chunk in self.plan.chunks(source, from..next_seq, &[*channel]) {
+                estimator.push(&mut self.transform, chunk?.columns.first().map(Vec::as_slice).unwrap_or_default());
             }
             current.push(estimator);
         }
@@ -203,22 +193,11 @@ impl Pass for Spectra {
 
 #[cfg(test)]
 impl Spectra {
-    pub(super) fn set_group(&mut self, group: usize) {
+    pub(super) fn in_groups(mut self, group: usize) -> Self {
         self.group = group;
         self.held = None;
         self.begin_pass();
-    }
-
-    pub(super) fn restore_grouped(
-        plan: Plan,
-        state: &[u8],
-        next_seq: u64,
-        source: &dyn SampleSource,
-        group: usize,
-    ) -> Result<Option<Self>, JobError> {
-        let mut spectra = Self::new(plan);
-        spectra.set_group(group);
-        spectra.restored(state, next_seq, source)
+        self
     }
 }
 

@@ -43,17 +43,12 @@ impl Summation {
     }
 
     /// Resumes after `next_seq` samples of the pass that `state` ([`Pass::save`]) contains.
-    pub(super) fn restore(
-        plan: Plan,
-        parameters: &JobParameters,
+    pub(super) fn restored(
+        mut self,
         state: &[u8],
         next_seq: u64,
         source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
-        Self::new(plan, parameters)?.restored(state, next_seq, source)
-    }
-
-    fn restored(mut self, state: &[u8], next_seq: u64, source: &dyn SampleSource) -> Result<Option<Self>, JobError> {
         let Some((done, current)) = decode(state) else { return Ok(None) };
         let Some(finished) = self.decode_sums(&done) else { return Ok(None) };
         self.done = finished;
@@ -161,22 +156,10 @@ impl Pass for Summation {
 
 #[cfg(test)]
 impl Summation {
-    pub(super) fn set_group(&mut self, group: usize) {
+    pub(super) fn in_groups(mut self, group: usize) -> Self {
         self.group = group;
         self.begin_pass();
-    }
-
-    pub(super) fn restore_grouped(
-        plan: Plan,
-        parameters: &JobParameters,
-        state: &[u8],
-        next_seq: u64,
-        source: &dyn SampleSource,
-        group: usize,
-    ) -> Result<Option<Self>, JobError> {
-        let mut summation = Self::new(plan, parameters)?;
-        summation.set_group(group);
-        summation.restored(state, next_seq, source)
+        self
     }
 }
 

@@ -350,8 +350,8 @@ fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
     let reader = world.reader();
     let plan = Plan::read(&reader, world.capture, TOTAL, &Channel::ANALYSED).unwrap();
     let sums = |group: usize, kill: bool| {
-        let mut summation = sums::Summation::new(plan.clone(), &parameters).unwrap();
-        summation.set_group(group);
+        let begun = || sums::Summation::new(plan.clone(), &parameters).unwrap().in_groups(group);
+        let mut summation = begun();
         loop {
             let mut next = 0;
             while next < TOTAL {
@@ -360,10 +360,7 @@ fn passes_over_groups_of_channels_and_kills_in_any_of_them_change_nothing() {
                 next = chunk.next_seq();
                 if kill {
                     let state = summation.save().unwrap();
-                    summation =
-                        sums::Summation::restore_grouped(plan.clone(), &parameters, &state, next, &reader, group)
-                            .unwrap()
-                            .unwrap();
+                    summation = begun().restored(&state, next, &reader).unwrap().unwrap();
                 }
             }
             if !summation.end_pass() {
@@ -386,8 +383,8 @@ fn spectra_by_groups_and_through_kills_are_the_same_bits() {
     let reader = world.reader();
     let plan = Plan::read(&reader, world.capture, TOTAL, &Channel::ANALYSED).unwrap();
     let sums = |group: usize, kill: bool| {
-        let mut spectra = spectra::Spectra::new(plan.clone());
-        spectra.set_group(group);
+        let begun = || spectra::Spectra::new(plan.clone()).in_groups(group);
+        let mut spectra = begun();
         loop {
             let mut next = 0;
             while next < TOTAL {
@@ -396,8 +393,7 @@ fn spectra_by_groups_and_through_kills_are_the_same_bits() {
                 next = chunk.next_seq();
                 if kill {
                     let state = spectra.save().unwrap();
-                    spectra =
-                        spectra::Spectra::restore_grouped(plan.clone(), &state, next, &reader, group).unwrap().unwrap();
+                    spectra = begun().restored(&state, next, &reader).unwrap().unwrap();
                 }
             }
             if !spectra.end_pass() {

@@ -5,8 +5,8 @@ use super::{AnalysisRequest, DiagnosisBody, JobError, JobKind, JobParameters, Jo
 use crate::observe::JobsStatus;
 use crate::process::step_back;
 use crate::store::{JobRow, JobState, QUEUE_JOBS_MAX, Reader, ReaderPool, Store, StoreError, StoreErrorKind};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -65,10 +65,7 @@ struct Inner {
     /// Counts wake-ups, so that none is missed between checking and waiting.
     calls: Mutex<u64>,
     called: Condvar,
-    queued: AtomicU64,
-    running: AtomicU64,
-    done: AtomicU64,
-    failed: AtomicU64,
+    counts: Mutex<JobsStatus>,
     threads: Mutex<Vec<JoinHandle<()>>>,
 }
 
@@ -87,10 +84,7 @@ impl Jobs {
                 stranded: Mutex::default(),
                 calls: Mutex::new(0),
                 called: Condvar::new(),
-                queued: AtomicU64::new(0),
-                running: AtomicU64::new(0),
-                done: AtomicU64::new(0),
-                failed: AtomicU64::new(0),
+                counts: Mutex::default(),
                 threads: Mutex::default(),
             }),
         };
@@ -156,7 +150,7 @@ impl Jobs {
     fn queue(&self, capture_id: i64, request: &JobRequest, queue_max: u64) -> Result<(JobRow, bool), JobError> {
         let submitted = self.inner.store.submit_job(request.job(capture_id)?, queue_max)?;
         if submitted.1 {
-            self.inner.queued.fetch_add(1, Ordering::Relaxed);
+            self.inner.counts().queued += 1;
         }
         self.wake();
         Ok(submitted)
@@ -203,12 +197,7 @@ impl Jobs {
 
     /// Returns the numbers of jobs; read from memory.
     pub fn status(&self) -> JobsStatus {
-        JobsStatus {
-            queued: self.inner.queued.load(Ordering::Relaxed),
-            running: self.inner.running.load(Ordering::Relaxed),
-            done: self.inner.done.load(Ordering::Relaxed),
-            failed: self.inner.failed.load(Ordering::Relaxed),
-        }
+        self.inner.counts().clone()
     }
 
     /// Ends the workers; a running job is queued again at its next chunk and continues at the next start.
@@ -241,6 +230,10 @@ fn usual(kind: JobKind) -> Result<JobRequest, JobError> {
 }
 
 impl Inner {
+    fn counts(&self) -> MutexGuard<'_, JobsStatus> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Acquire)
     }
@@ -281,19 +274,19 @@ impl Inner {
         }
         let reader = self.readers.get()?;
         let queued = reader.count_jobs(JobState::Queued)?;
-        self.queued.store(queued, Ordering::Relaxed);
+        self.counts().queued = queued;
         if queued == 0 {
             return self.clear_away(&reader);
         }
         let Some(job) = self.store.claim_job()? else { return Ok(true) };
-        self.queued.store(queued.saturating_sub(1), Ordering::Relaxed);
-        self.running.fetch_add(1, Ordering::Relaxed);
+        self.counts().queued = queued.saturating_sub(1);
+        self.counts().running += 1;
         let keep_on = || !self.stopped();
         let outcome = match self.options.place {
             Place::Apart => super::apart::run(&self.store, &reader, &job, keep_on),
             Place::Here { chunk } => run(&self.store, &reader, &job, chunk, keep_on),
         };
-        self.running.fetch_sub(1, Ordering::Relaxed);
+        self.counts().running -= 1;
         self.settle(&job, outcome)?;
         Ok(true)
     }
@@ -327,7 +320,7 @@ impl Inner {
     fn settle(&self, job: &JobRow, outcome: Result<Outcome, JobError>) -> Result<(), JobError> {
         match outcome {
             Ok(Outcome::Done(result_id)) => {
-                self.done.fetch_add(1, Ordering::Relaxed);
+                self.counts().done += 1;
                 tracing::info!(
                     message = "A job is done.",
                     job = job.id,
@@ -365,7 +358,7 @@ impl Inner {
                     reason,
                     "A job's process died."
                 );
-                self.failed.fetch_add(u64::from(state == JobState::Failed), Ordering::Relaxed);
+                self.counts().failed += u64::from(state == JobState::Failed);
                 if state == JobState::Queued {
                     // The cause of its death, such as too little memory, may pass.
                     let seen = *self.calls.lock().unwrap_or_else(PoisonError::into_inner);
@@ -374,7 +367,7 @@ impl Inner {
                 Ok(())
             }
             Err(error) => {
-                self.failed.fetch_add(1, Ordering::Relaxed);
+                self.counts().failed += 1;
                 tracing::warn!(message = "A job failed.", job = job.id, kind = job.kind.name(), capture = job.capture, %error);
                 Ok(self.store.fail_job(job.id, &error.to_string()).inspect_err(|_| self.strand(job.id))?)
             }

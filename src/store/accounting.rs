@@ -2,6 +2,7 @@
 //! what must hold.
 
 use super::captures::known;
+use super::sql::{find, list};
 use super::{Reader, StoreError};
 use imu_core::sample::audit::{CountFacts, GapFacts, Report, STRETCHES_SHOWN, SegmentFacts, audit_in_order};
 use imu_core::sample::device_clock::ClockEstimate;
@@ -46,8 +47,8 @@ impl Reader {
     pub fn device_clocks(&self, capture_id: i64) -> Result<Vec<DeviceClockRow>, StoreError> {
         let sql = "SELECT epoch, skew_ppm, skew_ppm_uncertainty, offset_s, latency_mean_ms, latency_max_ms, span_s \
                    FROM device_clock WHERE capture_id = ?1 ORDER BY epoch LIMIT ?2";
-        let mut statement = self.connection.prepare_cached(sql)?;
-        let rows = statement.query_map(params![capture_id, STRETCHES_SHOWN as i64], |row| {
+        let values = params![capture_id, STRETCHES_SHOWN as i64];
+        Ok(list(&self.connection, sql, values, |row| {
             Ok(DeviceClockRow {
                 epoch: row.get(0)?,
                 estimate: ClockEstimate {
@@ -59,8 +60,7 @@ impl Reader {
                     span_s: row.get(6)?,
                 },
             })
-        })?;
-        Ok(rows.collect::<Result<_, _>>()?)
+        })?)
     }
 
     fn accounting_by(&self, capture_id: i64, every_row: bool) -> Result<Report, StoreError> {
@@ -96,18 +96,15 @@ fn counts(connection: &Connection, capture_id: i64) -> Result<CountFacts, StoreE
                (SELECT max(seq) FROM sample WHERE capture_id = capture.id) + 1 \
                - (SELECT min(seq) FROM sample WHERE capture_id = capture.id) \
                FROM capture WHERE id = ?1";
-    let found = connection
-        .prepare_cached(sql)?
-        .query_row([capture_id], |row| {
-            let count = |index| row.get::<_, i64>(index).map(|count| count as u64);
-            Ok((
-                row.get::<_, Option<i64>>(0)?,
-                [count(1)?, count(2)?, count(3)?, count(4)?],
-                row.get::<_, String>(5)?,
-                row.get::<_, Option<i64>>(6)?.unwrap_or(0),
-            ))
-        })
-        .optional()?;
+    let found = find(connection, sql, [capture_id], |row| {
+        let count = |index| row.get::<_, i64>(index).map(|count| count as u64);
+        Ok((
+            row.get::<_, Option<i64>>(0)?,
+            [count(1)?, count(2)?, count(3)?, count(4)?],
+            row.get::<_, String>(5)?,
+            row.get::<_, Option<i64>>(6)?.unwrap_or(0),
+        ))
+    })?;
     let Some((received, counters, rejected, rows)) = found else {
         return Err(StoreError::NoSuchCapture(capture_id.to_string()));
     };

@@ -6,6 +6,7 @@
 //! count as 0 (SQLite does not keep its sign).
 
 use super::StoreError;
+use super::sql::run;
 use imu_core::sample::{Channel, Sample};
 use rusqlite::{Connection, params};
 
@@ -104,11 +105,8 @@ impl Run {
     }
     /// Writes the run as a row of table `batch`.
     pub(super) fn store(&self, connection: &Connection, capture_id: i64, number: i64) -> Result<(), StoreError> {
-        connection
-            .prepare_cached(
-                "INSERT INTO batch (capture_id, first_seq, count, number, crc) VALUES (?1, ?2, ?3, ?4, ?5)",
-            )?
-            .execute(params![capture_id, self.first_seq, self.count, number, i64::from(self.crc())])?;
+        let sql = "INSERT INTO batch (capture_id, first_seq, count, number, crc) VALUES (?1, ?2, ?3, ?4, ?5)";
+        run(connection, sql, params![capture_id, self.first_seq, self.count, number, i64::from(self.crc())])?;
         Ok(())
     }
 }

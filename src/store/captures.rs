@@ -1,9 +1,10 @@
 //! Captures: creation, changes, lists and deletion.
 
+use super::sql::{find, run, value};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use imu_core::sample::{CaptureConfiguration, Channel, DiscardCause, SensorDescription};
 use rusqlite::types::Value as Sql;
-use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, Transaction, params, params_from_iter};
+use rusqlite::{Connection, ErrorCode, Row, Transaction, params, params_from_iter};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -180,13 +181,6 @@ impl CaptureRow {
     }
 }
 
-/// Selects the captures of a list.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct CaptureFilter {
-    /// Only those in this state.
-    pub state: Option<CaptureState>,
-}
-
 impl Store {
     /// Creates a capture and returns its id.
     ///
@@ -254,9 +248,7 @@ impl Store {
     pub fn delete_capture(&self, id: i64) -> Result<(), StoreError> {
         self.execute(move |transaction| {
             let sql = "SELECT state, pinned FROM capture WHERE id = ?1 AND lifecycle = 'live'";
-            let found = transaction
-                .query_row(sql, [id], |row| Ok((row.get::<_, String>(0)?, row.get::<_, bool>(1)?)))
-                .optional()?;
+            let found = find(transaction, sql, [id], |row| Ok((row.get::<_, String>(0)?, row.get::<_, bool>(1)?)))?;
             let Some((state, pinned)) = found else { return Err(no_such(id)) };
             let why = match state.as_str() {
                 "capturing" => Some("running"),
@@ -267,10 +259,8 @@ impl Store {
             if let Some(why) = why {
                 return Err(StoreError::NotDeletable { id, why });
             }
-            transaction.execute(
-                "UPDATE job SET state = 'cancelled' WHERE capture_id = ?1 AND state IN ('queued', 'running')",
-                [id],
-            )?;
+            let sql = "UPDATE job SET state = 'cancelled' WHERE capture_id = ?1 AND state IN ('queued', 'running')";
+            transaction.execute(sql, [id])?;
             transaction.execute("UPDATE capture SET lifecycle = 'deleted' WHERE id = ?1", [id])?;
             Ok(())
         })
@@ -284,23 +274,17 @@ impl Store {
     pub fn purge_step(&self) -> Result<bool, StoreError> {
         self.execute(|transaction| {
             let sql = "SELECT id FROM capture WHERE lifecycle = 'deleted' ORDER BY id LIMIT 1";
-            let Some(id) = transaction.query_row(sql, [], |row| row.get::<_, i64>(0)).optional()? else {
-                return Self::purge_reference(transaction);
-            };
-            let deleted = transaction
-                .prepare_cached(
-                    "DELETE FROM sample WHERE capture_id = ?1 AND seq < \
-                     (SELECT min(seq) FROM sample WHERE capture_id = ?1) + ?2",
-                )?
-                .execute(params![id, DELETE_ROWS])?;
+            let found: Option<i64> = find(transaction, sql, [], |row| row.get(0))?;
+            let Some(id) = found else { return Self::purge_reference(transaction) };
+            let sql = "DELETE FROM sample WHERE capture_id = ?1 AND seq < \
+                       (SELECT min(seq) FROM sample WHERE capture_id = ?1) + ?2";
+            let deleted = run(transaction, sql, params![id, DELETE_ROWS])?;
             if deleted > 0 {
                 return Ok(true);
             }
-            let batches = transaction.execute(
-                "DELETE FROM batch WHERE capture_id = ?1 AND first_seq IN \
-                 (SELECT first_seq FROM batch WHERE capture_id = ?1 ORDER BY first_seq LIMIT ?2)",
-                params![id, DELETE_ROWS],
-            )?;
+            let sql = "DELETE FROM batch WHERE capture_id = ?1 AND first_seq IN \
+                       (SELECT first_seq FROM batch WHERE capture_id = ?1 ORDER BY first_seq LIMIT ?2)";
+            let batches = transaction.execute(sql, params![id, DELETE_ROWS])?;
             if batches > 0 {
                 return Ok(true);
             }
@@ -371,7 +355,7 @@ pub(super) fn create(
 ) -> Result<i64, StoreError> {
     if let Some(token) = &capture.token {
         let sql = "SELECT id FROM capture WHERE token = ?1";
-        let made = transaction.prepare_cached(sql)?.query_row([token], |row| row.get(0)).optional()?;
+        let made = find(transaction, sql, [token], |row| row.get(0))?;
         if let Some(id) = made {
             return Ok(id);
         }
@@ -417,18 +401,17 @@ pub(super) fn create(
     let id = transaction.last_insert_rowid();
     for row in &capture.channels {
         let Some(channel) = row.channel else { continue };
-        transaction.execute(
-            "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-            params![id, channel.name(), row.unit, row.resolution, row.original_unit, row.factor],
-        )?;
+        let sql = "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
+        let values = params![id, channel.name(), row.unit, row.resolution, row.original_unit, row.factor];
+        transaction.execute(sql, values)?;
     }
     Ok(id)
 }
 
 pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, StoreError> {
     let sql = "SELECT NOT EXISTS (SELECT 1 FROM capture WHERE name = ?1 AND lifecycle = 'live')";
-    Ok(connection.prepare_cached(sql)?.query_row([name], |row| row.get(0))?)
+    Ok(value(connection, sql, [name])?)
 }
 
 pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
@@ -516,8 +499,7 @@ impl Reader {
         } else {
             ("SELECT id FROM capture WHERE lifecycle = 'live' AND name = ?1", Sql::Text(asked.to_owned()))
         };
-        let found: Option<Option<i64>> =
-            self.connection.prepare_cached(sql)?.query_row([key], |row| row.get(0)).optional()?;
+        let found: Option<Option<i64>> = find(&self.connection, sql, [key], |row| row.get(0))?;
         found.flatten().ok_or_else(|| StoreError::NoSuchCapture(asked.chars().take(NAME_MAX).collect()))
     }
 
@@ -527,7 +509,7 @@ impl Reader {
     /// The error that the database reports.
     pub fn has_deleted(&self) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM capture WHERE lifecycle = 'deleted')";
-        let captures: bool = self.connection.prepare_cached(sql)?.query_row([], |row| row.get(0))?;
+        let captures: bool = value(&self.connection, sql, [])?;
         Ok(captures || self.has_orphans()?)
     }
 
@@ -549,11 +531,11 @@ impl Reader {
     ///
     /// # Errors
     /// [`StoreError::BadCursor`], or the error that the database reports.
-    pub fn captures(&self, filter: &CaptureFilter, page: &PageRequest) -> Result<Page<CaptureRow>, StoreError> {
+    pub fn captures(&self, state: Option<CaptureState>, page: &PageRequest) -> Result<Page<CaptureRow>, StoreError> {
         let before = page.after("captures")?.unwrap_or(i64::MAX);
         let mut sql = format!("SELECT {CAPTURE_COLUMNS} FROM capture WHERE lifecycle = 'live' AND id < ?");
         let mut values = vec![Sql::Integer(before)];
-        if let Some(state) = filter.state {
+        if let Some(state) = state {
             sql.push_str(" AND state = ?");
             values.push(Sql::Text(state.name().to_owned()));
         }

@@ -1,10 +1,12 @@
 //! Checks whether the structure and the content of a database are intact: partially at every start, in full for `vn100d
 //! check`.
 
-use super::batch::{BatchRow, batch_row, is_intact};
+use super::batch::{batch_row, is_intact};
+use super::damage::Damage;
 use super::lock::Mark;
+use super::sql::{find, list, value};
 use super::{Reader, StoreError, schema};
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, params};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -167,24 +169,15 @@ struct SegmentCount {
 fn check_capture(connection: &Connection, id: i64, found: Found<'_>) -> Result<Option<CheckedCapture>, StoreError> {
     // One short transaction: the counters and the counted rows belong to the same instant, also while a daemon writes.
     let snapshot = connection.unchecked_transaction()?;
-    let row = snapshot
-        .query_row(
-            "SELECT name, samples, missing, gaps, segments FROM capture WHERE id = ?1 AND lifecycle = 'live'",
-            [id],
-            |row| Ok((row.get::<_, String>(0)?, row.get(1)?, row.get(2)?, row.get(3)?, row.get(4)?)),
-        )
-        .optional()?;
+    let sql = "SELECT name, samples, missing, gaps, segments FROM capture WHERE id = ?1 AND lifecycle = 'live'";
+    let row = find(&snapshot, sql, [id], |row| row.try_into())?;
     let Some((name, samples, missing, gaps, segments)): Option<(String, i64, i64, i64, i64)> = row else {
         return Ok(None);
     };
     let listed = segments_of(&snapshot, id)?;
-    let (gap_count, gap_missing, last_gap): (i64, i64, i64) = snapshot.query_row(
-        "SELECT count(*), coalesce(sum(missing), 0), coalesce(max(before_seq), 0) FROM gap WHERE capture_id = ?1",
-        [id],
-        |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)),
-    )?;
-    let last_seq: Option<i64> =
-        snapshot.query_row("SELECT max(seq) FROM sample WHERE capture_id = ?1", [id], |row| row.get(0))?;
+    let sql = "SELECT count(*), coalesce(sum(missing), 0), coalesce(max(before_seq), 0) FROM gap WHERE capture_id = ?1";
+    let (gap_count, gap_missing, last_gap): (i64, i64, i64) = snapshot.query_row(sql, [id], |row| row.try_into())?;
+    let last_seq: Option<i64> = value(&snapshot, "SELECT max(seq) FROM sample WHERE capture_id = ?1", [id])?;
     drop(snapshot);
 
     if last_seq.map_or(0, |seq| seq + 1) != samples {
@@ -212,10 +205,9 @@ fn check_capture(connection: &Connection, id: i64, found: Found<'_>) -> Result<O
 
 fn segments_of(connection: &Connection, id: i64) -> Result<Vec<SegmentCount>, rusqlite::Error> {
     let sql = "SELECT segment_id, first_seq, samples FROM segment WHERE capture_id = ?1 ORDER BY segment_id";
-    connection
-        .prepare_cached(sql)?
-        .query_map([id], |row| Ok(SegmentCount { number: row.get(0)?, first_seq: row.get(1)?, samples: row.get(2)? }))?
-        .collect()
+    list(connection, sql, [id], |row| {
+        Ok(SegmentCount { number: row.get(0)?, first_seq: row.get(1)?, samples: row.get(2)? })
+    })
 }
 
 fn check_segments(connection: &Connection, id: i64, samples: i64, segments: &[SegmentCount], found: Found<'_>) {
@@ -226,15 +218,10 @@ fn check_segments(connection: &Connection, id: i64, samples: i64, segments: &[Se
             found("segments", format!("segment {number} begins at sample {first_seq}, not at {next}"));
         }
         next = first_seq + count;
-        let rows = connection
-            .prepare_cached(
-                "SELECT count(*), count(*) FILTER (WHERE segment_id <> ?4) FROM sample \
-                 WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3",
-            )
-            .and_then(|mut statement| {
-                statement.query_row(params![id, first_seq, next, number], |row| Ok((row.get(0)?, row.get(1)?)))
-            });
-        match rows {
+        let sql = "SELECT count(*), count(*) FILTER (WHERE segment_id <> ?4) FROM sample \
+                   WHERE capture_id = ?1 AND seq >= ?2 AND seq < ?3";
+        let rows = find(connection, sql, params![id, first_seq, next, number], |row| row.try_into());
+        match rows.map(Option::unwrap_or_default) {
             Ok((rows, foreign)) => {
                 let (rows, foreign): (i64, i64) = (rows, foreign);
                 if rows != *count || foreign > 0 {
@@ -259,12 +246,9 @@ fn check_batches(connection: &Connection, capture: &mut CheckedCapture, found: F
     let samples = capture.samples as i64;
     let mut next = 0;
     loop {
-        let batches = batches_of(
-            connection,
-            "SELECT capture_id, first_seq, count, crc FROM batch WHERE capture_id = ?1 AND first_seq >= ?2 \
-             ORDER BY first_seq LIMIT ?3",
-            params![capture.id, next, PAGE],
-        )?;
+        let sql = "SELECT capture_id, first_seq, count, crc FROM batch WHERE capture_id = ?1 AND first_seq >= ?2 \
+                   ORDER BY first_seq LIMIT ?3";
+        let batches = list(connection, sql, params![capture.id, next, PAGE], batch_row)?;
         let Some(last) = batches.last() else { break };
         let after = last.first_seq + last.count;
         for batch in &batches {
@@ -293,17 +277,9 @@ fn check_batches(connection: &Connection, capture: &mut CheckedCapture, found: F
     Ok(())
 }
 
-fn batches_of(
-    connection: &Connection,
-    sql: &str,
-    values: impl rusqlite::Params,
-) -> Result<Vec<BatchRow>, rusqlite::Error> {
-    connection.prepare_cached(sql)?.query_map(values, batch_row)?.collect()
-}
-
 /// Checks a database before it is opened for writing, through a connection that cannot write.
 pub(super) fn at_start(connection: &Connection, path: &Path, mark: Option<&Mark>) -> Result<(), StoreError> {
-    let refused = |report: String| StoreError::RefusedDamaged { path: path.to_owned(), report };
+    let refused = |report: String| Damage::Refused(report).error(path);
     let damaged = |error: StoreError| match error {
         StoreError::Sqlite(error) if schema::reports_damage(&error) => refused(error.to_string()),
         StoreError::Damaged(report) => refused(report),
@@ -339,7 +315,7 @@ fn met_before(connection: &Connection, path: &Path, mark: &Mark) -> Result<(), S
     if super::writer::identity_of(connection).ok().as_ref() != Some(&mark.identity) {
         return Ok(());
     }
-    Err(StoreError::MetDamage { path: path.to_owned(), report: report.clone(), lock: super::lock::lock_path(path) })
+    Err(Damage::Met(report.clone()).error(path))
 }
 
 /// Fails if the database has fewer batches than were acknowledged: it has lost its log.
@@ -347,41 +323,34 @@ pub(super) fn not_behind(connection: &Connection, path: &Path, mark: &Mark) -> R
     let sql = "SELECT identity, batch FROM writer";
     let found = connection.query_row(sql, [], |row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?)));
     match found {
-        Ok((identity, batch)) if identity == mark.identity && batch < mark.batch => Err(StoreError::LogMissing {
-            path: path.to_owned(),
-            lost: mark.batch - batch,
-            lock: super::lock::lock_path(path),
-        }),
+        Ok((identity, batch)) if identity == mark.identity && batch < mark.batch => {
+            Err(Damage::LogMissing(mark.batch - batch).error(path))
+        }
         Ok(_) => Ok(()),
         // An older schema has no identity. A database without the table is one whose beginning was still in the log.
         Err(error) if !schema::reports_damage(&error) => {
             let sql = "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'writer')";
-            let has_table: bool = connection.query_row(sql, [], |row| row.get(0))?;
+            let has_table: bool = value(connection, sql, [])?;
             if has_table || mark.batch == 0 {
                 return Ok(());
             }
-            Err(StoreError::LogMissing { path: path.to_owned(), lost: mark.batch, lock: super::lock::lock_path(path) })
+            Err(Damage::LogMissing(mark.batch).error(path))
         }
         Err(error) => Err(error.into()),
     }
 }
 
 fn newest_batches(connection: &Connection, until: Instant) -> Result<(), StoreError> {
-    let has_batches: bool =
-        connection
-            .query_row("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'batch')", [], |row| row.get(0))?;
+    let has_batches: bool = value(connection, "SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'batch')", [])?;
     if !has_batches {
         return Ok(());
     }
     let mut next = Some((i64::MAX, i64::MAX));
     while let Some((capture, before)) = next {
-        let batches = batches_of(
-            connection,
-            "SELECT capture_id, first_seq, count, crc FROM batch WHERE (capture_id, first_seq) < (?1, ?2) \
-             AND capture_id IN (SELECT id FROM capture WHERE lifecycle = 'live') \
-             ORDER BY capture_id DESC, first_seq DESC LIMIT 100",
-            params![capture, before],
-        )?;
+        let sql = "SELECT capture_id, first_seq, count, crc FROM batch WHERE (capture_id, first_seq) < (?1, ?2) \
+                   AND capture_id IN (SELECT id FROM capture WHERE lifecycle = 'live') \
+                   ORDER BY capture_id DESC, first_seq DESC LIMIT 100";
+        let batches = list(connection, sql, params![capture, before], batch_row)?;
         for batch in &batches {
             if !is_intact(connection, batch)? {
                 let (from, to) = (batch.first_seq, batch.first_seq + batch.count - 1);

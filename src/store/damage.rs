@@ -10,12 +10,12 @@ use std::path::Path;
 
 /// The reason why nothing is written any more.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Damage {
-    /// SQLite, or the check after an error, reported damage in the open file.
+pub enum Damage {
+    /// SQLite, or the check after an error, reported damage in the open file, now or in an earlier run.
     Met(String),
-    /// A file that replaced a lost one is damaged.
+    /// The check before the file is opened for writing reported damage.
     Refused(String),
-    /// This many committed batches are missing: the log was removed.
+    /// This many committed batches are missing: the log was removed, or an older file was put in its place.
     LogMissing(i64),
 }
 
@@ -23,9 +23,8 @@ impl Damage {
     /// Returns the damage that the error indicates; `None` if it indicates none.
     pub(super) fn of(error: &StoreError) -> Option<Self> {
         match error {
-            StoreError::RefusedDamaged { report, .. } => Some(Self::Refused(report.clone())),
-            StoreError::LogMissing { lost, .. } => Some(Self::LogMissing(*lost)),
-            StoreError::Damaged(report) | StoreError::MetDamage { report, .. } => Some(Self::Met(report.clone())),
+            StoreError::DamagedFile(_, damage) => Some(damage.clone()),
+            StoreError::Damaged(report) => Some(Self::Met(report.clone())),
             error if error.is_damage() => Some(Self::Met(error.to_string())),
             _ => None,
         }
@@ -33,11 +32,28 @@ impl Damage {
 
     /// Returns the error that every call returns from now on.
     pub(super) fn error(&self, path: &Path) -> StoreError {
-        let path = path.to_owned();
+        StoreError::DamagedFile(path.to_owned(), self.clone())
+    }
+
+    /// Describes the damage of the database at `path`, and what to do about it.
+    pub(super) fn message(&self, path: &Path) -> String {
+        let (path, lock) = (path.display(), lock::lock_path(path));
+        let lock = lock.display();
         match self {
-            Self::Met(report) => StoreError::MetDamage { lock: lock::lock_path(&path), path, report: report.clone() },
-            Self::Refused(report) => StoreError::RefusedDamaged { path, report: report.clone() },
-            Self::LogMissing(lost) => StoreError::LogMissing { lock: lock::lock_path(&path), path, lost: *lost },
+            Self::Met(report) => format!(
+                "{path} is damaged ({report}, met while it was in use): nothing more is written to it; `vn100d check \
+                 {path}` says what is wrong, `vn100d recover {path} --out FILE` salvages what is intact: put that file \
+                 in its place (if the check finds nothing, remove {lock} to go on)"
+            ),
+            Self::Refused(report) => format!(
+                "{path} is damaged ({report}): nothing is written to it; salvage what is intact with `vn100d recover \
+                 {path} --out FILE` and put that file in its place"
+            ),
+            Self::LogMissing(lost) => format!(
+                "{path} lacks {lost} batches that were committed: its log `-wal` was taken away, or an older copy was \
+                 put in its place; put the right files back, or salvage it with `vn100d recover`, or remove {lock} to \
+                 go on with what is there"
+            ),
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Diagnoses: jobs of that kind with their results. A diagnosis has its job's id.
 
 use super::jobs::{JOB_COLUMNS, job_of};
+use super::sql::find;
 use super::{JobKind, JobRow, Page, PageRequest, Reader, StoreError};
-use rusqlite::{OptionalExtension, params};
+use rusqlite::params;
 
 /// A diagnosis in a list.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,8 +31,7 @@ impl Reader {
     /// [`StoreError::NoSuchDiagnosis`] if there is none, or the error that the database reports.
     pub fn latest_diagnosis(&self) -> Result<i64, StoreError> {
         let sql = "SELECT id FROM job WHERE kind = ?1 ORDER BY id DESC LIMIT 1";
-        let found =
-            self.connection.prepare_cached(sql)?.query_row([JobKind::Diagnosis.name()], |row| row.get(0)).optional()?;
+        let found = find(&self.connection, sql, [JobKind::Diagnosis.name()], |row| row.get(0))?;
         found.ok_or_else(|| StoreError::NoSuchDiagnosis("latest".to_owned()))
     }
 

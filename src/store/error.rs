@@ -1,5 +1,6 @@
 //! The errors of the store. Their kinds, not their texts, decide exit codes and HTTP status codes elsewhere.
 
+use super::damage::Damage;
 use crate::observe::StorageState;
 use rusqlite::ErrorCode;
 use std::path::PathBuf;
@@ -99,45 +100,9 @@ pub enum StoreError {
     /// The database is damaged.
     #[error("the database is damaged ({0}): salvage what is intact with `vn100d recover`")]
     Damaged(String),
-    /// The database is damaged and is not opened for writing.
-    #[error(
-        "{path} is damaged ({report}): nothing is written to it; salvage what is intact with \
-         `vn100d recover {path} --out FILE` and put that file in its place"
-    )]
-    RefusedDamaged {
-        /// The database.
-        path: PathBuf,
-        /// The damage.
-        report: String,
-    },
-    /// Damage was found while the database was in use, now or in an earlier run.
-    #[error(
-        "{path} is damaged ({report}, met while it was in use): nothing more is written to it; `vn100d check {path}` \
-         says what is wrong, `vn100d recover {path} --out FILE` salvages what is intact: put that file in its place (if \
-         the check finds nothing, remove {lock} to go on)"
-    )]
-    MetDamage {
-        /// The database.
-        path: PathBuf,
-        /// The damage.
-        report: String,
-        /// The file that records the damage.
-        lock: PathBuf,
-    },
-    /// Committed data is missing: the log was removed, or an older file was put in its place.
-    #[error(
-        "{path} lacks {lost} batches that were committed: its log `-wal` was taken away, or an older copy was put in \
-         its place; put the right files back, or salvage it with `vn100d recover`, or remove {lock} to go on with what \
-         is there"
-    )]
-    LogMissing {
-        /// The database.
-        path: PathBuf,
-        /// Batches between the last committed one and the last one present.
-        lost: i64,
-        /// The file that records the last committed batch.
-        lock: PathBuf,
-    },
+    /// The database at this path is damaged: nothing is written to it.
+    #[error("{}", .1.message(.0))]
+    DamagedFile(PathBuf, Damage),
     /// The disk currently refuses writes.
     #[error("the database takes nothing for now: {0}")]
     Refusing(String),
@@ -270,13 +235,9 @@ impl StoreError {
             | Self::NetworkFileSystem { .. }
             | Self::Foreign { .. } => StoreErrorKind::CannotCreate,
             Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,
-            Self::Read { .. }
-            | Self::Damaged(_)
-            | Self::RefusedDamaged { .. }
-            | Self::MetDamage { .. }
-            | Self::LogMissing { .. }
-            | Self::Thread(_)
-            | Self::Unwritten { .. } => StoreErrorKind::Io,
+            Self::Read { .. } | Self::Damaged(_) | Self::DamagedFile(..) | Self::Thread(_) | Self::Unwritten { .. } => {
+                StoreErrorKind::Io
+            }
             Self::NoDatabase(_)
             | Self::NoSuchCapture(_)
             | Self::NoSuchJob(_)
@@ -317,7 +278,7 @@ impl StoreError {
             Self::Sqlite(error) => {
                 matches!(error.sqlite_error_code(), Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase))
             }
-            Self::Damaged(_) | Self::RefusedDamaged { .. } | Self::MetDamage { .. } | Self::LogMissing { .. } => true,
+            Self::Damaged(_) | Self::DamagedFile(..) => true,
             _ => false,
         }
     }

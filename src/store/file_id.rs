@@ -8,6 +8,7 @@
 //! The replacement may still be being copied (`cp`). It is left alone while it changes, and a file that is refused as
 //! damaged is examined again ([`FileId::judged`]).
 
+use super::damage::Damage;
 use super::{StoreError, schema};
 use rusqlite::{Connection, OpenFlags};
 use std::collections::BTreeMap;
@@ -263,7 +264,7 @@ impl FileId {
             // A file that cannot be read now may be the one that the log belongs to.
             if std::fs::metadata(path).is_ok_and(|file| file.len() > 0) && content(path) == Content::Nothing {
                 let report = "it cannot be read beside the log that was left".to_owned();
-                return Err(StoreError::RefusedDamaged { path: path.to_owned(), report });
+                return Err(Damage::Refused(report).error(path));
             }
             let (log, aside) = (schema::wal_path(path), kept_log(path));
             std::fs::rename(&log, &aside).map_err(|source| StoreError::Create { path: aside.clone(), source })?;

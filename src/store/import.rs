@@ -10,9 +10,10 @@
 use super::captures::{check_name, create, free_name, name_is_free};
 use super::insert::insert;
 use super::schema::Durability;
+use super::sql::{find, value};
 use super::{Begun, NewCapture, Store, StoreError};
 use imu_core::sample::Record;
-use rusqlite::{Connection, OptionalExtension, Transaction, params};
+use rusqlite::{Connection, Transaction, params};
 
 /// Records written in one transaction.
 const STEP: usize = 8000;
@@ -130,11 +131,8 @@ impl Import {
                 return Ok(ImportEnd::Known(known));
             }
             // Names are assigned when a capture becomes visible: another one may have taken this name meanwhile.
-            let called: String = transaction.query_row(
-                "SELECT name FROM capture WHERE id = ?1 AND lifecycle = 'importing'",
-                [id],
-                |row| row.get(0),
-            )?;
+            let called: String =
+                value(transaction, "SELECT name FROM capture WHERE id = ?1 AND lifecycle = 'importing'", [id])?;
             if !name_is_free(transaction, &called)? {
                 if let Some(name) = name {
                     return Err(StoreError::NameTaken(name));
@@ -142,10 +140,8 @@ impl Import {
                 let other = free_name(transaction, utc_ns)?;
                 transaction.execute("UPDATE capture SET name = ?2 WHERE id = ?1", params![id, other])?;
             }
-            transaction.execute(
-                "UPDATE capture SET lifecycle = 'live', ended_utc_ns = coalesce(?2, ended_utc_ns) WHERE id = ?1",
-                params![id, ended_utc_ns],
-            )?;
+            let sql = "UPDATE capture SET lifecycle = 'live', ended_utc_ns = coalesce(?2, ended_utc_ns) WHERE id = ?1";
+            transaction.execute(sql, params![id, ended_utc_ns])?;
             Ok(ImportEnd::Created(id))
         })?;
         self.finished = true;
@@ -172,5 +168,5 @@ impl Drop for Import {
 
 fn known(connection: &Connection, fingerprint: &str) -> Result<Option<i64>, StoreError> {
     let sql = "SELECT id FROM capture WHERE fingerprint = ?1 AND lifecycle = 'live'";
-    Ok(connection.prepare_cached(sql)?.query_row([fingerprint], |row| row.get(0)).optional()?)
+    Ok(find(connection, sql, [fingerprint], |row| row.get(0))?)
 }

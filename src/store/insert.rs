@@ -10,6 +10,7 @@
 
 use super::StoreError;
 use super::batch::{Run, StoredRow};
+use super::sql::{run, value};
 use super::utc;
 use imu_core::sample::device_clock::ClockEstimate;
 use imu_core::sample::record::CaptureEnd;
@@ -296,24 +297,22 @@ fn insert_segment(
     added: &mut Added,
 ) -> Result<(), StoreError> {
     let names: Vec<&str> = segment.channels.iter().map(Channel::name).collect();
-    let rows = connection
-        .prepare_cached(
-            "INSERT INTO segment (capture_id, segment_id, epoch, first_seq, rate_hz, timebase, channels, \
-             first_device_time_ns, first_utc_ns, boot_id) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) \
-             ON CONFLICT DO NOTHING",
-        )?
-        .execute(params![
-            capture_id,
-            segment.number,
-            segment.epoch,
-            segment.first_seq as i64,
-            segment.rate_hz,
-            <&str>::from(segment.timebase),
-            serde_json::to_string(&names)?,
-            segment.first_device_time_ns.map(|ns| ns as i64),
-            segment.first_utc_ns,
-            segment.boot_id,
-        ])?;
+    let sql = "INSERT INTO segment (capture_id, segment_id, epoch, first_seq, rate_hz, timebase, channels, \
+               first_device_time_ns, first_utc_ns, boot_id) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) \
+               ON CONFLICT DO NOTHING";
+    let values = params![
+        capture_id,
+        segment.number,
+        segment.epoch,
+        segment.first_seq as i64,
+        segment.rate_hz,
+        <&str>::from(segment.timebase),
+        serde_json::to_string(&names)?,
+        segment.first_device_time_ns.map(|ns| ns as i64),
+        segment.first_utc_ns,
+        segment.boot_id,
+    ];
+    let rows = run(connection, sql, values)?;
     added.rate_hz = Some(segment.rate_hz);
     if rows == 0 {
         return Ok(());
@@ -337,22 +336,20 @@ fn insert_segment(
 }
 
 fn insert_gap(connection: &Connection, capture_id: i64, gap: &Gap, added: &mut Added) -> Result<(), StoreError> {
-    let rows = connection
-        .prepare_cached(
-            "INSERT INTO gap (capture_id, before_seq, from_utc_ns, to_utc_ns, from_device_ns, to_device_ns, missing, \
-             missing_exact, cause) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT DO NOTHING",
-        )?
-        .execute(params![
-            capture_id,
-            gap.before_seq as i64,
-            gap.from_utc_ns,
-            gap.to_utc_ns,
-            gap.device_ns.map(|(from, _)| from as i64),
-            gap.device_ns.map(|(_, to)| to as i64),
-            gap.missing as i64,
-            gap.missing_exact,
-            gap.cause.name(),
-        ])?;
+    let sql = "INSERT INTO gap (capture_id, before_seq, from_utc_ns, to_utc_ns, from_device_ns, to_device_ns, missing, \
+               missing_exact, cause) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT DO NOTHING";
+    let values = params![
+        capture_id,
+        gap.before_seq as i64,
+        gap.from_utc_ns,
+        gap.to_utc_ns,
+        gap.device_ns.map(|(from, _)| from as i64),
+        gap.device_ns.map(|(_, to)| to as i64),
+        gap.missing as i64,
+        gap.missing_exact,
+        gap.cause.name(),
+    ];
+    let rows = run(connection, sql, values)?;
     if rows == 1 {
         added.gaps += 1;
         added.missing += gap.missing;
@@ -365,9 +362,8 @@ fn insert_gap(connection: &Connection, capture_id: i64, gap: &Gap, added: &mut A
 
 fn insert_event(connection: &Connection, capture_id: i64, event: &EventRecord) -> Result<(), StoreError> {
     let detail = event.detail.as_ref().map(serde_json::Value::to_string);
-    connection
-        .prepare_cached("INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)")?
-        .execute(params![capture_id, event.utc_ns, event.kind.name(), event.message, detail])?;
+    let sql = "INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)";
+    run(connection, sql, params![capture_id, event.utc_ns, event.kind.name(), event.message, detail])?;
     Ok(())
 }
 
@@ -377,21 +373,19 @@ fn insert_clock(
     epoch: u32,
     estimate: &ClockEstimate,
 ) -> Result<(), StoreError> {
-    connection
-        .prepare_cached(
-            "INSERT OR REPLACE INTO device_clock (capture_id, epoch, skew_ppm, skew_ppm_uncertainty, offset_s, \
-             latency_mean_ms, latency_max_ms, span_s) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
-        )?
-        .execute(params![
-            capture_id,
-            epoch,
-            estimate.skew_ppm,
-            estimate.skew_ppm_uncertainty,
-            estimate.offset_s,
-            estimate.latency_mean_ms,
-            estimate.latency_max_ms,
-            estimate.span_s,
-        ])?;
+    let sql = "INSERT OR REPLACE INTO device_clock (capture_id, epoch, skew_ppm, skew_ppm_uncertainty, offset_s, \
+               latency_mean_ms, latency_max_ms, span_s) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)";
+    let values = params![
+        capture_id,
+        epoch,
+        estimate.skew_ppm,
+        estimate.skew_ppm_uncertainty,
+        estimate.offset_s,
+        estimate.latency_mean_ms,
+        estimate.latency_max_ms,
+        estimate.span_s,
+    ];
+    run(connection, sql, values)?;
     Ok(())
 }
 
@@ -403,16 +397,11 @@ fn insert_configuration(
     utc_ns: i64,
 ) -> Result<(), StoreError> {
     let (description, configuration) = (sensor.sensor().to_string(), sensor.configuration().to_string());
-    connection
-        .prepare_cached(
-            "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)",
-        )?
-        .execute(params![capture_id, utc_ns, before_seq as i64, configuration])?;
-    connection
-        .prepare_cached(
-            "UPDATE capture SET sensor = coalesce(sensor, ?2), configuration = coalesce(configuration, ?3) WHERE id = ?1",
-        )?
-        .execute(params![capture_id, description, configuration])?;
+    let sql = "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)";
+    run(connection, sql, params![capture_id, utc_ns, before_seq as i64, configuration])?;
+    let sql =
+        "UPDATE capture SET sensor = coalesce(sensor, ?2), configuration = coalesce(configuration, ?3) WHERE id = ?1";
+    run(connection, sql, params![capture_id, description, configuration])?;
     Ok(())
 }
 
@@ -437,28 +426,23 @@ fn finish(connection: &Connection, capture_id: i64, added: &Added) -> Result<u64
         CaptureEnd::Complete => "complete",
         CaptureEnd::Stopped => "stopped",
     });
-    let samples: i64 = connection
-        .prepare_cached(
-            "UPDATE capture SET samples = samples + ?2, missing = missing + ?3, gaps = gaps + ?4, \
-             segments = segments + ?5, sample_time_ns = sample_time_ns + ?6, rate_hz = coalesce(?7, rate_hz), \
-             started_utc_ns = coalesce(started_utc_ns, ?8), state = coalesce(?9, CASE WHEN state = 'waiting' AND ?5 > 0 THEN 'capturing' ELSE state END), \
-             ended_utc_ns = coalesce(?10, ended_utc_ns), received = ?11 WHERE id = ?1 RETURNING samples",
-        )?
-        .query_row(
-            params![
-                capture_id,
-                added.samples as i64,
-                added.missing as i64,
-                added.gaps as i64,
-                added.segments as i64,
-                added.sample_time_ns.round() as i64,
-                added.first_rate_hz,
-                added.first_utc_ns,
-                state,
-                added.ended.map(|(_, utc_ns)| utc_ns),
-                added.received.map(|received| received as i64),
-            ],
-            |row| row.get(0),
-        )?;
+    let sql = "UPDATE capture SET samples = samples + ?2, missing = missing + ?3, gaps = gaps + ?4, \
+               segments = segments + ?5, sample_time_ns = sample_time_ns + ?6, rate_hz = coalesce(?7, rate_hz), \
+               started_utc_ns = coalesce(started_utc_ns, ?8), state = coalesce(?9, CASE WHEN state = 'waiting' AND ?5 > 0 THEN 'capturing' ELSE state END), \
+               ended_utc_ns = coalesce(?10, ended_utc_ns), received = ?11 WHERE id = ?1 RETURNING samples";
+    let values = params![
+        capture_id,
+        added.samples as i64,
+        added.missing as i64,
+        added.gaps as i64,
+        added.segments as i64,
+        added.sample_time_ns.round() as i64,
+        added.first_rate_hz,
+        added.first_utc_ns,
+        state,
+        added.ended.map(|(_, utc_ns)| utc_ns),
+        added.received.map(|received| received as i64),
+    ];
+    let samples: i64 = value(connection, sql, values)?;
     Ok(samples as u64)
 }

@@ -1,9 +1,10 @@
 //! Jobs: durable states of background work. Module `jobs` computes; this file holds the data that survives a kill.
 
 use super::captures::known;
+use super::sql::{find, list, run, value};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use rusqlite::types::Value as Sql;
-use rusqlite::{Connection, OptionalExtension, Row, Transaction, params, params_from_iter};
+use rusqlite::{Connection, Row, Transaction, params, params_from_iter};
 use serde::ser::Error as _;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::value::RawValue;
@@ -210,14 +211,11 @@ impl Store {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
             let sql = format!("SELECT id FROM job WHERE state = 'queued' AND {KNOWN} ORDER BY id LIMIT 1");
-            let Some(id) = transaction.query_row(&sql, [], |row| row.get::<_, i64>(0)).optional()? else {
-                return Ok(None);
-            };
+            let found: Option<i64> = find(transaction, &sql, [], |row| row.get(0))?;
+            let Some(id) = found else { return Ok(None) };
             take_over(transaction, id)?;
-            transaction.execute(
-                "UPDATE job SET state = 'running', started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1",
-                params![id, utc_ns],
-            )?;
+            let sql = "UPDATE job SET state = 'running', started_utc_ns = coalesce(started_utc_ns, ?2) WHERE id = ?1";
+            transaction.execute(sql, params![id, utc_ns])?;
             job(transaction, id)
         })
     }
@@ -228,19 +226,13 @@ impl Store {
     /// The error that the database reports.
     pub fn checkpoint_job(&self, id: i64, checkpoint: JobCheckpoint, progress: f64) -> Result<bool, StoreError> {
         self.execute(move |transaction| {
-            let running = transaction
-                .prepare_cached(
-                    "UPDATE job SET progress = max(progress, ?2), attempts = 0 WHERE id = ?1 AND state = 'running'",
-                )?
-                .execute(params![id, progress.clamp(0.0, 1.0)])?;
+            let sql = "UPDATE job SET progress = max(progress, ?2), attempts = 0 WHERE id = ?1 AND state = 'running'";
+            let running = run(transaction, sql, params![id, progress.clamp(0.0, 1.0)])?;
             if running == 1 {
-                transaction
-                    .prepare_cached(
-                        "INSERT INTO job_checkpoint (job_id, next_seq, state, software) VALUES (?1, ?2, ?3, ?4) \
-                         ON CONFLICT (job_id) DO UPDATE SET next_seq = excluded.next_seq, state = excluded.state, \
-                         software = excluded.software",
-                    )?
-                    .execute(params![id, checkpoint.next_seq as i64, checkpoint.state, SOFTWARE])?;
+                let sql = "INSERT INTO job_checkpoint (job_id, next_seq, state, software) VALUES (?1, ?2, ?3, ?4) \
+                           ON CONFLICT (job_id) DO UPDATE SET next_seq = excluded.next_seq, state = excluded.state, \
+                           software = excluded.software";
+                run(transaction, sql, params![id, checkpoint.next_seq as i64, checkpoint.state, SOFTWARE])?;
             }
             Ok(running == 1)
         })
@@ -253,9 +245,8 @@ impl Store {
     /// The error that the database reports.
     pub fn note_progress(&self, id: i64, progress: f64) -> Result<bool, StoreError> {
         self.execute(move |transaction| {
-            let running = transaction
-                .prepare_cached("UPDATE job SET progress = max(progress, ?2) WHERE id = ?1 AND state = 'running'")?
-                .execute(params![id, progress.clamp(0.0, 1.0)])?;
+            let sql = "UPDATE job SET progress = max(progress, ?2) WHERE id = ?1 AND state = 'running'";
+            let running = run(transaction, sql, params![id, progress.clamp(0.0, 1.0)])?;
             Ok(running == 1)
         })
     }
@@ -270,17 +261,13 @@ impl Store {
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| {
             let Some(job) = job(transaction, id)?.filter(|job| job.state == JobState::Running) else { return Ok(None) };
-            transaction.execute(
-                "INSERT INTO result (job_id, capture_id, kind, software, created_utc_ns, body) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-                params![id, job.capture, job.kind.name(), SOFTWARE, utc_ns, body],
-            )?;
+            let sql = "INSERT INTO result (job_id, capture_id, kind, software, created_utc_ns, body) \
+                       VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
+            transaction.execute(sql, params![id, job.capture, job.kind.name(), SOFTWARE, utc_ns, body])?;
             let result_id = transaction.last_insert_rowid();
-            transaction.execute(
-                "UPDATE job SET state = 'done', progress = 1, attempts = 0, finished_utc_ns = ?2, result_id = ?3 \
-                 WHERE id = ?1",
-                params![id, utc_ns, result_id],
-            )?;
+            let sql = "UPDATE job SET state = 'done', progress = 1, attempts = 0, finished_utc_ns = ?2, result_id = ?3 \
+                       WHERE id = ?1";
+            transaction.execute(sql, params![id, utc_ns, result_id])?;
             transaction.execute("DELETE FROM job_checkpoint WHERE job_id = ?1", [id])?;
             drop_superseded(transaction, id)?;
             Ok(Some(result_id))
@@ -294,10 +281,9 @@ impl Store {
     pub fn fail_job(&self, id: i64, error: &str) -> Result<(), StoreError> {
         let (error, utc_ns) = (error.to_owned(), self.utc_ns());
         self.execute(move |transaction| {
-            transaction.execute(
-                "UPDATE job SET state = 'failed', error = ?2, finished_utc_ns = ?3 WHERE id = ?1 AND state = 'running'",
-                params![id, error, utc_ns],
-            )?;
+            let sql =
+                "UPDATE job SET state = 'failed', error = ?2, finished_utc_ns = ?3 WHERE id = ?1 AND state = 'running'";
+            transaction.execute(sql, params![id, error, utc_ns])?;
             leave_nothing(transaction, id)?;
             Ok(())
         })
@@ -312,15 +298,13 @@ impl Store {
     pub fn count_attempt(&self, id: i64, reason: &str) -> Result<Option<(JobState, u32)>, StoreError> {
         let (error, utc_ns) = (format!("tried {ATTEMPTS_MAX} times: {reason}"), self.utc_ns());
         self.execute(move |transaction| {
-            transaction.execute(
-                "UPDATE job SET attempts = attempts + 1, state = iif(attempts + 1 >= ?2, 'failed', 'queued'), \
-                 error = iif(attempts + 1 >= ?2, ?3, NULL), finished_utc_ns = iif(attempts + 1 >= ?2, ?4, NULL) \
-                 WHERE id = ?1 AND state = 'running'",
-                params![id, ATTEMPTS_MAX, error, utc_ns],
-            )?;
+            let sql = "UPDATE job SET attempts = attempts + 1, state = iif(attempts + 1 >= ?2, 'failed', 'queued'), \
+                       error = iif(attempts + 1 >= ?2, ?3, NULL), finished_utc_ns = iif(attempts + 1 >= ?2, ?4, NULL) \
+                       WHERE id = ?1 AND state = 'running'";
+            transaction.execute(sql, params![id, ATTEMPTS_MAX, error, utc_ns])?;
             let sql = "SELECT state, attempts FROM job WHERE id = ?1";
             let read = |row: &Row<'_>| Ok((row.get::<_, String>(0)?, row.get(1)?));
-            let found = transaction.query_row(sql, [id], read).optional()?;
+            let found = find(transaction, sql, [id], read)?;
             let found = found.and_then(|(state, attempts)| Some((state.parse().ok()?, attempts)));
             if found.is_some_and(|(state, _)| state == JobState::Failed) {
                 leave_nothing(transaction, id)?;
@@ -351,10 +335,8 @@ impl Store {
             if !matches!(job.state, JobState::Queued | JobState::Running) {
                 return Err(StoreError::JobEnded { id, state: job.state.name() });
             }
-            transaction.execute(
-                "UPDATE job SET state = 'cancelled', finished_utc_ns = ?2 WHERE id = ?1",
-                params![id, utc_ns],
-            )?;
+            let sql = "UPDATE job SET state = 'cancelled', finished_utc_ns = ?2 WHERE id = ?1";
+            transaction.execute(sql, params![id, utc_ns])?;
             leave_nothing(transaction, id)?;
             Ok(())
         })
@@ -375,36 +357,34 @@ fn submit(
     utc_ns: i64,
 ) -> Result<(JobRow, bool), StoreError> {
     let sql = "SELECT samples, state IN ('waiting', 'capturing') FROM capture WHERE id = ?1 AND lifecycle = 'live'";
-    let (end_seq, growing): (i64, bool) = transaction
-        .query_row(sql, [new.capture_id], |row| Ok((row.get(0)?, row.get(1)?)))
-        .optional()?
-        .ok_or_else(|| StoreError::NoSuchCapture(new.capture_id.to_string()))?;
+    let (end_seq, growing): (i64, bool) =
+        find(transaction, sql, [new.capture_id], |row| Ok((row.get(0)?, row.get(1)?)))?
+            .ok_or_else(|| StoreError::NoSuchCapture(new.capture_id.to_string()))?;
     let kind = new.kind.name();
     let fingerprint = fingerprint(kind, new.capture_id, end_seq, &new.params);
     let sql = "SELECT id FROM job WHERE fingerprint = ?1 AND state IN ('queued', 'running', 'done')";
-    let mut known: Option<i64> = transaction.query_row(sql, [&fingerprint], |row| row.get(0)).optional()?;
+    let mut known: Option<i64> = find(transaction, sql, [&fingerprint], |row| row.get(0))?;
     if known.is_none() && growing {
         let sql = "SELECT id FROM job WHERE capture_id = ?1 AND kind = ?2 AND params = ?3 AND software = ?4 \
                    AND state IN ('queued', 'running') ORDER BY id DESC LIMIT 1";
         let of = params![new.capture_id, kind, new.params, SOFTWARE];
-        known = transaction.query_row(sql, of, |row| row.get(0)).optional()?;
+        known = find(transaction, sql, of, |row| row.get(0))?;
     }
     let (id, is_new) = match known {
         Some(id) => (id, false),
         None => {
             let sql = "SELECT count(*) FROM job WHERE state = 'queued'";
-            let queued = transaction.query_row(sql, [], |row| row.get::<_, i64>(0))? as u64;
+            let queued = value::<i64>(transaction, sql, [])? as u64;
             if queued >= queue_max {
                 return Err(StoreError::QueueFull(queued));
             }
             drop_ended(transaction)?;
             let reference =
                 new.reference.as_deref().map(|sha256| super::references::claim(transaction, sha256)).transpose()?;
-            transaction.execute(
-                "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns, reference_id) \
-                 VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7, ?8)",
-                params![kind, new.capture_id, new.params, end_seq, fingerprint, SOFTWARE, utc_ns, reference],
-            )?;
+            let sql = "INSERT INTO job (kind, capture_id, params, end_seq, fingerprint, software, state, created_utc_ns, reference_id) \
+                       VALUES (?1, ?2, ?3, ?4, ?5, ?6, 'queued', ?7, ?8)";
+            let values = params![kind, new.capture_id, new.params, end_seq, fingerprint, SOFTWARE, utc_ns, reference];
+            transaction.execute(sql, values)?;
             (transaction.last_insert_rowid(), true)
         }
     };
@@ -423,7 +403,7 @@ fn fingerprint(kind: &str, capture_id: i64, end_seq: i64, params: &str) -> Strin
 fn drop_ended(transaction: &Transaction<'_>) -> Result<(), StoreError> {
     let sql = "DELETE FROM job WHERE id IN (SELECT id FROM job WHERE state IN ('failed', 'cancelled') \
                ORDER BY id DESC LIMIT ?1 OFFSET ?2)";
-    transaction.prepare_cached(sql)?.execute(params![DROP_MAX, ENDED_KEPT])?;
+    run(transaction, sql, params![DROP_MAX, ENDED_KEPT])?;
     Ok(())
 }
 
@@ -433,13 +413,11 @@ fn drop_superseded(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreEr
     let sql = "SELECT old.id, old.result_id FROM job AS new JOIN job AS old ON old.capture_id = new.capture_id \
                AND old.kind = new.kind AND old.params = new.params AND old.software = new.software \
                WHERE new.id = ?1 AND old.state = 'done' ORDER BY old.end_seq DESC, old.id DESC LIMIT ?2 OFFSET ?3";
-    let old: Vec<(i64, Option<i64>)> = transaction
-        .prepare_cached(sql)?
-        .query_map(params![id, DROP_MAX, RESULTS_KEPT], |row| Ok((row.get(0)?, row.get(1)?)))?
-        .collect::<Result<_, _>>()?;
+    let ids = |row: &Row<'_>| Ok((row.get::<_, i64>(0)?, row.get::<_, Option<i64>>(1)?));
+    let old = list(transaction, sql, params![id, DROP_MAX, RESULTS_KEPT], ids)?;
     for (job_id, result_id) in old {
-        transaction.prepare_cached("DELETE FROM job WHERE id = ?1")?.execute([job_id])?;
-        transaction.prepare_cached("DELETE FROM result WHERE id = ?1")?.execute([result_id])?;
+        run(transaction, "DELETE FROM job WHERE id = ?1", [job_id])?;
+        run(transaction, "DELETE FROM result WHERE id = ?1", [result_id])?;
     }
     Ok(())
 }
@@ -449,10 +427,8 @@ fn take_over(transaction: &Transaction<'_>, id: i64) -> Result<(), StoreError> {
     let Some(old) = job(transaction, id)?.filter(|job| job.stale) else { return Ok(()) };
     let fingerprint = fingerprint(old.kind.name(), old.capture, old.end_seq as i64, &old.params);
     // If this program already has the same submission, the old job keeps its old version.
-    transaction.execute(
-        "UPDATE OR IGNORE job SET fingerprint = ?2, software = ?3, attempts = 0 WHERE id = ?1",
-        params![id, fingerprint, SOFTWARE],
-    )?;
+    let sql = "UPDATE OR IGNORE job SET fingerprint = ?2, software = ?3, attempts = 0 WHERE id = ?1";
+    transaction.execute(sql, params![id, fingerprint, SOFTWARE])?;
     Ok(())
 }
 
@@ -510,7 +486,7 @@ impl Reader {
     pub fn checkpoint(&self, job_id: i64) -> Result<Option<JobCheckpoint>, StoreError> {
         let sql = "SELECT next_seq, state FROM job_checkpoint WHERE job_id = ?1 AND software = ?2";
         let read = |row: &Row<'_>| Ok(JobCheckpoint { next_seq: row.get::<_, i64>(0)? as u64, state: row.get(1)? });
-        Ok(self.connection.prepare_cached(sql)?.query_row(params![job_id, SOFTWARE], read).optional()?)
+        Ok(find(&self.connection, sql, params![job_id, SOFTWARE], read)?)
     }
 
     /// Returns the number of jobs in a state.
@@ -519,7 +495,7 @@ impl Reader {
     /// The error that the database reports.
     pub fn count_jobs(&self, state: JobState) -> Result<u64, StoreError> {
         let sql = format!("SELECT count(*) FROM job WHERE state = ?1 AND {KNOWN}");
-        let count: i64 = self.connection.prepare_cached(&sql)?.query_row([state.name()], |row| row.get(0))?;
+        let count: i64 = value(&self.connection, &sql, [state.name()])?;
         Ok(count as u64)
     }
 }

@@ -7,9 +7,10 @@
 
 use super::captures::{known, name_is_free};
 use super::insert::Inserted;
+use super::sql::{find, list, value};
 use super::{SOFTWARE, StoreError};
 use imu_core::sample::{Channel, EventKind, Gap, Record, Segment};
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, params};
 use std::collections::BTreeMap;
 
 /// A capture of the lost file that continues.
@@ -166,65 +167,57 @@ impl Moved {
 impl Seed {
     fn create(&self, connection: &Connection, utc_ns: i64) -> Result<i64, StoreError> {
         let taken = "SELECT EXISTS (SELECT 1 FROM capture WHERE id = ?1)";
-        let taken: bool = connection.query_row(taken, [self.id], |row| row.get(0))?;
+        let taken: bool = value(connection, taken, [self.id])?;
         let mut name = self.name.clone();
         let mut number = 2;
         while !name_is_free(connection, &name)? {
             name = format!("{}-{number}", self.name);
             number += 1;
         }
-        connection.execute(
-            "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, sensor, \
-             configuration, software) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)",
-            params![
-                (!taken).then_some(self.id),
-                name,
-                self.source,
-                self.state,
-                utc_ns,
-                self.start_at,
-                self.planned.map(|planned| (planned - self.held).max(1)),
-                self.sensor,
-                self.configuration,
-                SOFTWARE,
-            ],
-        )?;
+        let sql = "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, sensor, \
+                   configuration, software) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)";
+        let values = params![
+            (!taken).then_some(self.id),
+            name,
+            self.source,
+            self.state,
+            utc_ns,
+            self.start_at,
+            self.planned.map(|planned| (planned - self.held).max(1)),
+            self.sensor,
+            self.configuration,
+            SOFTWARE,
+        ];
+        connection.execute(sql, values)?;
         let id = connection.last_insert_rowid();
         let message = format!(
             "the database file was deleted or replaced: {} earlier samples of this capture were in it",
             self.samples
         );
-        connection.execute(
-            "INSERT INTO event (capture_id, utc_ns, kind, message) VALUES (?1, ?2, ?3, ?4)",
-            params![id, utc_ns, EventKind::Warning.name(), message],
-        )?;
+        let sql = "INSERT INTO event (capture_id, utc_ns, kind, message) VALUES (?1, ?2, ?3, ?4)";
+        connection.execute(sql, params![id, utc_ns, EventKind::Warning.name(), message])?;
         Ok(id)
     }
 }
 
 fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
-    let mut statement = connection.prepare(
-        "SELECT id, name, source, state, start_at_utc_ns, planned_duration_ns, sample_time_ns, samples, sensor, \
-         configuration FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live'",
-    )?;
-    let found: Result<Vec<Seed>, rusqlite::Error> = statement
-        .query_map([], |row| {
-            Ok(Seed {
-                id: row.get(0)?,
-                name: row.get(1)?,
-                source: row.get(2)?,
-                state: row.get(3)?,
-                start_at: row.get(4)?,
-                planned: row.get(5)?,
-                held: row.get(6)?,
-                samples: row.get(7)?,
-                sensor: row.get(8)?,
-                configuration: row.get(9)?,
-                segment: None,
-            })
-        })?
-        .collect();
-    let mut found = found?;
+    let sql = "SELECT id, name, source, state, start_at_utc_ns, planned_duration_ns, sample_time_ns, samples, sensor, \
+               configuration FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live'";
+    let mut found = list(connection, sql, [], |row| {
+        Ok(Seed {
+            id: row.get(0)?,
+            name: row.get(1)?,
+            source: row.get(2)?,
+            state: row.get(3)?,
+            start_at: row.get(4)?,
+            planned: row.get(5)?,
+            held: row.get(6)?,
+            samples: row.get(7)?,
+            sensor: row.get(8)?,
+            configuration: row.get(9)?,
+            segment: None,
+        })
+    })?;
     for seed in &mut found {
         seed.segment = last_segment(connection, seed.id)?;
     }
@@ -233,11 +226,9 @@ fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
 
 fn last_segment(connection: &Connection, id: i64) -> Result<Option<Segment>, StoreError> {
     let sql = "SELECT rate_hz, timebase, channels, epoch, boot_id FROM segment WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
-    let row = connection
-        .query_row(sql, [id], |row| {
-            Ok((row.get::<_, f64>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get(3)?, row.get(4)?))
-        })
-        .optional()?;
+    let row = find(connection, sql, [id], |row| {
+        Ok((row.get::<_, f64>(0)?, row.get::<_, String>(1)?, row.get::<_, String>(2)?, row.get(3)?, row.get(4)?))
+    })?;
     let Some((rate_hz, timebase, channels, epoch, boot_id)) = row else { return Ok(None) };
     let names: Vec<String> = serde_json::from_str(&channels)?;
     Ok(Some(Segment {

@@ -38,6 +38,7 @@ mod results;
 mod retention;
 mod samples;
 mod schema;
+mod sql;
 mod time_axis;
 mod times;
 mod trail;
@@ -58,23 +59,23 @@ mod tests;
 
 pub use accounting::DeviceClockRow;
 pub use backup::BackupReport;
-pub use captures::{CaptureFilter, CaptureRow, CaptureState, ChannelRow, NAME_MAX, NewCapture, check_name};
+pub use captures::{CaptureRow, CaptureState, ChannelRow, NAME_MAX, NewCapture, check_name};
 pub use check::{CheckReport, CheckedCapture, Finding, check};
 pub use diagnoses::DiagnosisRow;
 pub use error::{StoreError, StoreErrorKind};
 pub use import::{Import, ImportEnd};
 pub use jobs::{JobCheckpoint, JobKind, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
-pub use models::{ModelHead, ModelRow};
+pub use models::{ModelEntry, ModelRow};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
 use queue::SharedWaiting;
 pub use queue::{RecordSender, Refused};
-pub use reader::{Interrupt, PooledReader, Reader, ReaderPool};
+pub use reader::{PooledReader, Reader, ReaderPool};
 pub use recover::{RecoverReport, RecoveredCapture, recover};
 pub use references::REFERENCE_PART_BYTES;
 pub use results::ResultRow;
 pub use retention::RetentionRow;
-pub use samples::{Chunk, SeqRange, Times};
+pub use samples::{Chunk, SeqRange, Times, chunks};
 pub use schema::{APPLICATION_ID, is_of_database, schema_version};
 pub use time_axis::{Moment, SampleRange, TimeAxis};
 pub use times::UtcNs;
@@ -85,6 +86,7 @@ pub use writer::{COMMIT_AFTER, COMMIT_RECORDS};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageStatus;
 use progress::SharedProgress;
+pub use rusqlite::InterruptHandle as Interrupt;
 use rusqlite::Transaction;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -164,10 +166,9 @@ impl Store {
         let (command_sender, command_receiver) = mpsc::unbounded_channel();
         let progress = SharedProgress::default();
         let waiting = SharedWaiting::default();
-        let writer = Writer::new(WriterParts {
+        let parts = WriterParts {
             path: path.clone(),
             clock: Arc::clone(&options.clock),
-            connection,
             records: record_receiver,
             commands: command_receiver,
             progress: Arc::clone(&progress),
@@ -175,7 +176,8 @@ impl Store {
             lock: writer_lock,
             file_check: options.file_check,
             wal_alarm_bytes: options.wal_alarm_bytes,
-        })?;
+        };
+        let writer = Writer::new(parts, connection)?;
         let runtime =
             tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(StoreError::Thread)?;
         let thread = std::thread::Builder::new()

@@ -100,8 +100,8 @@ fn read(path: &Path) -> Content {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
     let mut content = Content::default();
-    let (filter, page) = (CaptureFilter::default(), PageRequest { limit: Some(1000), ..PageRequest::default() });
-    for row in reader.captures(&filter, &page).unwrap().rows {
+    let page = PageRequest { limit: Some(1000), ..PageRequest::default() };
+    for row in reader.captures(None, &page).unwrap().rows {
         let gaps = reader.gaps(row.id, &page).unwrap().rows.iter().map(|gap| (gap.before_seq, gap.missing)).collect();
         let segments = reader.segments(row.id, &page).unwrap().rows.iter().map(|segment| segment.first_seq).collect();
         let chunk = reader.read_samples(row.id, 0, 1_000_000, &[Channel::GyroX, Channel::AccelZ]).unwrap();
@@ -252,7 +252,7 @@ impl Driver {
         let begun = std::time::Instant::now();
         while room.is_some() && begun.elapsed() < COMMIT_AFTER * 2 {
             let progress = self.store.progress();
-            if progress.failures > before.failures {
+            if progress.figures.failures > before.figures.failures {
                 assert_eq!(
                     progress.committed.get(&id),
                     before.committed.get(&id),
@@ -267,8 +267,8 @@ impl Driver {
         self.store.flush_blocking().unwrap();
         let after = self.store.progress();
         assert_eq!(after.committed[&id], samples);
-        let sound = after.failures == before.failures;
-        self.went_on(content, Some(after.commits - before.commits).filter(|_| sound), true);
+        let sound = after.figures.failures == before.figures.failures;
+        self.went_on(content, Some(after.figures.commits - before.figures.commits).filter(|_| sound), true);
     }
 
     fn reopen(&mut self, image: Option<(Files, Content)>) {

@@ -1,6 +1,6 @@
 //! Progress: the state of the writer, shared between its thread and its observers.
 
-use crate::observe::StorageState;
+use crate::observe::{StorageState, WriterFigures};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -28,24 +28,14 @@ pub struct WriterProgress {
     pub error: Option<String>,
     /// Samples on disk by capture, of captures written since the start.
     pub committed: BTreeMap<i64, u64>,
-    /// Commits of batches since the start.
-    pub commits: u64,
-    /// Failed attempts since the start.
-    pub failures: u64,
+    /// What the metrics show.
+    pub figures: WriterFigures,
     /// Real times (monotonic, ns) of the last three failures that were I/O errors, oldest first.
     pub io_failures_mono_ns: Vec<u64>,
-    /// Failures because another process held the database.
-    pub busy: u64,
-    /// Records that the schema refused: faults of this program.
-    pub refused: u64,
     /// The time of the last successful commit, real monotonic ns.
     pub last_commit_mono_ns: Option<u64>,
     /// The duration of the last commit.
     pub last_commit: Option<Duration>,
-    /// The duration of the slowest commit since the start.
-    pub slowest_commit: Duration,
-    /// Commits that took longer than a second.
-    pub slow_commits: u64,
     /// The start of the commit in progress, real ns of a clock that stops while the machine sleeps.
     pub committing_since_awake_ns: Option<u64>,
     /// Records taken from the queue and not committed.
@@ -61,9 +51,6 @@ pub struct WriterProgress {
     pub wal_bytes: u64,
     /// Free space of the file system in bytes.
     pub free_bytes: u64,
-    /// Samples committed per second of the store's clock, averaged over half a minute. Forecasts use the captures'
-    /// time, even if that is accelerated.
-    pub samples_per_s: f64,
     /// The file is damaged: nothing is written to it any more.
     pub damaged: bool,
     /// Captures that continue under another id, in a file that replaced a lost one.
@@ -111,13 +98,13 @@ impl WriterProgress {
 
     /// Returns the time in s until the free space is used up at the present rate; `None` if nothing is written.
     pub(super) fn time_to_full_s(&self) -> Option<f64> {
-        let growth = self.samples_per_s * BYTES_PER_SAMPLE;
+        let growth = self.figures.samples_per_s * BYTES_PER_SAMPLE;
         (growth > 1.0).then(|| self.free_bytes as f64 / growth)
     }
 
     /// Returns whether less than a gigabyte is left, or than twelve hours' data at the present rate.
     pub(super) fn low_space(&self) -> bool {
-        let need = self.samples_per_s * BYTES_PER_SAMPLE * LOW_SPACE_AHEAD.as_secs_f64();
+        let need = self.figures.samples_per_s * BYTES_PER_SAMPLE * LOW_SPACE_AHEAD.as_secs_f64();
         (self.free_bytes as f64) < need.max(LOW_SPACE_BYTES)
     }
 

@@ -49,26 +49,10 @@ impl Reader {
         super::writer::identity_of(&self.connection)
     }
 
-    /// Returns a handle with which another thread interrupts a query of this reader that takes too long.
-    pub fn interrupt(&self) -> Interrupt {
-        Interrupt(Arc::new(self.connection.get_interrupt_handle()))
-    }
-}
-
-/// Interrupts a running query, which then returns an error for which [`StoreError::is_interrupted`] holds.
-#[derive(Clone)]
-pub struct Interrupt(Arc<InterruptHandle>);
-
-impl Interrupt {
-    /// Interrupts the query that runs now, if any.
-    pub fn interrupt(&self) {
-        self.0.interrupt();
-    }
-}
-
-impl std::fmt::Debug for Interrupt {
-    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Interrupt")
+    /// Returns a handle with which another thread interrupts a query of this reader that takes too long. The query then
+    /// returns an error for which [`StoreError::is_interrupted`] holds.
+    pub fn interrupt(&self) -> InterruptHandle {
+        self.connection.get_interrupt_handle()
     }
 }
 

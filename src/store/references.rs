@@ -1,8 +1,9 @@
 //! References: the motion that a sensor underwent, as supplied with diagnoses. The text is stored once, in parts, so
 //! that neither the writer nor the client holds all of it. It is deleted with the last diagnosis that uses it.
 
+use super::sql::{find, run, value};
 use super::{Reader, Store, StoreError};
-use rusqlite::{OptionalExtension, Transaction, params};
+use rusqlite::{Transaction, params};
 
 /// Bytes of a part: some milliseconds of the writer's time.
 pub const REFERENCE_PART_BYTES: usize = 1 << 20;
@@ -23,15 +24,11 @@ impl Store {
         let parts = bytes.div_ceil(REFERENCE_PART_BYTES as u64).max(1) as i64;
         self.execute(move |transaction| {
             // A reference that was about to be removed stays for the client that sends it again.
-            transaction.execute(
-                "INSERT INTO reference (sha256, bytes, parts, created_utc_ns) VALUES (?1, ?2, ?3, ?4) \
-                 ON CONFLICT (sha256) DO UPDATE SET claimed = 0 \
-                 WHERE NOT EXISTS (SELECT 1 FROM job WHERE job.reference_id = reference.reference_id)",
-                params![sha256, bytes as i64, parts, utc_ns],
-            )?;
-            let id: i64 =
-                transaction
-                    .query_row("SELECT reference_id FROM reference WHERE sha256 = ?1", [&sha256], |row| row.get(0))?;
+            let sql = "INSERT INTO reference (sha256, bytes, parts, created_utc_ns) VALUES (?1, ?2, ?3, ?4) \
+                       ON CONFLICT (sha256) DO UPDATE SET claimed = 0 \
+                       WHERE NOT EXISTS (SELECT 1 FROM job WHERE job.reference_id = reference.reference_id)";
+            transaction.execute(sql, params![sha256, bytes as i64, parts, utc_ns])?;
+            let id: i64 = value(transaction, "SELECT reference_id FROM reference WHERE sha256 = ?1", [&sha256])?;
             Ok((id, is_whole(transaction, id)?))
         })
     }
@@ -42,12 +39,9 @@ impl Store {
     /// The error that the database reports.
     pub fn keep_reference_part(&self, id: i64, part: u32, content: Vec<u8>) -> Result<(), StoreError> {
         self.execute(move |transaction| {
-            transaction
-                .prepare_cached(
-                    "INSERT OR IGNORE INTO reference_part (reference_id, part, content) SELECT ?1, ?2, ?3 \
-                     WHERE EXISTS (SELECT 1 FROM reference WHERE reference_id = ?1)",
-                )?
-                .execute(params![id, part, content])?;
+            let sql = "INSERT OR IGNORE INTO reference_part (reference_id, part, content) SELECT ?1, ?2, ?3 \
+                       WHERE EXISTS (SELECT 1 FROM reference WHERE reference_id = ?1)";
+            run(transaction, sql, params![id, part, content])?;
             Ok(())
         })
     }
@@ -69,9 +63,8 @@ impl Store {
     /// The error that the database reports.
     pub(super) fn purge_reference(transaction: &Transaction<'_>) -> Result<bool, StoreError> {
         let sql = format!("SELECT reference_id {ORPHANS} LIMIT 1");
-        let Some(id) = transaction.query_row(&sql, [], |row| row.get::<_, i64>(0)).optional()? else {
-            return Ok(false);
-        };
+        let found: Option<i64> = find(transaction, &sql, [], |row| row.get(0))?;
+        let Some(id) = found else { return Ok(false) };
         let sql = "DELETE FROM reference_part WHERE reference_part_id IN \
                    (SELECT reference_part_id FROM reference_part WHERE reference_id = ?1 LIMIT ?2)";
         if transaction.execute(sql, params![id, STEP_PARTS])? == 0 {
@@ -84,7 +77,7 @@ impl Store {
 /// Returns the id of the reference with this SHA-256, claimed for a job.
 pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, StoreError> {
     let sql = "UPDATE reference SET claimed = 1 WHERE sha256 = ?1 RETURNING reference_id";
-    let id = transaction.query_row(sql, [sha256], |row| row.get(0)).optional()?;
+    let id = find(transaction, sql, [sha256], |row| row.get(0))?;
     let unknown = || StoreError::NoSuchReference(sha256.to_owned());
     let id = id.ok_or_else(unknown)?;
     if is_whole(transaction, id)? { Ok(id) } else { Err(unknown()) }
@@ -93,7 +86,7 @@ pub(super) fn claim(transaction: &Transaction<'_>, sha256: &str) -> Result<i64, 
 fn is_whole(transaction: &Transaction<'_>, id: i64) -> Result<bool, StoreError> {
     let sql = "SELECT parts = (SELECT count(*) FROM reference_part WHERE reference_id = ?1) FROM reference \
                WHERE reference_id = ?1";
-    Ok(transaction.query_row(sql, [id], |row| row.get(0))?)
+    Ok(value(transaction, sql, [id])?)
 }
 
 impl Reader {
@@ -120,7 +113,7 @@ impl Reader {
     /// Returns whether there are references that no job uses any more.
     pub(super) fn has_orphans(&self) -> Result<bool, StoreError> {
         let sql = format!("SELECT EXISTS (SELECT 1 {ORPHANS})");
-        Ok(self.connection.prepare_cached(&sql)?.query_row([], |row| row.get(0))?)
+        Ok(value(&self.connection, &sql, [])?)
     }
 }
 

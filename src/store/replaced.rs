@@ -5,7 +5,7 @@ use crate::observe::StorageState;
 use crate::store::file_id::{FileId, REFUSALS, id_of, kept_log, log_header};
 use crate::store::tests::{World, bare_writer, sample, segment};
 use crate::store::{
-    CaptureFilter, CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress, schema, writer,
+    CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress, schema, writer,
 };
 use imu_core::sample::Record;
 use std::path::{Path, PathBuf};
@@ -47,7 +47,7 @@ fn other(world: &World) -> PathBuf {
 fn content(path: &Path) -> Vec<(String, u64)> {
     assert_eq!(check(path).unwrap().findings, []);
     let reader = Reader::open(path).unwrap();
-    let page = reader.captures(&CaptureFilter::default(), &PageRequest::default()).unwrap();
+    let page = reader.captures(None, &PageRequest::default()).unwrap();
     page.rows.into_iter().map(|row| (row.name, row.samples)).collect()
 }
 

@@ -1,7 +1,8 @@
 //! Results of jobs, as the JSON documents that the interfaces return.
 
+use super::sql::find;
 use super::{Reader, StoreError};
-use rusqlite::OptionalExtension;
+use rusqlite::Row;
 
 /// A result.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,10 +24,7 @@ impl Reader {
     /// The error that the database reports.
     pub fn result(&self, id: i64) -> Result<Option<ResultRow>, StoreError> {
         let sql = "SELECT job_id, software, body FROM result WHERE id = ?1";
-        let found = self
-            .connection
-            .prepare_cached(sql)?
-            .query_row([id], |row| Ok(ResultRow { id, job_id: row.get(0)?, software: row.get(1)?, body: row.get(2)? }));
-        Ok(found.optional()?)
+        let read = |row: &Row<'_>| Ok(ResultRow { id, job_id: row.get(0)?, software: row.get(1)?, body: row.get(2)? });
+        Ok(find(&self.connection, sql, [id], read)?)
     }
 }

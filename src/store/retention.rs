@@ -1,6 +1,7 @@
 //! Data for retention: the facts on which it decides, its announcements, and the space that it gives back.
 
 use super::progress::BYTES_PER_SAMPLE;
+use super::sql::list;
 use super::{Reader, Store, StoreError, UtcNs};
 use rusqlite::params;
 
@@ -44,8 +45,7 @@ impl Reader {
                      WHERE job.reference_id = reference.reference_id)), 0) FROM reference WHERE reference_id IN \
                     (SELECT reference_id FROM job WHERE capture_id = capture.id AND reference_id IS NOT NULL)) \
                    FROM capture WHERE lifecycle = 'live' ORDER BY id";
-        let mut statement = self.connection.prepare_cached(sql)?;
-        let rows = statement.query_map([], |row| {
+        Ok(list(&self.connection, sql, [], |row| {
             let announced_at: Option<i64> = row.get(6)?;
             let delete_at: Option<i64> = row.get(7)?;
             Ok(RetentionRow {
@@ -58,8 +58,7 @@ impl Reader {
                 pinned: row.get(5)?,
                 announced: announced_at.zip(delete_at),
             })
-        })?;
-        Ok(rows.collect::<Result<_, _>>()?)
+        })?)
     }
 
     /// Returns whether the file has more free pages than it keeps for later data ([`Store::give_back_step`]).

@@ -371,7 +371,7 @@ fn a_commit_that_meets_damage_is_not_tried_again() {
         std::thread::sleep(Duration::from_millis(10));
     }
     let progress = store.progress();
-    assert_eq!((progress.failures, progress.commits), (1, 0), "{progress:?}");
+    assert_eq!((progress.figures.failures, progress.figures.commits), (1, 0), "{progress:?}");
     assert!(store.close().unwrap_err().to_string().contains("vn100d recover"));
     assert!(Store::open(&path, StoreOptions::default()).is_err());
 }
@@ -398,7 +398,7 @@ fn a_correction_that_fails_does_not_count_as_a_failed_commit() {
     for failure in 1..=5 {
         let next = writer.correct_now();
         let seen = progress::locked(&progress).clone();
-        assert_eq!((seen.state, seen.failures, seen.error.clone()), (Default::default(), 0, None));
+        assert_eq!((seen.state, seen.figures.failures, seen.error.clone()), (Default::default(), 0, None));
         assert!(!seen.gives_up() && seen.io_failures_mono_ns.is_empty());
         assert_eq!(next.is_some(), failure < 5, "then it is the next start's");
         assert!(next.is_none_or(|next| next > Duration::from_secs(50)), "{next:?}");
@@ -472,7 +472,7 @@ fn damage_that_a_reader_meets_counts_while_the_connection_is_closed() {
     assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("vn100d recover")), "{seen:?}");
     // The damage is reported once.
     writer.take_report(Failure::of(&StoreError::Damaged("another".to_owned())));
-    assert_eq!(progress::locked(&progress).failures, seen.failures);
+    assert_eq!(progress::locked(&progress).figures.failures, seen.figures.failures);
 }
 
 #[test]

@@ -1,9 +1,11 @@
 //! Samples: read in chunks, column by column.
 
+use super::sql::find;
 use super::{Reader, StoreError};
 use imu_core::sample::Channel;
 use rusqlite::types::ValueRef;
-use rusqlite::{OptionalExtension, Row, params};
+use rusqlite::{Row, params};
+use std::ops::Range;
 
 /// The maximum number of rows per query. Longer chunks are read in several queries, so that no read transaction lasts.
 const ROWS_PER_QUERY: u64 = 65_536;
@@ -65,6 +67,22 @@ impl Chunk {
     pub fn next_seq(&self) -> u64 {
         self.first_seq + self.len() as u64
     }
+}
+
+/// Reads a range of samples with `read`, at most `most` at once, until the range or the samples end. What `read` takes
+/// is the first sample and the maximum number of samples.
+pub fn chunks<E>(
+    range: Range<u64>,
+    most: usize,
+    mut read: impl FnMut(u64, usize) -> Result<Chunk, E>,
+) -> impl Iterator<Item = Result<Chunk, E>> {
+    let mut next_seq = range.start;
+    std::iter::from_fn(move || {
+        let limit = most.min(usize::try_from(range.end.saturating_sub(next_seq)).unwrap_or(most));
+        let chunk = (limit > 0).then(|| read(next_seq, limit))?;
+        next_seq = chunk.as_ref().map_or(range.end, Chunk::next_seq);
+        Some(chunk).filter(|chunk| !chunk.as_ref().is_ok_and(Chunk::is_empty))
+    })
 }
 
 impl Reader {
@@ -136,7 +154,7 @@ impl Reader {
     pub fn seq_range(&self, capture_id: i64) -> Result<Option<SeqRange>, StoreError> {
         let end = |order: &str| -> Result<Option<i64>, StoreError> {
             let sql = format!("SELECT seq FROM sample WHERE capture_id = ?1 ORDER BY seq {order} LIMIT 1");
-            Ok(self.connection.prepare_cached(&sql)?.query_row([capture_id], |row| row.get(0)).optional()?)
+            Ok(find(&self.connection, &sql, [capture_id], |row| row.get(0))?)
         };
         Ok(match (end("ASC")?, end("DESC")?) {
             (Some(first), Some(last)) => Some(SeqRange { first: first as u64, last: last as u64 }),
@@ -151,8 +169,8 @@ impl Reader {
     pub fn sample_clocks(&self, capture_id: i64, seq: u64) -> Result<(u32, Option<u64>, i64), StoreError> {
         let sql = "SELECT segment_id, device_time_ns, host_utc_ns FROM sample WHERE capture_id = ?1 AND seq = ?2";
         let read = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, Option<i64>>(1)?.map(|ns| ns as u64), row.get(2)?));
-        let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], read);
-        found.optional()?.ok_or_else(|| StoreError::Damaged(format!("sample {seq} is not there")))
+        let found = find(&self.connection, sql, params![capture_id, seq as i64], read)?;
+        found.ok_or_else(|| StoreError::Damaged(format!("sample {seq} is not there")))
     }
 }
 

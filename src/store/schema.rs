@@ -1,6 +1,7 @@
 //! Opening: decides which files are databases of this program, checks their schema and sets the pragmas of connections.
 
 use super::StoreError;
+use super::damage::Damage;
 use super::file_id::{refuse_replaced, written};
 use super::lock::Mark;
 use rusqlite::config::DbConfig;
@@ -65,9 +66,7 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
         let connection = Connection::open_with_flags(path, OpenFlags::SQLITE_OPEN_READ_ONLY)?;
         let ours = refuse_foreign(&connection, path).and_then(|()| refuse_newer(&connection, path));
         ours.map_err(|error| match error {
-            StoreError::Sqlite(error) if reports_damage(&error) => {
-                StoreError::RefusedDamaged { path: path.to_owned(), report: error.to_string() }
-            }
+            StoreError::Sqlite(error) if reports_damage(&error) => Damage::Refused(error.to_string()).error(path),
             other => other,
         })?;
         connection.busy_timeout(WRITER_BUSY)?;

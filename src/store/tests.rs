@@ -99,7 +99,6 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
     let parts = WriterParts {
         path: path.to_owned(),
         clock: Arc::new(SystemClock),
-        connection,
         records,
         commands,
         progress: progress.clone(),
@@ -109,7 +108,7 @@ pub(super) fn bare_writer(path: &std::path::Path, lock: &std::path::Path) -> (Wr
         wal_alarm_bytes: 1 << 28,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-    (runtime.block_on(async { Writer::new(parts) }).unwrap(), progress)
+    (runtime.block_on(async { Writer::new(parts, connection) }).unwrap(), progress)
 }
 
 /// Returns 100 samples, a gap of 3, 50 samples, an event, rejections, and the end.
@@ -251,7 +250,7 @@ fn a_record_that_the_schema_refuses_does_not_hold_up_the_others() {
     world.send(4711, [segment(1, 0), sample(1, 0)]);
     world.send(id, a_capture());
     world.store.flush_blocking().unwrap();
-    assert_eq!(world.store.progress().refused, 2);
+    assert_eq!(world.store.progress().figures.refused, 2);
     assert_eq!(world.reader().capture(id).unwrap().samples, 150);
 }
 
@@ -495,7 +494,7 @@ fn captures_are_found_by_id_name_and_latest_and_listed_latest_first() {
     let mut page = PageRequest { limit: Some(2), cursor: None };
     let mut listed = Vec::new();
     loop {
-        let captures = reader.captures(&CaptureFilter::default(), &page).unwrap();
+        let captures = reader.captures(None, &page).unwrap();
         listed.extend(captures.rows.iter().map(|row| row.id));
         match captures.next {
             Some(next) => page.cursor = Some(next),

@@ -1,9 +1,10 @@
 //! The trail of a capture: its segments, gaps, events and configurations.
 
 use super::captures::{json_of, known};
+use super::sql::{find, list, value};
 use super::{Page, PageRequest, Reader, StoreError, UtcNs};
 use imu_core::sample::{Channel, GapCause, Timebase};
-use rusqlite::{OptionalExtension, Row, params};
+use rusqlite::{Row, params};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -141,7 +142,7 @@ impl Reader {
     pub fn epoch_offset_ns(&self, capture_id: i64, epoch: u32) -> Result<Option<i64>, StoreError> {
         let sql = "SELECT first_utc_ns - first_device_time_ns FROM segment WHERE capture_id = ?1 AND epoch = ?2 \
                    AND first_device_time_ns IS NOT NULL ORDER BY segment_id LIMIT 1";
-        Ok(self.connection.prepare_cached(sql)?.query_row(params![capture_id, epoch], |row| row.get(0)).optional()?)
+        Ok(find(&self.connection, sql, params![capture_id, epoch], |row| row.get(0))?)
     }
 
     /// Returns the rate of one segment in Hz.
@@ -151,10 +152,8 @@ impl Reader {
     /// reports.
     pub fn segment_rate_hz(&self, capture_id: i64, segment: u32) -> Result<f64, StoreError> {
         let sql = "SELECT rate_hz FROM segment WHERE capture_id = ?1 AND segment_id = ?2";
-        let found = self.connection.prepare_cached(sql)?.query_row(params![capture_id, segment], |row| row.get(0));
-        found
-            .optional()?
-            .ok_or_else(|| StoreError::Damaged(format!("segment {segment} of capture {capture_id} is not there")))
+        let found = find(&self.connection, sql, params![capture_id, segment], |row| row.get(0))?;
+        found.ok_or_else(|| StoreError::Damaged(format!("segment {segment} of capture {capture_id} is not there")))
     }
 
     /// Returns the number of samples missing before the sample `seq`, over all gaps that lie before it.
@@ -163,8 +162,7 @@ impl Reader {
     /// The error that the database reports.
     pub fn missing_before(&self, capture_id: i64, seq: u64) -> Result<u64, StoreError> {
         let sql = "SELECT coalesce(sum(missing), 0) FROM gap WHERE capture_id = ?1 AND before_seq < ?2";
-        let missing: i64 =
-            self.connection.prepare_cached(sql)?.query_row(params![capture_id, seq as i64], |row| row.get(0))?;
+        let missing: i64 = value(&self.connection, sql, params![capture_id, seq as i64])?;
         Ok(missing as u64)
     }
 
@@ -174,10 +172,8 @@ impl Reader {
     /// The error that the database reports.
     pub fn missing(&self, capture_id: i64) -> Result<Missing, StoreError> {
         let sql = "SELECT before_seq, missing FROM gap WHERE capture_id = ?1 ORDER BY before_seq";
-        let mut statement = self.connection.prepare_cached(sql)?;
         let gap = |row: &Row<'_>| Ok((row.get::<_, i64>(0)? as u64, row.get::<_, i64>(1)? as u64));
-        let gaps: Vec<(u64, u64)> = statement.query_map([capture_id], gap)?.collect::<Result<_, _>>()?;
-        Ok(Missing::of(gaps))
+        Ok(Missing::of(list(&self.connection, sql, [capture_id], gap)?))
     }
 
     /// Returns the number of missing samples by the cause of their gaps.
@@ -186,10 +182,8 @@ impl Reader {
     /// The error that the database reports.
     pub fn missing_by_cause(&self, capture_id: i64) -> Result<BTreeMap<String, u64>, StoreError> {
         let sql = "SELECT cause, sum(missing) FROM gap WHERE capture_id = ?1 GROUP BY cause";
-        let mut statement = self.connection.prepare_cached(sql)?;
         let entry = |row: &Row<'_>| Ok((row.get(0)?, row.get::<_, i64>(1)?.max(0) as u64));
-        let causes: Result<_, _> = statement.query_map([capture_id], entry)?.collect();
-        Ok(causes?)
+        Ok(list(&self.connection, sql, [capture_id], entry)?.into_iter().collect())
     }
 
     /// Returns a capture's gaps in the order they were recorded.

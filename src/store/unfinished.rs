@@ -1,9 +1,10 @@
 //! Unfinished captures: those that the last run of the daemon left, with the data that the accounting needs to resume them.
 
 use super::captures::{CaptureState, json_of, known};
+use super::sql::find;
 use super::{Store, StoreError};
 use imu_core::sample::{CaptureConfiguration, SensorDescription, Timebase};
-use rusqlite::{Connection, OptionalExtension};
+use rusqlite::Connection;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -83,11 +84,9 @@ fn forget_open_gaps(connection: &Connection) -> Result<(), StoreError> {
         ),
         [],
     )?;
-    connection.execute(
-        "DELETE FROM gap WHERE gap_id IN (SELECT gap_id FROM gap JOIN capture ON capture.id = gap.capture_id \
-         WHERE state = 'capturing' AND lifecycle = 'live' AND before_seq >= samples)",
-        [],
-    )?;
+    let sql = "DELETE FROM gap WHERE gap_id IN (SELECT gap_id FROM gap JOIN capture ON capture.id = gap.capture_id \
+               WHERE state = 'capturing' AND lifecycle = 'live' AND before_seq >= samples)";
+    connection.execute(sql, [])?;
     Ok(())
 }
 
@@ -140,11 +139,9 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
                WHERE first.capture_id = segment.capture_id AND first.epoch = segment.epoch ORDER BY segment_id LIMIT 1) \
                FROM segment LEFT JOIN (SELECT rate_hz, timebase FROM segment WHERE capture_id = ?1 AND samples > 0 \
                ORDER BY segment_id DESC LIMIT 1) AS of_last ON true WHERE capture_id = ?1 ORDER BY segment_id DESC LIMIT 1";
-    let found = connection
-        .query_row(sql, [capture.id], |row| {
-            Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get::<_, String>(3)?, row.get::<_, Option<i64>>(4)?))
-        })
-        .optional()?;
+    let found = find(connection, sql, [capture.id], |row| {
+        Ok((row.get(0)?, row.get(1)?, row.get(2)?, row.get::<_, String>(3)?, row.get::<_, Option<i64>>(4)?))
+    })?;
     if let Some((segment, epoch, rate_hz, timebase, first)) = found {
         capture.segment = segment;
         capture.epoch = epoch;
@@ -153,13 +150,11 @@ fn add_position(connection: &Connection, capture: &mut Unfinished) -> Result<(),
     }
     let sql = "SELECT device_time_ns, host_mono_ns, host_utc_ns, sync_count, (SELECT boot_id FROM segment WHERE segment.capture_id = sample.capture_id AND \
                segment.segment_id = sample.segment_id) FROM sample WHERE capture_id = ?1 ORDER BY seq DESC LIMIT 1";
-    let found = connection
-        .query_row(sql, [capture.id], |row| {
-            let device: Option<i64> = row.get(0)?;
-            let last = (device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?);
-            Ok((Some(last), row.get(3)?, row.get(4)?))
-        })
-        .optional()?;
+    let found = find(connection, sql, [capture.id], |row| {
+        let device: Option<i64> = row.get(0)?;
+        let last = (device.map(|ns| ns as u64), row.get::<_, i64>(1)? as u64, row.get(2)?);
+        Ok((Some(last), row.get(3)?, row.get(4)?))
+    })?;
     (capture.last, capture.last_sync_count, capture.boot_id) = found.unwrap_or_default();
     if let Some((_, _, utc_ns)) = &mut capture.last {
         *utc_ns = super::utc::corrected(connection, capture.id, capture.samples.saturating_sub(1), *utc_ns)?;

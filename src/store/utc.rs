@@ -13,8 +13,9 @@
 //! correction begins once the first sample with a later time is there ([`close`]), or the capture has ended.
 
 use super::StoreError;
-use super::batch::{self, BatchRow, batch_row};
-use rusqlite::{Connection, OptionalExtension, params};
+use super::batch::{self, batch_row};
+use super::sql::{find, list, run, value};
+use rusqlite::{Connection, params};
 
 /// Rows of one step: some tens of milliseconds.
 pub(super) const STEP_ROWS: i64 = 4096;
@@ -89,11 +90,7 @@ pub(super) fn since(
     next_seq: u64,
 ) -> Result<Since, StoreError> {
     let event = |sql: &str, utc_ns: i64| -> Result<i64, StoreError> {
-        Ok(connection
-            .prepare_cached(sql)?
-            .query_row([capture_id, utc_ns], |row| row.get(0))
-            .optional()?
-            .unwrap_or(i64::MAX))
+        Ok(find(connection, sql, [capture_id, utc_ns], |row| row.get(0))?.unwrap_or(i64::MAX))
     };
     if let Some(seq) = since_seq.filter(|seq| *seq > 0) {
         // An event records the step back, the last of its kind.
@@ -103,10 +100,7 @@ pub(super) fn since(
     }
     let Some(boot_id) = boot_id else { return Ok(Since { seq: 0, event: 0 }) };
     let sql = "SELECT first_seq, first_utc_ns FROM segment WHERE capture_id = ?1 AND boot_id = ?2 ORDER BY segment_id LIMIT 1";
-    let first = connection
-        .prepare_cached(sql)?
-        .query_row(params![capture_id, boot_id], |row| Ok((row.get(0)?, row.get(1)?)))
-        .optional()?;
+    let first = find(connection, sql, params![capture_id, boot_id], |row| Ok((row.get(0)?, row.get(1)?)))?;
     match first {
         Some((seq, utc_ns)) if seq > 0 => {
             // A run of the program records its first sample in an event with that sample's time.
@@ -149,23 +143,21 @@ pub(super) fn note(
     if before_utc_ns.checked_add(by_ns).is_none() {
         return Ok(());
     }
-    connection.execute(
-        "INSERT INTO utc_correction (capture_id, by_ns, before_utc_ns, first_seq, first_event) VALUES (?1, ?2, ?3, ?4, ?5)",
-        params![capture_id, by_ns, before_utc_ns, since.seq, since.event],
-    )?;
+    let sql = "INSERT INTO utc_correction (capture_id, by_ns, before_utc_ns, first_seq, first_event) VALUES (?1, ?2, ?3, ?4, ?5)";
+    connection.execute(sql, params![capture_id, by_ns, before_utc_ns, since.seq, since.event])?;
     Ok(())
 }
 
 /// Returns the time below which samples still belong to the correction that was noted last; `None` if there is none.
 pub(super) fn open_before(connection: &Connection, capture_id: i64) -> Result<Option<i64>, StoreError> {
     let sql = "SELECT max(before_utc_ns) FROM utc_correction WHERE capture_id = ?1 AND end_seq IS NULL";
-    Ok(connection.prepare_cached(sql)?.query_row([capture_id], |row| row.get(0))?)
+    Ok(value(connection, sql, [capture_id])?)
 }
 
 /// Records that the sample `seq` is the first that was taken after the clock was set.
 pub(super) fn close(connection: &Connection, capture_id: i64, seq: u64) -> Result<(), StoreError> {
     let sql = "UPDATE utc_correction SET end_seq = ?2 WHERE capture_id = ?1 AND end_seq IS NULL";
-    connection.prepare_cached(sql)?.execute(params![capture_id, seq as i64])?;
+    run(connection, sql, params![capture_id, seq as i64])?;
     Ok(())
 }
 
@@ -195,9 +187,8 @@ pub(super) fn step(connection: &Connection) -> Result<bool, StoreError> {
         Some(key) => (correction.place, key),
         None => (correction.place + 1, i64::MAX),
     };
-    connection
-        .prepare_cached("UPDATE utc_correction SET place = ?2, next_key = ?3 WHERE correction_id = ?1")?
-        .execute(params![correction.id, place as i64, next_key])?;
+    let sql = "UPDATE utc_correction SET place = ?2, next_key = ?3 WHERE correction_id = ?1";
+    run(connection, sql, params![correction.id, place as i64, next_key])?;
     Ok(true)
 }
 
@@ -218,7 +209,7 @@ fn next(connection: &Connection) -> Result<Option<Correction>, StoreError> {
             since: Since { seq: row.get(8)?, event: row.get(9)? },
         })
     };
-    Ok(connection.prepare_cached(sql)?.query_row([], read).optional()?)
+    Ok(find(connection, sql, [], read)?)
 }
 
 /// Moves the times of some rows. Returns the lowest key among them, or `None` if there are none below `next_key`.
@@ -229,8 +220,7 @@ fn rows(connection: &Connection, correction: &Correction, place: &Place) -> Resu
          ORDER BY {key} DESC LIMIT ?3)"
     );
     let (id, end) = (correction.capture_id, correction.next_key);
-    let lowest: Option<i64> =
-        connection.prepare_cached(&sql)?.query_row(params![id, end, STEP_ROWS], |row| row.get(0))?;
+    let lowest: Option<i64> = value(connection, &sql, params![id, end, STEP_ROWS])?;
     if let Some(lowest) = lowest {
         move_times(connection, correction, place, lowest, end)?;
     }
@@ -248,10 +238,7 @@ fn samples(connection: &Connection, correction: &Correction, place: &Place) -> R
     let sql = "SELECT capture_id, first_seq, count, crc FROM batch \
                WHERE capture_id = ?1 AND first_seq < ?2 AND first_seq + count > ?3 AND first_seq >= \
                coalesce((SELECT max(first_seq) FROM batch WHERE capture_id = ?1 AND first_seq <= ?3), 0)";
-    let batches: Vec<BatchRow> = connection
-        .prepare_cached(sql)?
-        .query_map(params![correction.capture_id, end, from], batch_row)?
-        .collect::<Result<_, _>>()?;
+    let batches = list(connection, sql, params![correction.capture_id, end, from], batch_row)?;
     let from = batches.iter().map(|batch| batch.first_seq).fold(from, i64::min);
     let mut intact = Vec::with_capacity(batches.len());
     for batch in batches {
@@ -289,7 +276,7 @@ fn move_times(
     );
     let since = if *table == "event" { correction.since.event } else { correction.since.seq };
     let values = params![correction.capture_id, from, end, correction.by_ns, correction.before_utc_ns, since];
-    Ok(connection.prepare_cached(&sql)?.execute(values)?)
+    Ok(run(connection, &sql, values)?)
 }
 
 #[cfg(test)]

@@ -29,6 +29,7 @@ use super::lost::Lost;
 use super::progress::{SLOW, SharedProgress, locked};
 use super::queue::{self, SharedWaiting};
 use super::schema::{Durability, set_durability};
+use super::sql::run;
 use super::{StoreError, lock, schema, utc};
 use crate::clock::{Clock, SystemClock};
 use crate::observe::StorageState;
@@ -91,7 +92,6 @@ pub(super) fn in_transaction<T>(
 pub(super) struct WriterParts {
     pub(super) path: PathBuf,
     pub(super) clock: Arc<dyn Clock>,
-    pub(super) connection: Connection,
     pub(super) records: mpsc::Receiver<(i64, Record)>,
     pub(super) commands: mpsc::UnboundedReceiver<Command>,
     pub(super) progress: SharedProgress,
@@ -102,24 +102,16 @@ pub(super) struct WriterParts {
 }
 
 pub(super) struct Writer {
-    path: PathBuf,
-    clock: Arc<dyn Clock>,
-    records: mpsc::Receiver<(i64, Record)>,
-    commands: mpsc::UnboundedReceiver<Command>,
-    progress: SharedProgress,
-    waiting: SharedWaiting,
-    lock: WriterLock,
+    parts: WriterParts,
     connection: Option<Connection>,
     /// The identity of the open file.
     file: FileId,
     file_checked: Instant,
-    file_check: Duration,
     /// Whether the connection is closed because another file is in its place, which was reported.
     replaced: bool,
     /// The records for the replacement of a lost file.
     lost: Lost,
     identity: String,
-    wal_alarm_bytes: u64,
     warned: bool,
     /// The database is damaged: nothing is written any more.
     damage: Option<Damage>,
@@ -147,44 +139,22 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    pub(super) fn new(parts: WriterParts) -> Result<Self, StoreError> {
-        let WriterParts {
-            path,
-            clock,
-            connection,
-            records,
-            commands,
-            progress,
-            waiting,
-            lock,
-            file_check,
-            wal_alarm_bytes,
-        } = parts;
-        let number = last_batch(&connection)? + 1;
-        let identity = identity_of(&connection)?;
+    pub(super) fn new(parts: WriterParts, connection: Connection) -> Result<Self, StoreError> {
         let mut writer = Self {
-            file: FileId::written(&path),
+            file: FileId::written(&parts.path),
             file_checked: Instant::now(),
-            file_check,
             replaced: false,
             lost: Lost::default(),
-            identity,
-            wal_alarm_bytes,
+            identity: identity_of(&connection)?,
             warned: false,
-            path,
-            clock,
-            records,
-            commands,
-            progress,
-            waiting,
-            lock,
+            parts,
+            number: last_batch(&connection)? + 1,
             connection: Some(connection),
             damage: None,
             // An earlier run may have left corrections.
             correcting: Some(Instant::now()),
             correction_failures: 0,
             batch: Vec::with_capacity(COMMIT_RECORDS),
-            number,
             in_doubt: false,
             suspect: false,
             due: None,
@@ -202,7 +172,7 @@ impl Writer {
     /// Records outside the database the last acknowledged batch. The error shows why a disk refuses writes, which
     /// SQLite does not report.
     fn remember(&self) -> Option<std::io::Error> {
-        self.lock.mark(&self.identity, self.number - 1).err()
+        self.parts.lock.mark(&self.identity, self.number - 1).err()
     }
 
     /// Works until a stop command arrives or every sender is gone.
@@ -215,13 +185,13 @@ impl Writer {
             let room = COMMIT_RECORDS.saturating_sub(self.batch.len());
             let receive = records_open && room > 0 && self.retry_at.is_none() && self.damage.is_none();
             tokio::select! {
-                command = self.commands.recv() => match command {
+                command = self.parts.commands.recv() => match command {
                     Some(Command::Run(work)) => self.run_command(work),
                     Some(Command::Damage(failure)) => self.take_report(failure),
-                    Some(Command::Flush(reply)) => self.flushes.push((self.batch.len() + self.records.len(), reply)),
+                    Some(Command::Flush(reply)) => self.flushes.push((self.batch.len() + self.parts.records.len(), reply)),
                     Some(Command::Stop) | None => return self.stop(),
                 },
-                received = self.records.recv_many(&mut self.batch, room), if receive => {
+                received = self.parts.records.recv_many(&mut self.batch, room), if receive => {
                     records_open = received > 0;
                     if received > 0 && self.due.is_none() {
                         self.due = Some(Instant::now() + COMMIT_AFTER);
@@ -231,7 +201,7 @@ impl Writer {
             }
             let now = Instant::now();
             let full = self.batch.len() >= COMMIT_RECORDS;
-            let asked = !self.flushes.is_empty() && self.records.is_empty();
+            let asked = !self.flushes.is_empty() && self.parts.records.is_empty();
             let retry = self.retry_at.is_some_and(|at| now >= at);
             if self.damage.is_some() {
                 // New records stay in the queue: the process is about to end.
@@ -242,13 +212,13 @@ impl Writer {
             if step.is_some_and(|step| now >= step) && self.retry_at.is_none() && self.damage.is_none() {
                 self.correct_times();
             }
-            if now >= self.file_checked + self.file_check {
+            if now >= self.file_checked + self.parts.file_check {
                 self.check_file();
             }
             if now >= tick {
                 self.measure();
             }
-            let mut progress = locked(&self.progress);
+            let mut progress = locked(&self.parts.progress);
             progress.ticks += 1;
             progress.turned_awake_ns = Some(SystemClock.awake_ns());
             progress.in_flight = self.batch.len();
@@ -261,12 +231,12 @@ impl Writer {
             self.commit();
         }
         if let Some(damage) = &self.damage {
-            work(Err(damage.error(&self.path)));
+            work(Err(damage.error(&self.parts.path)));
             return;
         }
         if self.retry_at.is_some() && self.connection.is_none() {
             // Only the batch tries the disk again, at its own pace: a command that arrives now fails at once.
-            let reason = locked(&self.progress).error.clone().unwrap_or_default();
+            let reason = locked(&self.parts.progress).error.clone().unwrap_or_default();
             work(Err(StoreError::Refusing(reason)));
             return;
         }
@@ -285,10 +255,10 @@ impl Writer {
 
     fn connection(&mut self) -> Result<&mut Connection, StoreError> {
         if let Some(damage) = &self.damage {
-            return Err(damage.error(&self.path));
+            return Err(damage.error(&self.parts.path));
         }
         if self.connection.is_none() {
-            if !self.file.is_replaced(&self.path, &self.identity) {
+            if !self.file.is_replaced(&self.parts.path, &self.identity) {
                 self.replaced = false;
                 self.reopen()?;
             } else if std::mem::replace(&mut self.replaced, true) {
@@ -302,7 +272,7 @@ impl Writer {
 
     /// Reopens the same file, if it still holds the committed data.
     fn reopen(&mut self) -> Result<(), StoreError> {
-        let connection = schema::reopen(&self.path).map_err(|error| match error {
+        let connection = schema::reopen(&self.parts.path).map_err(|error| match error {
             StoreError::Foreign { .. } => StoreError::Damaged("its header is not one of ours".to_owned()),
             other => other,
         })?;
@@ -311,32 +281,32 @@ impl Writer {
             return Err(self.lost());
         }
         let mark = Mark { identity: self.identity.clone(), batch: self.number - 1, damage: None };
-        not_behind(&connection, &self.path, &mark)?;
+        not_behind(&connection, &self.parts.path, &mark)?;
         if self.suspect {
             quick_check(&connection, QUICK_CHECK)?;
             self.suspect = false;
         }
         schema::keep_log(&connection, false)?;
-        self.file = FileId::written(&self.path);
+        self.file = FileId::written(&self.parts.path);
         self.connection = Some(connection);
         Ok(())
     }
 
     fn lost(&mut self) -> StoreError {
-        self.file.look(&self.path);
+        self.file.look(&self.parts.path);
         let detail = "a new file takes what comes, from what was not yet committed on";
-        StoreError::Lost { path: self.path.clone(), detail }
+        StoreError::Lost { path: self.parts.path.clone(), detail }
     }
 
     /// Checks whether the path still names the open file. Data written to a deleted database is lost.
     fn check_file(&mut self) {
         self.file_checked = Instant::now();
-        if !self.file.is_lost(&self.path) {
+        if !self.file.is_lost(&self.parts.path) {
             return;
         }
         if let Some(connection) = self.connection.take() {
             self.lost.note(&connection);
-            self.file.let_go(&self.path, connection);
+            self.file.let_go(&self.parts.path, connection);
             self.replaced = true;
             let lost = self.lost();
             self.fail(Failure::of(&lost));
@@ -345,27 +315,27 @@ impl Writer {
 
     /// Opens the replacement of the lost file, or a new file, and continues the captures there.
     fn take_new_file(&mut self) -> Result<(), StoreError> {
-        let path = &self.path;
+        let path = &self.parts.path;
         let opened = self.file.judged(path, |file| {
             file.clear_remains(path)?;
             schema::open_and_migrate(path, None)
         })?;
         let Some(mut connection) = opened else { return Err(self.lost()) };
-        let moved = self.lost.settle(&mut connection, self.clock.utc_ns())?;
+        let moved = self.lost.settle(&mut connection, self.parts.clock.utc_ns())?;
         self.number = last_batch(&connection)? + 1;
         self.identity = identity_of(&connection)?;
         self.in_doubt = false;
         self.suspect = false;
         self.replaced = false;
-        self.file = FileId::written(&self.path);
+        self.file = FileId::written(&self.parts.path);
         self.connection = Some(connection);
         self.correcting = Some(Instant::now());
         self.correction_failures = 0;
         self.remember();
-        let mut progress = locked(&self.progress);
+        let mut progress = locked(&self.parts.progress);
         progress.committed = self.lost.acknowledged();
         progress.moved = moved;
-        tracing::warn!(message = "A new database file takes what comes.", path = %self.path.display());
+        tracing::warn!(message = "A new database file takes what comes.", path = %self.parts.path.display());
         Ok(())
     }
 
@@ -380,15 +350,15 @@ impl Writer {
             return;
         }
         let started = SystemClock.awake_ns();
-        locked(&self.progress).committing_since_awake_ns = Some(started);
+        locked(&self.parts.progress).committing_since_awake_ns = Some(started);
         let written = self.write_batch();
-        locked(&self.progress).committing_since_awake_ns = None;
+        locked(&self.parts.progress).committing_since_awake_ns = None;
         match written {
             Ok(inserted) => {
                 let took = Duration::from_nanos(SystemClock.awake_ns().saturating_sub(started));
                 let written = self.batch.len();
                 self.batch.clear();
-                queue::locked(&self.waiting).write(written as u64);
+                queue::locked(&self.parts.waiting).write(written as u64);
                 self.remember_commit();
                 self.in_doubt = false;
                 self.due = None;
@@ -398,15 +368,15 @@ impl Writer {
                 }
                 self.recovered();
                 {
-                    let mut progress = locked(&self.progress);
+                    let mut progress = locked(&self.parts.progress);
                     progress.committed.extend(inserted.committed);
-                    progress.refused += inserted.refused;
-                    progress.commits += 1;
+                    progress.figures.refused += inserted.refused;
+                    progress.figures.commits += 1;
                     progress.last_commit_mono_ns = Some(SystemClock.mono_ns());
                     progress.last_commit = Some(took);
-                    progress.slowest_commit = progress.slowest_commit.max(took);
+                    progress.figures.slowest_commit_s = progress.figures.slowest_commit_s.max(took.as_secs_f64());
                     if took > SLOW {
-                        progress.slow_commits += 1;
+                        progress.figures.slow_commits += 1;
                         progress.state = StorageState::Slow;
                     }
                 }
@@ -478,17 +448,17 @@ impl Writer {
 
     fn write_batch(&mut self) -> Result<super::insert::Inserted, StoreError> {
         self.connection()?;
-        let (number, in_doubt, utc_ns) = (self.number, self.in_doubt, self.clock.utc_ns());
+        let (number, in_doubt, utc_ns) = (self.number, self.in_doubt, self.parts.clock.utc_ns());
         let Some(connection) = self.connection.as_mut() else { return Err(StoreError::Closed) };
         let batch = self.lost.translated(&self.batch);
         let inserted = if in_doubt && last_batch(connection)? == number {
             tracing::warn!(message = "A batch whose commit had failed is there.", number);
-            make_durable(connection, &self.path)?;
+            make_durable(connection, &self.parts.path)?;
             committed_of(connection, &batch)?
         } else {
             in_transaction(connection, Durability::AtCommit, |transaction| {
                 let inserted = insert(transaction, &batch, utc_ns, number)?;
-                transaction.prepare_cached("UPDATE writer SET batch = ?1")?.execute([number])?;
+                run(transaction, "UPDATE writer SET batch = ?1", [number])?;
                 Ok(inserted)
             })?
         };
@@ -496,7 +466,7 @@ impl Writer {
     }
 
     fn answer_flushes(&mut self, written: usize) {
-        let idle = self.batch.is_empty() && self.records.is_empty();
+        let idle = self.batch.is_empty() && self.parts.records.is_empty();
         for (remaining, _) in &mut self.flushes {
             *remaining = if idle { 0 } else { remaining.saturating_sub(written) };
         }
@@ -514,21 +484,21 @@ impl Writer {
         let now = Instant::now();
         let seconds = (now - self.measured_at).as_secs_f64();
         self.measured_at = now;
-        let passed = seconds * self.clock.speed();
+        let passed = seconds * self.parts.clock.speed();
         let rate = if passed > 0.0 { self.samples_since as f64 / passed } else { 0.0 };
         self.samples_since = 0;
         let weight = (seconds / 30.0).min(1.0);
         let bytes = |path: &std::path::Path| std::fs::metadata(path).map_or(0, |file| file.len());
-        let (database, wal) = (bytes(&self.path), bytes(&schema::wal_path(&self.path)));
-        let free = lock::free_bytes(&self.path);
-        let mut progress = locked(&self.progress);
-        progress.samples_per_s += weight * (rate - progress.samples_per_s);
+        let (database, wal) = (bytes(&self.parts.path), bytes(&schema::wal_path(&self.parts.path)));
+        let free = lock::free_bytes(&self.parts.path);
+        let mut progress = locked(&self.parts.progress);
+        progress.figures.samples_per_s += weight * (rate - progress.figures.samples_per_s);
         progress.database_bytes = database;
         progress.wal_bytes = wal;
         if let Ok(free) = free {
             progress.free_bytes = free;
         }
-        let warning = progress.warning(self.wal_alarm_bytes);
+        let warning = progress.warning(self.parts.wal_alarm_bytes);
         let had = std::mem::replace(&mut self.warned, warning.is_some());
         match warning {
             Some(warning) if !had => tracing::warn!("{warning}"),
@@ -536,7 +506,7 @@ impl Writer {
             _ => {}
         }
         drop(progress);
-        let swollen = self.retry_at.is_none() && wal > self.wal_alarm_bytes;
+        let swollen = self.retry_at.is_none() && wal > self.parts.wal_alarm_bytes;
         if let Some(connection) = self.connection.as_ref().filter(|_| swollen)
             && let Err(error) = schema::shrink_log(connection)
         {
@@ -546,7 +516,7 @@ impl Writer {
 
     /// Writes the rest, copies the log into the file and closes it.
     pub(super) fn stop(&mut self) -> Result<(), StoreError> {
-        self.records.close();
+        self.parts.records.close();
         if self.damage.is_some() {
             return self.stop_damaged();
         }
@@ -554,7 +524,7 @@ impl Writer {
         loop {
             // A batch in doubt stays as it was passed on: its number stands for exactly these records.
             while !self.in_doubt && self.batch.len() < COMMIT_RECORDS {
-                match self.records.try_recv() {
+                match self.parts.records.try_recv() {
                     Ok(record) => self.batch.push(record),
                     Err(_) => break,
                 }
@@ -566,10 +536,10 @@ impl Writer {
             if self.damage.is_some() {
                 return self.stop_damaged();
             }
-            let error = locked(&self.progress).error.clone();
+            let error = locked(&self.parts.progress).error.clone();
             if let Some(reason) = error {
                 if Instant::now() >= patience {
-                    let records = self.batch.len() + self.records.len();
+                    let records = self.batch.len() + self.parts.records.len();
                     return Err(StoreError::Unwritten { records, reason });
                 }
                 std::thread::sleep(self.retry_after.min(RETRY.1));
@@ -604,6 +574,6 @@ impl Writer {
 
 impl Drop for Writer {
     fn drop(&mut self) {
-        FileId::forget(&self.path);
+        FileId::forget(&self.parts.path);
     }
 }

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::observe::{CaptureStatus, SensorState, StorageState};
-use crate::store::WriterProgress;
 
 fn running(status: &mut Status) {
     status.capture = Some(CaptureStatus {
@@ -74,7 +73,7 @@ fn metrics_are_openmetrics_and_count_what_the_writer_did() {
     world.capture("a", CaptureState::Complete, 120);
     let answer = eventually("commits", || world.get("/metrics"), |answer| !answer.text.contains("commits_total 0\n"));
     assert_eq!(answer.header("content-type"), crate::observe::metrics::CONTENT_TYPE);
-    let WriterProgress { commits, .. } = world.store.progress();
+    let commits = world.store.progress().figures.commits;
     assert!(answer.text.contains(&format!("\nvn100d_commits_total {commits}\n")), "{}", answer.text);
     assert!(answer.text.contains("\nvn100d_committed_samples_total 120\n"), "{}", answer.text);
     assert!(answer.text.ends_with("# EOF\n"));

@@ -166,26 +166,25 @@ impl<'a> Rebuilt<'a> {
         let row = salvage.captures.get(&id).cloned().unwrap_or_default();
         let (integer, text) = (|column| get::<i64>(&row, column), |column| get::<String>(&row, column));
         let name = text(1).unwrap_or_else(|| format!("recovered-{id}"));
-        connection.execute(
-            "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
-             started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)",
-            params![
-                id,
-                name,
-                text(2).unwrap_or_else(|| "unknown".to_owned()),
-                text(3).unwrap_or_else(|| "stopped".to_owned()),
-                integer(5).unwrap_or_else(|| SystemClock.utc_ns()),
-                integer(6),
-                integer(7).filter(|ns| *ns > 0),
-                integer(8),
-                integer(11) == Some(1),
-                text(18).filter(|json| is_json(json)),
-                text(19).filter(|json| is_json(json)),
-                text(20).unwrap_or_else(|| SOFTWARE.to_owned()),
-                text(21),
-            ],
-        )?;
+        let sql = "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
+                   started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)";
+        let values = params![
+            id,
+            name,
+            text(2).unwrap_or_else(|| "unknown".to_owned()),
+            text(3).unwrap_or_else(|| "stopped".to_owned()),
+            integer(5).unwrap_or_else(|| SystemClock.utc_ns()),
+            integer(6),
+            integer(7).filter(|ns| *ns > 0),
+            integer(8),
+            integer(11) == Some(1),
+            text(18).filter(|json| is_json(json)),
+            text(19).filter(|json| is_json(json)),
+            text(20).unwrap_or_else(|| SOFTWARE.to_owned()),
+            text(21),
+        ];
+        connection.execute(sql, values)?;
         let mut gaps: Vec<Gap> = salvage.gaps.get(&id).into_iter().flatten().filter_map(|row| gap_of(row)).collect();
         gaps.sort_by_key(|gap| (gap.before_seq, gap.from_utc_ns));
         let end = integer(13).unwrap_or_else(|| salvage.end_of(id));
@@ -297,8 +296,8 @@ impl<'a> Rebuilt<'a> {
             self.segment = Some((row.segment_id, segment.clone()));
             self.push(Record::Segment(segment))?;
             if leading && row.seq > 0 {
-                let gap = self.leading_gap(&row);
-                self.push(Record::Gap(gap))?;
+                let started = get(&self.row, 8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
+                self.push(Record::Gap(self.gap_here(started, row.host_utc_ns, row.seq as u64)))?;
             }
         }
         let shift = row.seq - self.next_seq as i64;
@@ -328,28 +327,15 @@ impl<'a> Rebuilt<'a> {
         let contiguous = by_number == 0 && before.number == self.segments && self.segment.as_ref()?.0 == row.segment_id;
         let missing = by_clock.unwrap_or(by_number);
         (missing > 0 && !contiguous).then(|| Gap {
-            before_seq: self.next_seq,
-            from_utc_ns: last.host_utc_ns,
-            to_utc_ns: row.host_utc_ns,
             device_ns: span.map(|(from, to)| (from as u64, to as u64)),
-            missing,
-            missing_exact: true,
-            cause: GapCause::Source,
+            ..self.gap_here(last.host_utc_ns, row.host_utc_ns, missing)
         })
     }
 
-    /// Returns the samples lost before the first one present.
-    fn leading_gap(&self, row: &StoredRow) -> Gap {
-        let started = get(&self.row, 8).filter(|ns| *ns <= row.host_utc_ns).unwrap_or(row.host_utc_ns);
-        Gap {
-            before_seq: 0,
-            from_utc_ns: started,
-            to_utc_ns: row.host_utc_ns,
-            device_ns: None,
-            missing: row.seq as u64,
-            missing_exact: true,
-            cause: GapCause::Source,
-        }
+    /// Returns the gap of so many lost samples before the next one.
+    fn gap_here(&self, from_utc_ns: i64, to_utc_ns: i64, missing: u64) -> Gap {
+        let (before_seq, cause) = (self.next_seq, GapCause::Source);
+        Gap { before_seq, from_utc_ns, to_utc_ns, device_ns: None, missing, missing_exact: true, cause }
     }
 
     /// Returns the segment that a sample's row names; a new one is made up if it is lost.
@@ -403,11 +389,9 @@ impl<'a> Rebuilt<'a> {
             let [name, unit, original_unit] = [1, 2, 4].map(|column| get::<String>(row, column));
             let (resolution, factor) = (get::<f64>(row, 3), get::<f64>(row, 5));
             if name.is_some() && unit.is_some() {
-                self.connection.execute(
-                    "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT DO NOTHING",
-                    params![self.report.id, name, unit, resolution, original_unit, factor],
-                )?;
+                let sql = "INSERT INTO channel (capture_id, channel, unit, resolution, original_unit, factor) \
+                           VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT DO NOTHING";
+                self.connection.execute(sql, params![self.report.id, name, unit, resolution, original_unit, factor])?;
             }
         }
         Ok(())
@@ -433,16 +417,9 @@ impl<'a> Rebuilt<'a> {
         if let Some((last, (_, segment))) = self.last.zip(self.segment.clone()) {
             let lost = (self.end - 1 - last.seq).max(0) as u64;
             // A capture that continues measures the gap since its last sample again.
-            let lost = Gap {
-                before_seq: self.next_seq,
-                from_utc_ns: last.host_utc_ns,
-                to_utc_ns: last.host_utc_ns + ((lost + 1) as f64 * NANOS_PER_SECOND as f64 / segment.rate_hz) as i64,
-                device_ns: None,
-                missing: lost,
-                missing_exact: true,
-                cause: GapCause::Source,
-            };
-            let end = Some(lost).filter(|gap| gap.missing > 0 && state != "capturing");
+            let until = last.host_utc_ns + ((lost + 1) as f64 * NANOS_PER_SECOND as f64 / segment.rate_hz) as i64;
+            let end = Some(self.gap_here(last.host_utc_ns, until, lost))
+                .filter(|gap| gap.missing > 0 && state != "capturing");
             for gap in trailing.into_iter().filter(|_| state != "capturing").chain(end) {
                 self.push(Record::Gap(Gap { before_seq: self.next_seq, ..gap }))?;
             }
@@ -467,8 +444,9 @@ impl<'a> Rebuilt<'a> {
             self.push(Record::Event(event))?;
             self.write()?;
         }
+        let sql = "UPDATE capture SET state = ?2, ended_utc_ns = ?3, pinned = ?4, rate_hz = coalesce(rate_hz, ?5) WHERE id = ?1";
         self.connection.execute(
-            "UPDATE capture SET state = ?2, ended_utc_ns = ?3, pinned = ?4, rate_hz = coalesce(rate_hz, ?5) WHERE id = ?1",
+            sql,
             params![
                 id,
                 state,
@@ -486,20 +464,16 @@ impl<'a> Rebuilt<'a> {
         let transaction = self.connection.transaction()?;
         for row in self.salvage.events.values().filter(|row| get(row, 1) == Some(id)) {
             let detail = get::<String>(row, 5).filter(|json| is_json(json));
-            transaction.execute(
-                "INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)",
-                params![id, row[2], row[3], row[4], detail],
-            )?;
+            let sql = "INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)";
+            transaction.execute(sql, params![id, row[2], row[3], row[4], detail])?;
             self.report.events += 1;
         }
         for row in self.salvage.configurations.values().filter(|row| get(row, 1) == Some(id)) {
             let before = get(row, 3).unwrap_or(0);
             let shift = self.shifts.iter().rev().find(|(from, _)| *from <= before).map_or(0, |(_, shift)| *shift);
             let before = (before - shift).clamp(0, self.next_seq as i64);
-            transaction.execute(
-                "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)",
-                params![id, row[2], before, row[4]],
-            )?;
+            let sql = "INSERT INTO configuration (capture_id, utc_ns, before_seq, registers) VALUES (?1, ?2, ?3, ?4)";
+            transaction.execute(sql, params![id, row[2], before, row[4]])?;
         }
         transaction.commit()?;
         Ok(())

@@ -62,7 +62,7 @@ impl Writer {
     /// Handles damage that a reader found. This also counts while the disk refuses writes, but not for a file that is
     /// gone.
     pub(in crate::store) fn take_report(&mut self, failure: Failure) {
-        if self.damage.is_none() && !self.file.is_lost(&self.path) {
+        if self.damage.is_none() && !self.file.is_lost(&self.parts.path) {
             self.fail(failure);
         }
     }
@@ -70,7 +70,7 @@ impl Writer {
     pub(super) fn recovered(&mut self) {
         self.retry_at = None;
         self.retry_after = Duration::ZERO;
-        let mut progress = locked(&self.progress);
+        let mut progress = locked(&self.parts.progress);
         if !matches!(progress.state, StorageState::Ok | StorageState::Slow) {
             tracing::info!(message = "The database takes data again.");
         }
@@ -80,7 +80,7 @@ impl Writer {
 
     pub(super) fn fail(&mut self, mut failure: Failure) {
         if !failure.sound {
-            if self.connection.is_some() && self.file.is_lost(&self.path) {
+            if self.connection.is_some() && self.file.is_lost(&self.parts.path) {
                 self.check_file();
                 return;
             }
@@ -108,12 +108,12 @@ impl Writer {
             StorageState::StorageError => RETRY_IO.1,
             _ => (self.retry_after * 2).min(RETRY.1),
         };
-        let mut progress = locked(&self.progress);
+        let mut progress = locked(&self.parts.progress);
         if progress.error.as_ref() != Some(&failure.text) {
             tracing::error!(message = "The database does not take data; it is kept in memory.", error = failure.text);
         }
-        progress.failures += 1;
-        progress.busy += u64::from(failure.state == StorageState::StorageLocked);
+        progress.figures.failures += 1;
+        progress.figures.busy += u64::from(failure.state == StorageState::StorageLocked);
         if failure.state == StorageState::StorageError {
             progress.io_failures_mono_ns.push(SystemClock.mono_ns());
             if progress.io_failures_mono_ns.len() > IO_FAILURES {
@@ -129,7 +129,7 @@ impl Writer {
         if let Some(connection) = self.connection.take() {
             // If the file is replaced before it is reopened, the captures continue in the replacement.
             self.lost.note(&connection);
-            self.file.close(&self.path, connection);
+            self.file.close(&self.parts.path, connection);
         }
         self.suspect |= state == StorageState::StorageError;
     }
@@ -139,7 +139,7 @@ impl Writer {
     /// it may come back intact.
     fn mark_damaged(&self, damage: &Damage) -> std::io::Result<()> {
         match damage {
-            Damage::Met(report) => self.lock.mark_damaged(&self.identity, report),
+            Damage::Met(report) => self.parts.lock.mark_damaged(&self.identity, report),
             Damage::Refused(_) | Damage::LogMissing(_) => Ok(()),
         }
     }
@@ -152,12 +152,12 @@ impl Writer {
                 tracing::warn!(message = "The log may be copied into the damaged file.", %error);
             }
         }
-        let error = damage.error(&self.path);
+        let error = damage.error(&self.parts.path);
         tracing::error!("{error}");
         (self.retry_at, self.due) = (None, None);
         self.damage = Some(damage);
-        let mut progress = locked(&self.progress);
-        progress.failures += 1;
+        let mut progress = locked(&self.parts.progress);
+        progress.figures.failures += 1;
         progress.state = StorageState::StorageError;
         progress.error = Some(error.to_string());
         progress.damaged = true;
@@ -165,7 +165,7 @@ impl Writer {
 
     /// Determines the cause of an I/O error with a small write beside the database.
     fn cause(&self) -> StorageState {
-        let full = || lock::free_bytes(&self.path).is_ok_and(|free| free < NO_SPACE_BYTES);
+        let full = || lock::free_bytes(&self.parts.path).is_ok_and(|free| free < NO_SPACE_BYTES);
         match self.remember().map(|error| error.kind()) {
             Some(std::io::ErrorKind::ReadOnlyFilesystem) => StorageState::StorageReadonly,
             Some(std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) => StorageState::StorageFull,
@@ -176,10 +176,10 @@ impl Writer {
 
     /// Ends the thread if the database is damaged; returns the damage.
     pub(super) fn stop_damaged(&mut self) -> Result<(), StoreError> {
-        let records = self.batch.len() + self.records.len();
+        let records = self.batch.len() + self.parts.records.len();
         if records > 0 {
             tracing::error!(message = "What was not committed is not written to a damaged file.", records);
         }
-        Err(self.damage.as_ref().map_or(StoreError::Closed, |damage| damage.error(&self.path)))
+        Err(self.damage.as_ref().map_or(StoreError::Closed, |damage| damage.error(&self.parts.path)))
     }
 }

@@ -26,7 +26,7 @@ impl Writer {
 
     /// Behaves as if the disk had gone: the lock's file takes nothing any more.
     pub(in crate::store) fn pretend_no_disk(&mut self, lock: &std::path::Path) {
-        self.lock.file = std::fs::File::open(lock).unwrap();
+        self.parts.lock.file = std::fs::File::open(lock).unwrap();
     }
 
     /// Commits the records at the first attempt that succeeds; returns how many failed.
@@ -38,7 +38,7 @@ impl Writer {
                 return failed;
             }
         }
-        panic!("{:?}", locked(&self.progress));
+        panic!("{:?}", locked(&self.parts.progress));
     }
 
     /// Tries a step of correcting civil times; returns when the next one is due.
@@ -55,7 +55,7 @@ impl Writer {
     /// Tries the batch once.
     pub(in crate::store) fn attempt(&mut self) -> StorageState {
         self.commit();
-        locked(&self.progress).state
+        locked(&self.parts.progress).state
     }
 
     /// Tries the batch again.
