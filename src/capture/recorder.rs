@@ -444,10 +444,10 @@ impl Recorder {
     /// Passes on the accountant's records, up to the planned end.
     fn forward(&mut self, out: &mut Vec<Record>) {
         let records = std::mem::take(&mut self.scratch);
-        if let Some(accountant) = &mut self.accountant
-            && let (Some(observation), Some(last)) = (accountant.take_observation(), accountant.last())
-        {
-            out.extend(event_of(observation, last.host_utc_ns));
+        if let Some(accountant) = &mut self.accountant {
+            while let (Some(observation), Some(last)) = (accountant.take_observation(), accountant.last()) {
+                out.extend(event_of(observation, last.host_utc_ns));
+            }
         }
         for (frame, cause) in self.accountant.as_mut().map(Accountant::take_refused).unwrap_or_default() {
             self.drop_frame(frame, cause);

@@ -5,7 +5,7 @@
 //! systemd restarts the daemon.
 
 use crate::store::Store;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, LazyLock};
 use std::time::Duration;
@@ -47,14 +47,20 @@ pub async fn feed(reader: Arc<AtomicU64>, store: Store, stop: CancellationToken)
     }
 }
 
-/// Messages that wait for systemd; further ones are dropped.
-const WAITING_MAX: usize = 16;
+/// Messages that wait for systemd; further ones are dropped. A status line is dropped if [`STATUS_MAX`] wait, so that there is
+/// room for what systemd acts on.
+const WAITING_MAX: usize = 64;
+const STATUS_MAX: usize = 4;
+
+/// The number of messages that wait.
+static WAITING: AtomicUsize = AtomicUsize::new(0);
 
 /// Messages for systemd, for a thread of their own: a send blocks for as long as the manager does not read its socket.
 static MESSAGES: LazyLock<Option<SyncSender<String>>> = LazyLock::new(|| {
     let (sender, messages) = sync_channel::<String>(WAITING_MAX);
     let send = move || {
         for message in messages {
+            WAITING.fetch_sub(1, Ordering::Relaxed);
             if let Err(error) = sd_notify::notify(&[sd_notify::NotifyState::Custom(&message)]) {
                 tracing::debug!(%error, "systemd was not notified");
             }
@@ -69,9 +75,13 @@ pub fn notify(states: &[sd_notify::NotifyState<'_>]) {
         return;
     }
     let lines: Vec<String> = states.iter().map(ToString::to_string).collect();
-    let queued = MESSAGES.as_ref().map(|messages| messages.try_send(lines.join("\n")));
+    let is_status = matches!(states, [sd_notify::NotifyState::Status(_)]);
+    let waiting = WAITING.fetch_add(1, Ordering::Relaxed);
+    let is_wanted = !is_status || waiting < STATUS_MAX;
+    let queued = MESSAGES.as_ref().filter(|_| is_wanted).map(|messages| messages.try_send(lines.join("\n")));
     if !matches!(queued, Some(Ok(()))) {
-        tracing::debug!("a message to systemd was dropped: systemd does not read its socket");
+        WAITING.fetch_sub(1, Ordering::Relaxed);
+        tracing::debug!("a message to systemd was dropped: too many wait");
     }
 }
 

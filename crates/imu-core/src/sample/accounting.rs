@@ -24,10 +24,11 @@ mod ticks;
 pub use arrival::DOUBT_AGAIN_NS;
 
 use arrival::Arrival;
-use ticks::{Rerun, Trial};
+use ticks::{Lag, Rerun, Trial};
 
 use super::{DiscardCause, Gap, GapCause, Record, Sample, Segment, Timebase};
 use crate::units::period_ns;
+use std::collections::VecDeque;
 
 /// A device time that goes back by at most this is a duplicate or a reordered frame; by more, the clock was reset.
 pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
@@ -123,8 +124,8 @@ pub struct Accountant {
     rerun: Rerun,
     /// Measurements that turned out to be no samples after they were held: number and cause.
     refused: Vec<(u64, DiscardCause)>,
-    /// The observation at a held sample.
-    held_observation: Option<Observation>,
+    /// The observations at held samples that no sample has returned yet.
+    held_observations: VecDeque<Observation>,
     arrival: Arrival,
     /// Whether counted samples are taken whose rate is undecided.
     undecided: bool,
@@ -135,6 +136,7 @@ pub struct Accountant {
     backward: u32,
     /// How much later the last sample was read than the quickest of its epoch, ns.
     late_ns: f64,
+    lag: Lag,
     /// How long no sample has come earlier than the quickest so far, ns of the sensor's clock.
     on_line_ns: f64,
 }
@@ -264,7 +266,7 @@ impl Accountant {
 
     /// Returns the observation at a held sample that no later sample has returned, if any.
     pub fn take_observation(&mut self) -> Option<Observation> {
-        self.held_observation.take()
+        self.held_observations.pop_front()
     }
 
     /// Returns the measurements that were held and turned out to be no samples, since the last call: number and cause.
@@ -301,7 +303,7 @@ impl Accountant {
                 Observation::Taken
             }
         };
-        if seen == Observation::Taken { self.held_observation.take().unwrap_or(seen) } else { seen }
+        if seen == Observation::Taken { self.held_observations.pop_front().unwrap_or(seen) } else { seen }
     }
 
     /// Decides about held samples; must be called before the capture ends.

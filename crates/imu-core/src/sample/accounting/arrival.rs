@@ -163,9 +163,9 @@ impl Accountant {
             self.adopt_arrivals(rate_hz, out);
         } else if let (Some(late_from), false) = (self.steady_until(), awaits_count) {
             if self.count_contradicts(late_from) {
+                self.doubt = Some(RateDoubt::Open(self.longest_silence_ns()));
                 self.timebase = Timebase::Arrival;
                 self.open = None;
-                self.doubt = Some(RateDoubt::Open(self.longest_silence_ns()));
             }
             let (mut late, host_trouble) = (self.arrival.held.split_off(late_from), self.arrival.host_trouble);
             self.release(out);

@@ -567,3 +567,77 @@ fn a_silence_before_another_rate_is_no_reset_if_the_count_goes_on() {
         assert_ne!(gap.cause, GapCause::SensorReset, "{to_hz} Hz, {answers}");
     }
 }
+
+/// A line whose latency has grown for good: a loss after that is no reset, and a reset is as long as the sensor was away.
+#[test]
+fn a_latency_that_has_grown_for_good_makes_no_reset_and_lengthens_none() {
+    for lag_s in [0.3, 1.5, 5.0] {
+        for rate_hz in [10.0, 50.0, 400.0] {
+            for reset in [false, true] {
+                let away_s = if reset { 1.25 } else { 2.0 / rate_hz };
+                let clock_s = if reset { 0.1 } else { 1020.0 + away_s };
+                let (mut accountant, mut out) = (Accountant::new(rate_hz, Timebase::Device), Vec::new());
+                for (sent_s, clock_s) in
+                    run(rate_hz, 0.0, 20.0, 1000.0).chain(run(rate_hz, 20.0 + away_s, 10.0, clock_s))
+                {
+                    let arrived = START_NS + (1e9 * (sent_s + if sent_s < 10.0 { 0.0 } else { lag_s })) as u64;
+                    let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+                    sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+                    accountant.observe(sample, &mut out);
+                }
+                accountant.settle(&mut out);
+                let case = format!("{lag_s} s, {rate_hz} Hz: {:?}", gaps(&out));
+                let missing = (away_s * rate_hz).round() as u64;
+                assert_eq!(accountant.epoch(), if reset { 2 } else { 1 }, "{case}");
+                assert!(accountant.missing().abs_diff(missing) <= 1, "{missing}, {case}");
+                assert!(reset || gaps(&out).iter().all(|gap| gap.missing_exact), "{case}");
+            }
+        }
+    }
+}
+
+/// A sensor whose flash holds another rate counts faster after a reset: that is no lateness.
+#[test]
+fn a_count_that_restarts_at_another_rate_is_one_gap() {
+    for (from_hz, to_hz) in [(40.0, 50.0), (50.0, 40.0), (40.0, 200.0), (200.0, 40.0), (10.0, 100.0)] {
+        let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::SyncCounter), Vec::new());
+        let mut held_ns = 0;
+        for (tick, sent_s) in (0..(20.0 * from_hz) as u64)
+            .map(|tick| (100 + tick, tick as f64 / from_hz))
+            .chain((0..(20.0 * to_hz) as u64).map(|tick| (1 + tick, 21.25 + tick as f64 / to_hz)))
+        {
+            let arrived = START_NS + (1e9 * sent_s) as u64;
+            let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+            sample.sync_count = Some(tick as u32);
+            accountant.observe(sample, &mut out);
+            if let (true, Some(last)) = (accountant.held() > 0, accountant.last()) {
+                held_ns = held_ns.max(arrived - last.host_mono_ns);
+            }
+            accountant.take_doubt();
+        }
+        accountant.settle(&mut out);
+        let case = format!("{from_hz} to {to_hz} Hz: held for {held_ns} ns, {:?}, {:?}", gaps(&out), rates(&out));
+        assert!(held_ns < 7_000_000_000, "{case}");
+        assert_eq!(accountant.epoch(), 2, "{case}");
+        let missing = (1.25 * from_hz) as u64;
+        assert!(gaps(&out)[0].missing.abs_diff(missing) <= 2 + (0.03 * from_hz) as u64, "{case}");
+    }
+}
+
+/// A capture that ends with its first sample after an hour without power was reset in between.
+#[test]
+fn a_reset_that_one_sample_shows_is_measured_by_the_hosts_clock() {
+    let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::Device), Vec::new());
+    for (index, (sent_s, clock_s)) in run(50.0, 0.0, 10.0, 5.0).chain([(3610.0, 40.0)]).enumerate() {
+        if index == 500 {
+            accountant.interrupt(GapCause::Unplugged, &mut out);
+        }
+        let arrived = START_NS + (1e9 * sent_s) as u64;
+        let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
+        sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
+        accountant.observe(sample, &mut out);
+    }
+    accountant.settle(&mut out);
+    let [gap] = gaps(&out)[..] else { panic!("{:?}", gaps(&out)) };
+    assert_eq!((accountant.epoch(), gap.missing, gap.missing_exact), (2, 180_000, false));
+}

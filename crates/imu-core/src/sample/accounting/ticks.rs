@@ -39,7 +39,9 @@ const CAUGHT_UP_NS: f64 = 5e7;
 const EARLIER_NS: f64 = 5e6;
 /// Among samples after a reset, one whose clock is behind by more periods than this follows another reset.
 const REORDERED_PERIODS: f64 = 4.0;
-/// The maximum number of samples after a reset that are held.
+/// The longest time for which samples after a reset are held, ns of the host's clock, and the maximum number. A count that advances
+/// faster than before the reset never seems to catch up.
+const RERUN_NS: f64 = 3e9;
 const RERUN_MAX: usize = 16_384;
 
 /// A way to take a sample.
@@ -53,6 +55,33 @@ pub(super) struct Trial {
     pub(super) step_ns: f64,
     /// The host's trouble when the first sample arrived.
     host_trouble: Option<GapCause>,
+}
+
+/// How late all samples of the last second or two were: a line whose latency has grown for good delays every one of them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Lag {
+    /// The least lateness in the last whole window and in the present one, ns.
+    least_ns: [f64; 2],
+    /// How much of the present window has passed for both clocks, ns.
+    passed_ns: f64,
+}
+
+impl Lag {
+    /// The length of a window, ns.
+    const WINDOW_NS: f64 = 1e9;
+
+    fn ns(self) -> f64 {
+        self.least_ns[0].min(self.least_ns[1])
+    }
+
+    /// Notes how late a sample was, after this time has passed for both clocks: samples that are read at once show nothing.
+    fn note(&mut self, late_ns: f64, passed_ns: f64) {
+        self.least_ns[1] = self.least_ns[1].min(late_ns);
+        self.passed_ns += passed_ns;
+        if self.passed_ns > Self::WINDOW_NS {
+            *self = Self { least_ns: [self.least_ns[1], late_ns], passed_ns: 0.0 };
+        }
+    }
 }
 
 /// What happened to the sensor's clock before the samples that are held.
@@ -73,8 +102,10 @@ enum Happened {
 pub(super) struct Rerun {
     pub(super) held: Vec<Sample>,
     happened: Happened,
-    /// The host's trouble when the first sample arrived.
-    host_trouble: Option<(GapCause, u64)>,
+    /// The host's trouble when the first sample arrived, and what was suspicious before it.
+    before: (Option<(GapCause, u64)>, Option<GapCause>),
+    /// Whether the last of them show no more lateness.
+    caught_up: bool,
     /// How far the sensor's clock has advanced since the first sample, ns.
     advance_ns: f64,
     /// How late the first sample was read, as far as the held samples show, ns, and the monotonic time of the one that
@@ -121,13 +152,16 @@ impl Accountant {
         // The first sample after a gap may be the first of another rate.
         let is_gap = begun == 0 && step_ns > 1.5 * period_ns(self.rate_hz) && !differs;
         let goes_on = is_gap || (differs && (begun < 2 || same(self.trial.step_ns)));
-        if !goes_on {
+        if !goes_on && begun > 0 {
             self.end_trial(out);
             // A sample must not overtake those that are held after a reset.
-            if !differs || !self.rerun.held.is_empty() {
-                return self.observe_step(sample, out);
-            }
-        } else if begun == 1 {
+            let is_behind_others = !self.rerun.held.is_empty();
+            return if is_behind_others { self.observe_step(sample, out) } else { self.observe_ticks(sample, out) };
+        }
+        if !goes_on {
+            return self.observe_step(sample, out);
+        }
+        if begun == 1 {
             self.trial.step_ns = step_ns;
         }
         if self.trial.held.is_empty() {
@@ -176,7 +210,7 @@ impl Accountant {
             Observation::Duplicate => self.refused.push((frame, DiscardCause::Duplicate)),
             Observation::OutOfOrder => self.refused.push((frame, DiscardCause::OutOfOrder)),
             Observation::Taken => {}
-            observation => self.held_observation = Some(observation),
+            observation => self.held_observations.push_back(observation),
         }
     }
 
@@ -230,23 +264,23 @@ impl Accountant {
             if back <= REORDER_WINDOW_NS && (self.interrupted.is_none() || back == 0) && self.backward < 16 {
                 return if back == 0 { Observation::Duplicate } else { Observation::OutOfOrder };
             }
-            // The reset explains what was suspicious before it.
-            self.suspicion = None;
             return self.hold_rerun(sample, Happened::Reset);
         }
         let step_ns = ahead_ns as f64;
         // A restarted clock is behind the host's. If the sensor's clock is ahead, the host's clock stood still or was
         // stepped.
+        // Only an interruption shows that the last sample's lateness is over: a line may keep it.
+        let late_ns = if self.interrupted.is_some() { self.late_before(&last, &sample) } else { 0.0 };
         let is_away = self.interrupted.is_some() || step_ns > 1.5 * period;
-        if is_away && self.is_behind(host_ns + self.late_before(&last, &sample), step_ns) {
+        if is_away && self.is_behind(host_ns + late_ns, step_ns) {
             return self.hold_rerun(sample, Happened::Undecided);
         }
         self.observe_ahead(sample, last, step_ns, out)
     }
 
-    /// Returns how late the last sample before this one was read, ns; 0 if that is of no importance now.
+    /// Returns how much later than those before it the last sample before this one was read, ns; 0 if that is of no importance now.
     fn late_before(&self, last: &Position, sample: &Sample) -> f64 {
-        if is_one_boot(last, sample) { self.late_ns } else { 0.0 }
+        if is_one_boot(last, sample) { (self.late_ns - self.lag.ns()).max(0.0) } else { 0.0 }
     }
 
     /// Takes a sample of the same run of the sensor's clock, or the first one after it was set ahead.
@@ -275,6 +309,7 @@ impl Accountant {
             is_early = is_known && early_ns > least_ns;
             self.on_line_ns = if early_ns > EARLY_NS { 0.0 } else { self.on_line_ns + step_ns };
             self.late_ns = (late_ns - DRIFT * step_ns).max(0.0);
+            self.lag.note(self.late_ns, step_ns.min(host_ns));
             self.note_lateness(self.late_ns, step_ns);
         }
         self.backward = 0;
@@ -309,15 +344,11 @@ impl Accountant {
     fn hold_rerun(&mut self, sample: Sample, happened: Happened) -> Observation {
         self.rerun = Rerun {
             happened,
-            host_trouble: self.host_trouble,
+            before: (self.host_trouble, self.suspicion.take()),
             shown_mono_ns: sample.host_mono_ns,
             held: vec![sample],
             ..Rerun::default()
         };
-        // What was suspicious before belongs to the first sample.
-        if happened != Happened::Undecided {
-            self.suspicion = None;
-        }
         Observation::Taken
     }
 
@@ -335,7 +366,7 @@ impl Accountant {
     pub(super) fn observe_rerun(&mut self, sample: Sample, observe: Observe, out: &mut Vec<Record>) -> Observation {
         let advance_ns = self.rerun.held.last().and_then(|before| self.advance_ns(before, &sample));
         let first_mono_ns = self.rerun.held.first().map_or(0, |first| first.host_mono_ns);
-        let Rerun { held, advance_ns: so_far_ns, late_ns, shown_mono_ns, .. } = &mut self.rerun;
+        let Rerun { held, advance_ns: so_far_ns, late_ns, shown_mono_ns, caught_up, .. } = &mut self.rerun;
         if let (Some(advance_ns), true) = (advance_ns, held.len() < RERUN_MAX) {
             *so_far_ns += advance_ns;
             let shown_ns = *so_far_ns - sample.host_mono_ns.saturating_sub(first_mono_ns) as f64;
@@ -343,7 +374,9 @@ impl Accountant {
                 (*late_ns, *shown_mono_ns) = (shown_ns, sample.host_mono_ns);
             }
             let since_ns = sample.host_mono_ns.saturating_sub(*shown_mono_ns) as f64;
-            if since_ns < CAUGHT_UP_NS.max(2.0 * self.host_jitter_ns) {
+            let passed_ns = sample.host_mono_ns.saturating_sub(first_mono_ns) as f64;
+            *caught_up = since_ns >= CAUGHT_UP_NS.max(2.0 * self.host_jitter_ns);
+            if !*caught_up && passed_ns < RERUN_NS.max(32.0 * self.host_jitter_ns) {
                 held.push(sample);
                 return Observation::Taken;
             }
@@ -354,7 +387,9 @@ impl Accountant {
 
     /// Takes the samples after a reset that were held.
     pub(super) fn end_rerun(&mut self, observe: Observe, out: &mut Vec<Record>) {
-        let Rerun { held, mut happened, host_trouble, .. } = std::mem::take(&mut self.rerun);
+        let Rerun { held, mut happened, mut before, caught_up, .. } = std::mem::take(&mut self.rerun);
+        // Counts that do not catch up have another rate than before the reset, and show no lateness.
+        let is_unknown = !caught_up && self.timebase == Timebase::SyncCounter && self.is_long(&held);
         // How late each sample was read: each later one shows that it was at least as late.
         let mut late_ns = vec![0.0_f64; held.len()];
         let mut begins = vec![true; held.len()];
@@ -363,13 +398,15 @@ impl Accountant {
             let advance_ns = self.advance_ns(before, sample).unwrap_or(0.0);
             begins[index] = advance_ns == 0.0;
             let passed_ns = sample.host_mono_ns.saturating_sub(before.host_mono_ns) as f64;
-            late_ns[index - 1] = (late_ns[index] + advance_ns - passed_ns).max(0.0);
+            late_ns[index - 1] = if is_unknown { 0.0 } else { (late_ns[index] + advance_ns - passed_ns).max(0.0) };
         }
         for (sample, (late_ns, begins)) in held.into_iter().zip(late_ns.into_iter().zip(begins)) {
             if begins {
                 // Samples of the run before must not be overtaken.
                 self.settle(out);
-                self.begin_rerun(sample, late_ns, std::mem::take(&mut happened), host_trouble, out);
+                let happened = std::mem::take(&mut happened);
+                self.begin_rerun(sample, (late_ns, caught_up), happened, before, out);
+                before.1 = None;
                 continue;
             }
             let frame = sample.frame;
@@ -378,36 +415,52 @@ impl Accountant {
         }
     }
 
-    /// Takes the first sample of another run of the sensor's clock, which was read this late.
+    /// Returns whether samples were held for as long as they may be.
+    fn is_long(&self, held: &[Sample]) -> bool {
+        let passed_ns = held
+            .first()
+            .zip(held.last())
+            .map_or(0, |(first, last)| last.host_mono_ns.saturating_sub(first.host_mono_ns));
+        passed_ns as f64 > 0.9 * RERUN_NS
+    }
+
+    /// Takes the first sample of another run of the sensor's clock, which was read this late, at least; `caught_up` if no later.
+    /// `before` it there was this trouble and suspicion.
     fn begin_rerun(
         &mut self,
         first: Sample,
-        late_ns: f64,
+        (late_ns, caught_up): (f64, bool),
         happened: Happened,
-        trouble: Option<(GapCause, u64)>,
+        before: (Option<(GapCause, u64)>, Option<GapCause>),
         out: &mut Vec<Record>,
     ) {
         let Some(last) = self.last else { return self.take(first, out) };
         let host_ns = host_elapsed_ns(&last, first.host_mono_ns, first.host_utc_ns);
         // The last sample before may have been read late as well.
-        let away_ns = if is_one_boot(&last, &first) { (host_ns + self.late_ns - late_ns).max(0.0) } else { host_ns };
+        let before_ns = self.late_before(&last, &first);
+        let away_ns = if is_one_boot(&last, &first) { (host_ns + before_ns - late_ns).max(0.0) } else { host_ns };
         let tick = (first.device_time_ns, first.sync_count);
         let step_ns = self.ahead_ns((last.device_time_ns, last.sync_count), tick).unwrap_or(0) as f64;
-        if happened == Happened::Undecided && !self.is_behind(away_ns, step_ns) {
+        let later = (self.host_trouble, self.suspicion);
+        (self.host_trouble, self.suspicion) = before;
+        // Samples that have not caught up do not show the lateness before them to be over.
+        let least_ns = if caught_up { away_ns } else { host_ns - late_ns };
+        if happened == Happened::Undecided && !self.is_behind(least_ns, step_ns) {
             let frame = first.frame;
+            let undecided = std::mem::replace(&mut self.undecided, !caught_up);
             let observation = self.observe_ahead(first, last, step_ns, out);
+            self.undecided = undecided;
             self.note_held(frame, observation);
-            return;
+        } else {
+            let cause = if let Happened::Ahead(_, cause) = happened { cause } else { GapCause::SensorReset };
+            let observation = self.new_epoch(&last, first, (away_ns, cause), out);
+            self.late_ns = late_ns;
+            self.held_observations.push_back(match happened {
+                Happened::Ahead(ahead_ns, _) => Observation::ClockAhead(ahead_ns + late_ns as u64),
+                Happened::Reset | Happened::Undecided => observation,
+            });
         }
-        let suspicion = self.suspicion.take();
-        let host_trouble = std::mem::replace(&mut self.host_trouble, trouble);
-        let cause = if let Happened::Ahead(_, cause) = happened { cause } else { GapCause::SensorReset };
-        let observation = self.new_epoch(&last, first, (away_ns, cause), out);
-        (self.late_ns, self.suspicion, self.host_trouble) = (late_ns, suspicion, host_trouble);
-        self.held_observation = Some(match happened {
-            Happened::Ahead(ahead_ns, _) => Observation::ClockAhead(ahead_ns + late_ns as u64),
-            Happened::Reset | Happened::Undecided => observation,
-        });
+        (self.host_trouble, self.suspicion) = later;
     }
 
     /// Takes the first sample of another run of the sensor's clock. `host_ns` is the time since the last one by the host's clock,
@@ -420,7 +473,7 @@ impl Accountant {
         out: &mut Vec<Record>,
     ) -> Observation {
         self.backward = 0;
-        (self.late_ns, self.on_line_ns) = (0.0, 0.0);
+        (self.late_ns, self.on_line_ns, self.lag) = (0.0, 0.0, Lag::default());
         self.open = None;
         self.epoch += 1;
         // The consequences of a reset are not its cause.
