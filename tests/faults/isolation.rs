@@ -328,7 +328,16 @@ fn nothing_that_is_asked_costs_the_recorder_a_sample() {
             let pause = time / KILLS;
             while go_on() {
                 std::thread::sleep(pause);
-                if let Some(child) = children(pid).pop().and_then(|pid| rustix::process::Pid::from_raw(pid as i32)) {
+                // An import that is killed again and again never ends.
+                let is_job = |pid: &u32| {
+                    let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+                    line.split(|byte| *byte == 0).any(|word| word == b"job")
+                };
+                let job = (0..100).find_map(|_| {
+                    std::thread::sleep(Duration::from_millis(100));
+                    children(pid).into_iter().find(is_job)
+                });
+                if let Some(child) = job.and_then(|pid| rustix::process::Pid::from_raw(pid as i32)) {
                     // The process may just have ended.
                     if rustix::process::kill_process(child, rustix::process::Signal::KILL).is_ok() {
                         asked.kills.fetch_add(1, Ordering::Relaxed);
