@@ -327,6 +327,18 @@ fn read_late(
     (accountant, out)
 }
 
+/// A sample that is read at this time, s, and whose clock shows this, s.
+fn timed(read_s: f64, clock_s: f64) -> Sample {
+    let device_time_ns = Some((1e9 * clock_s).round() as u64);
+    Sample { device_time_ns, ..counted(read_s, None) }
+}
+
+/// A sample that is read at this time, s, with this count.
+fn counted(read_s: f64, sync_count: impl Into<Option<u32>>) -> Sample {
+    let read_ns = START_NS + (1e9 * read_s) as u64;
+    Sample { sync_count: sync_count.into(), ..Sample::at(read_ns, 1_800_000_000_000_000_000 + read_ns as i64) }
+}
+
 /// Messages of one run of the sensor's clock: sent at the rate from a time on, for a duration, s; the clock shows `clock_s` first.
 fn run(rate_hz: f64, from_s: f64, length_s: f64, clock_s: f64) -> impl Iterator<Item = (f64, f64)> + Clone {
     (0..(length_s * rate_hz).round() as u64).map(move |tick| {
@@ -385,10 +397,7 @@ fn a_gap_across_which_the_rate_changed_is_not_exact() {
             for away_s in [0.5, 2.0] {
                 let (mut accountant, mut out) = (Accountant::new(from_hz, Timebase::Device), Vec::new());
                 let mut send = |accountant: &mut Accountant, (sent_s, clock_s): (f64, f64)| {
-                    let arrived = START_NS + (1e9 * sent_s) as u64;
-                    let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-                    sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
-                    accountant.observe(sample, &mut out);
+                    accountant.observe(timed(sent_s, clock_s), &mut out);
                 };
                 run(from_hz, 0.0, 5.0, 1000.0).for_each(|sent| send(&mut accountant, sent));
                 if let Some(cause) = cause {
@@ -416,10 +425,7 @@ fn a_counted_rate_that_is_undecided_at_the_end_makes_no_exact_loss() {
             let sent = run(50.0, 0.0, 10.0, 0.0).chain(run(to_hz, 10.0, 1.0 + end_s, 10.0));
             for (sent_s, clock_s) in sent {
                 let arrived_s = if (9.4..11.0).contains(&sent_s) { 11.0 } else { sent_s };
-                let arrived = START_NS + (1e9 * arrived_s) as u64;
-                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-                sample.sync_count = Some((clock_s * 50.0 + 1e-6) as u32);
-                accountant.observe(sample, &mut out);
+                accountant.observe(counted(arrived_s, (clock_s * 50.0 + 1e-6) as u32), &mut out);
             }
             accountant.settle(&mut out);
             let exact: u64 = gaps(&out).iter().filter(|gap| gap.missing_exact).map(|gap| gap.missing).sum();
@@ -504,10 +510,7 @@ fn a_young_sensor_that_is_reset_again_is_measured_by_the_hosts_clock() {
                 }
                 let stall = end_s - 0.3..end_s + away_s - 0.5;
                 let arrived_s = if stalled && stall.contains(&sent_s) { stall.end } else { sent_s };
-                let arrived = START_NS + (1e9 * arrived_s) as u64;
-                let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-                sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
-                accountant.observe(sample, &mut out);
+                accountant.observe(timed(arrived_s, clock_s), &mut out);
             }
             accountant.settle(&mut out);
             let missing = (1.25 + away_s) * rate_hz;
@@ -531,10 +534,7 @@ fn a_clock_that_is_set_ahead_in_trouble_makes_no_exact_loss() {
         if sent_s == 10.64 {
             accountant.interrupt(GapCause::Unplugged, &mut out);
         }
-        let arrived = START_NS + (1e9 * sent_s) as u64;
-        let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-        sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
-        accountant.observe(sample, &mut out);
+        accountant.observe(timed(sent_s, clock_s), &mut out);
     }
     accountant.settle(&mut out);
     assert!(gaps(&out).iter().all(|gap| !gap.missing_exact), "{:?}", gaps(&out));
@@ -550,10 +550,7 @@ fn a_silence_before_another_rate_is_no_reset_if_the_count_goes_on() {
     for (to_hz, answers) in [(100.0, true), (25.0, true), (100.0, false), (25.0, false)] {
         let (mut accountant, mut out) = (Accountant::new(50.0, Timebase::SyncCounter), Vec::new());
         for (sent_s, clock_s) in run(50.0, 0.0, 10.0, 0.0).chain(run(to_hz, 11.5, 10.0, 11.5)) {
-            let arrived = START_NS + (1e9 * sent_s) as u64;
-            let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-            sample.sync_count = Some((clock_s * 50.0 + 1e-6) as u32);
-            accountant.observe(sample, &mut out);
+            accountant.observe(counted(sent_s, (clock_s * 50.0 + 1e-6) as u32), &mut out);
             if let Some(doubt) = accountant.take_doubt() {
                 assert!(!doubt.is_reset(50.0, to_hz), "{to_hz} Hz: {doubt:?}");
                 if answers && sent_s > 11.0 {
@@ -580,10 +577,7 @@ fn a_latency_that_has_grown_for_good_makes_no_reset_and_lengthens_none() {
                 for (sent_s, clock_s) in
                     run(rate_hz, 0.0, 20.0, 1000.0).chain(run(rate_hz, 20.0 + away_s, 10.0, clock_s))
                 {
-                    let arrived = START_NS + (1e9 * (sent_s + if sent_s < 10.0 { 0.0 } else { lag_s })) as u64;
-                    let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-                    sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
-                    accountant.observe(sample, &mut out);
+                    accountant.observe(timed(sent_s + if sent_s < 10.0 { 0.0 } else { lag_s }, clock_s), &mut out);
                 }
                 accountant.settle(&mut out);
                 let case = format!("{lag_s} s, {rate_hz} Hz: {:?}", gaps(&out));
@@ -632,10 +626,7 @@ fn a_reset_that_one_sample_shows_is_measured_by_the_hosts_clock() {
         if index == 500 {
             accountant.interrupt(GapCause::Unplugged, &mut out);
         }
-        let arrived = START_NS + (1e9 * sent_s) as u64;
-        let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);
-        sample.device_time_ns = Some((1e9 * clock_s).round() as u64);
-        accountant.observe(sample, &mut out);
+        accountant.observe(timed(sent_s, clock_s), &mut out);
     }
     accountant.settle(&mut out);
     let [gap] = gaps(&out)[..] else { panic!("{:?}", gaps(&out)) };

@@ -104,8 +104,9 @@ pub(super) struct Rerun {
     happened: Happened,
     /// The host's trouble when the first sample arrived, and what was suspicious before it.
     before: (Option<(GapCause, u64)>, Option<GapCause>),
-    /// Whether the last of them show no more lateness.
+    /// Whether the last of them show no more lateness, and whether they were held for as long as they may be without that.
     caught_up: bool,
+    is_long: bool,
     /// How far the sensor's clock has advanced since the first sample, ns.
     advance_ns: f64,
     /// How late the first sample was read, as far as the held samples show, ns, and the monotonic time of the one that
@@ -366,7 +367,7 @@ impl Accountant {
     pub(super) fn observe_rerun(&mut self, sample: Sample, observe: Observe, out: &mut Vec<Record>) -> Observation {
         let advance_ns = self.rerun.held.last().and_then(|before| self.advance_ns(before, &sample));
         let first_mono_ns = self.rerun.held.first().map_or(0, |first| first.host_mono_ns);
-        let Rerun { held, advance_ns: so_far_ns, late_ns, shown_mono_ns, caught_up, .. } = &mut self.rerun;
+        let Rerun { held, advance_ns: so_far_ns, late_ns, shown_mono_ns, caught_up, is_long, .. } = &mut self.rerun;
         if let (Some(advance_ns), true) = (advance_ns, held.len() < RERUN_MAX) {
             *so_far_ns += advance_ns;
             let shown_ns = *so_far_ns - sample.host_mono_ns.saturating_sub(first_mono_ns) as f64;
@@ -376,7 +377,8 @@ impl Accountant {
             let since_ns = sample.host_mono_ns.saturating_sub(*shown_mono_ns) as f64;
             let passed_ns = sample.host_mono_ns.saturating_sub(first_mono_ns) as f64;
             *caught_up = since_ns >= CAUGHT_UP_NS.max(2.0 * self.host_jitter_ns);
-            if !*caught_up && passed_ns < RERUN_NS.max(32.0 * self.host_jitter_ns) {
+            *is_long = !*caught_up && passed_ns >= RERUN_NS.max(32.0 * self.host_jitter_ns);
+            if !*caught_up && !*is_long {
                 held.push(sample);
                 return Observation::Taken;
             }
@@ -387,9 +389,9 @@ impl Accountant {
 
     /// Takes the samples after a reset that were held.
     pub(super) fn end_rerun(&mut self, observe: Observe, out: &mut Vec<Record>) {
-        let Rerun { held, mut happened, mut before, caught_up, .. } = std::mem::take(&mut self.rerun);
+        let Rerun { held, mut happened, mut before, caught_up, is_long, .. } = std::mem::take(&mut self.rerun);
         // Counts that do not catch up have another rate than before the reset, and show no lateness.
-        let is_unknown = !caught_up && self.timebase == Timebase::SyncCounter && self.is_long(&held);
+        let is_unknown = is_long && self.timebase == Timebase::SyncCounter;
         // How late each sample was read: each later one shows that it was at least as late.
         let mut late_ns = vec![0.0_f64; held.len()];
         let mut begins = vec![true; held.len()];
@@ -413,15 +415,6 @@ impl Accountant {
             let observation = observe(self, sample, out);
             self.note_held(frame, observation);
         }
-    }
-
-    /// Returns whether samples were held for as long as they may be.
-    fn is_long(&self, held: &[Sample]) -> bool {
-        let passed_ns = held
-            .first()
-            .zip(held.last())
-            .map_or(0, |(first, last)| last.host_mono_ns.saturating_sub(first.host_mono_ns));
-        passed_ns as f64 > 0.9 * RERUN_NS
     }
 
     /// Takes the first sample of another run of the sensor's clock, which was read this late, at least; `caught_up` if no later.
