@@ -65,8 +65,6 @@ mod hidden;
 mod hints;
 mod holdout;
 #[cfg(test)]
-mod in_tests;
-#[cfg(test)]
 mod intervals;
 mod law;
 #[cfg(test)]
@@ -105,6 +103,8 @@ mod spread;
 #[cfg(test)]
 mod strong_effects;
 mod taken_back;
+#[cfg(test)]
+mod test_place;
 mod tiles;
 pub mod transform;
 mod translate;

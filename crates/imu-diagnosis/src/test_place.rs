@@ -1,4 +1,4 @@
-//! In tests: a place that a test need not spell out.
+//! A place of a gap for tests, which need not spell out what they do not examine.
 
 use super::report::{Of, Place};
 
