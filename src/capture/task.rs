@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot, watch};
-use tokio_serial::SerialStream;
+use tokio_serial::{SerialPort as _, SerialStream};
 use vn100_proto::{Decoder, DecoderOptions, Event, Measurement};
 
 /// The interval at which time-outs, discards and progress are examined, in real time.
@@ -28,10 +28,12 @@ const HOST_BLAME_NS: u64 = 3_000_000_000;
 const CLOCK_EVERY_NS: u64 = 60_000_000_000;
 /// The host's own lateness in reading, in real time; it counts if time runs faster.
 const HOST_JITTER: Duration = Duration::from_millis(250);
-/// At high rates several frames are read at once: a wake-up for each would cost more than it is worth.
-const COALESCE: Duration = Duration::from_millis(20);
-/// Rates above which reads are coalesced, Hz; their frames carry the sensor's time.
-const COALESCE_ABOVE_HZ: f64 = 250.0;
+/// At high rates the line's buffer is looked at this often, and all that it holds is read at once: a wake-up for each
+/// frame would cost more than it is worth. The buffer holds 44 ms of data at 921,600 baud, and an adapter drops data
+/// when it is full.
+const GATHER: Duration = Duration::from_millis(5);
+/// Rates above which reads are gathered, Hz; their frames carry the sensor's time.
+const GATHER_ABOVE_HZ: f64 = 250.0;
 /// The maximum size of one read: 0.7 s at 921,600 baud.
 const READ_BYTES: usize = 65_536;
 /// A read of this many bytes shows that the line's buffer was full: it holds 4,095 bytes, however much a read may take.
@@ -138,15 +140,17 @@ pub async fn run(
         shell.runs(patient);
         let session_wait = shell.session.deadline_ns().saturating_sub(shell.clock.mono_ns());
         let wake = (now + shell.clock.real(Duration::from_nanos(session_wait)).min(TICK)).min(next_tick);
+        let is_fast = shell.state.accepted.is_some_and(|(_, rate_hz)| rate_hz > GATHER_ABOVE_HZ);
+        let gathers = (!patient && is_fast).then_some(&*shell.state.sink);
         // Arrived data is read before a silence is inferred.
         let happened = tokio::select! {
             biased;
             command = commands.recv() => Happened::Command(command.unwrap_or(TaskCommand::Shutdown)),
-            read = read(&mut stream, &mut buffer) => Happened::Read(read),
+            read = read(&mut stream, &mut buffer, gathers) => Happened::Read(read),
             () = tokio::time::sleep_until(wake.into()) => Happened::Nothing,
         };
         shell.runs(patient);
-        let read_some = matches!(happened, Happened::Read(_));
+        let mut read_some = matches!(happened, Happened::Read(_));
         match happened {
             Happened::Command(command) => {
                 shell.command(command);
@@ -159,14 +163,7 @@ pub async fn run(
                 let before = shell.session.status().state;
                 match read {
                     Ok(0) => shell.input(Input::Disconnected("the line hung up".to_owned())),
-                    Ok(count) => {
-                        shell.received(&buffer[..count]);
-                        if !patient && shell.state.accepted.is_some_and(|(_, rate_hz)| rate_hz > COALESCE_ABOVE_HZ) {
-                            let due = Instant::now() + COALESCE;
-                            tokio::time::sleep_until(due.into()).await;
-                            shell.state.sink.woke(due.elapsed());
-                        }
-                    }
+                    Ok(count) => shell.received(&buffer[..count]),
                     Err(error) => shell.input(Input::Disconnected(error.to_string())),
                 }
                 if shell.session.status().state != before {
@@ -178,13 +175,17 @@ pub async fn run(
                 // The runtime may not have noticed new data yet, so the port is queried. The time is taken before the
                 // query, so that data which arrives in between cannot be mistaken for silence.
                 let now_ns = shell.clock.mono_ns();
-                let unread = stream.as_mut().map(|(port, _)| port.try_read(&mut buffer));
+                // A read from an empty buffer may take long: see [`read`].
+                let is_due = shell.session.deadline_ns() <= now_ns;
+                let unread = stream.as_mut().filter(|(port, _)| is_due || !is_fast || !is_empty(port));
+                let unread = unread.map(|(port, _)| port.try_read(&mut buffer));
                 match unread {
                     Some(Ok(count)) if count > 0 => {
                         if patient {
                             shell.state.room().await;
                         }
                         shell.received(&buffer[..count]);
+                        read_some = true;
                     }
                     _ => shell.session.handle(now_ns, Input::Tick, &mut shell.actions),
                 }
@@ -213,11 +214,35 @@ enum Happened {
     Nothing,
 }
 
-async fn read(stream: &mut Option<(SerialStream, PathBuf)>, buffer: &mut [u8]) -> std::io::Result<usize> {
-    match stream {
-        Some((port, _)) => port.read(buffer).await,
-        None => std::future::pending().await,
+/// Reads what arrives; if `gathers`, whatever the line's buffer holds at intervals.
+///
+/// A read from an empty buffer waits until the kernel's own thread has handed on what the driver holds. That thread has
+/// no priority: on a busy machine it was kept from its turn for 0.2 s while the buffer was full and the reader waited
+/// for it. A look at the number of bytes waits only while that thread copies some.
+async fn read(
+    stream: &mut Option<(SerialStream, PathBuf)>,
+    buffer: &mut [u8],
+    gathers: Option<&dyn Sink>,
+) -> std::io::Result<usize> {
+    let Some((port, _)) = stream else { return std::future::pending().await };
+    let Some(sink) = gathers else { return port.read(buffer).await };
+    loop {
+        let due = Instant::now() + GATHER;
+        tokio::time::sleep_until(due.into()).await;
+        sink.woke(due.elapsed());
+        if is_empty(port) {
+            continue;
+        }
+        match port.try_read(buffer) {
+            Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => {}
+            read => return read,
+        }
     }
+}
+
+/// Returns whether the line's buffer is empty. One that has hung up is not: a read reports it.
+fn is_empty(port: &SerialStream) -> bool {
+    matches!(port.bytes_to_read(), Ok(0))
 }
 
 /// Takes the measurements that were held until their unit was recognised.
