@@ -17,6 +17,9 @@ const PROGRESS_BYTES: u64 = 64 * 1024;
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Number of received bytes after which free space is checked again.
 const LOOK_BYTES: u64 = 8 << 20;
+/// The part of a body that may stay in the kernel's memory. What waits there for the disk counts as the unit's memory:
+/// at its limit the reader, too, has to wait for the disk when it needs a page.
+const CACHED_BYTES: u64 = 64 << 20;
 
 /// The kind of a body, in the sender's words, and its limits.
 #[derive(Debug, Clone, Copy)]
@@ -89,6 +92,11 @@ impl Kind {
             if received >= looked + LOOK_BYTES {
                 looked = received;
                 self.room_for(state, 0)?;
+                if received > CACHED_BYTES {
+                    file.sync_data().await.map_err(|error| self.no_room(&error))?;
+                    // A file system without such a cache refuses.
+                    let _ = rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed);
+                }
             }
             if received > self.bytes_max {
                 return Err(self.too_large());
