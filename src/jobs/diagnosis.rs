@@ -1,12 +1,14 @@
 //! Diagnosis: compares a capture with a simulator, as a job.
 //!
-//! Unlike the other kinds it holds all samples at once and has no checkpoints: if the program ends, it begins again.
-//! After each channel it checks whether it is still wanted.
+//! Unlike the other kinds it holds all samples at once. Its checkpoint has the result for each channel that is done: a
+//! process that continues explains the others, and comes to the same result, bit for bit. After each channel it checks
+//! whether it is still wanted.
 
+use super::fold::{join, split};
 use super::plan::Plan;
 use super::runner::Keeper;
 use super::{Gridded, JobError, ReferenceMotion, fitted, gridded};
-use crate::store::{JobKind, JobRow, Reader, SOFTWARE};
+use crate::store::{JobCheckpoint, JobKind, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
 use imu_diagnosis::{Diagnosis, Drawings, Options, Reference, Workers};
 use imu_model::motion::file::Rows;
@@ -15,7 +17,8 @@ use imu_model::simulator::SensorModel;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
-use std::sync::{Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The maximum number of grid places, missing samples included, times (channels + [`BESIDES`]), about 35 bytes each:
 /// five hours of nine channels at 40 Hz.
@@ -185,22 +188,95 @@ struct Written<'a> {
     drawings: Drawings,
 }
 
-/// Stores the progress of the work; returns `false` if the job is no longer wanted.
-type Step<'a> = dyn Fn(f64) -> bool + Sync + 'a;
+/// Maximum size of the results that a checkpoint holds, bytes. A channel whose result does not fit is explained again
+/// after an interruption.
+const KEPT_MAX: usize = 4 << 20;
+/// Version of the checkpoint.
+const VERSION: u8 = 1;
+
+/// The progress of the work.
+struct Progress<'a> {
+    keeper: &'a mut dyn Keeper,
+    /// The reason why the job is no longer wanted.
+    ended: Option<JobError>,
+    /// Number of times that work was given out.
+    turn: u32,
+    share: f64,
+    /// The results of the work by [`Self::key`].
+    kept: BTreeMap<u64, Vec<u8>>,
+}
+
+impl<'a> Progress<'a> {
+    /// Begins, or continues from a checkpoint's state. `None` if it is damaged.
+    fn new(keeper: &'a mut dyn Keeper, state: Option<Vec<u8>>) -> Option<Self> {
+        let mut kept = BTreeMap::new();
+        if let Some(state) = state {
+            let (_, mut rest) = state.split_first().filter(|(version, _)| **version == VERSION)?;
+            for entry in split(&mut rest)? {
+                let (key, result) = entry.split_first_chunk()?;
+                kept.insert(u64::from_le_bytes(*key), result.to_vec());
+            }
+        }
+        Some(Self { keeper, ended: None, turn: 0, share: 0.0, kept })
+    }
+
+    /// Identifies the work on a number among all work of the job.
+    fn key(&self, number: usize) -> u64 {
+        (u64::from(self.turn) << 32) | number as u64
+    }
+
+    /// Stores the progress; returns `false` if the job is no longer wanted.
+    fn note(&mut self, share: f64) -> bool {
+        self.share = share;
+        if self.ended.is_none() {
+            self.ended = self.keeper.progress(share).err();
+        }
+        self.ended.is_none()
+    }
+
+    /// Stores a checkpoint with one more result.
+    fn keep(&mut self, number: usize, result: Vec<u8>) {
+        let size: usize = self.kept.values().map(Vec::len).sum();
+        if self.ended.is_some() || size + result.len() > KEPT_MAX {
+            return;
+        }
+        self.kept.insert(self.key(number), result);
+        let entry = |(key, result): (&u64, &Vec<u8>)| [&key.to_le_bytes(), result.as_slice()].concat();
+        let entries: Vec<Vec<u8>> = self.kept.iter().map(entry).collect();
+        let state = [vec![VERSION], join(&entries)].concat();
+        self.ended = self.keeper.checkpoint(JobCheckpoint { next_seq: 0, state }, self.share).err();
+    }
+}
 
 /// Works on one channel after the other, as long as the job is wanted: two at a time would take more memory.
-struct OneByOne<'a> {
-    step: &'a Step<'a>,
+struct OneByOne<'a, 'b> {
+    progress: &'a Mutex<Progress<'b>>,
     from: f64,
     to: f64,
 }
 
-impl Workers for OneByOne<'_> {
+impl<'b> OneByOne<'_, 'b> {
+    fn progress(&self) -> MutexGuard<'_, Progress<'b>> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Workers for OneByOne<'_, '_> {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
-        let progress = |index: usize| self.from + (self.to - self.from) * index as f64 / count as f64;
-        for index in (0..count).take_while(|index| (self.step)(progress(*index))) {
+        self.progress().turn += 1;
+        let share = |index: usize| self.from + (self.to - self.from) * index as f64 / count as f64;
+        for index in (0..count).take_while(|index| self.progress().note(share(*index))) {
             work(index);
         }
+    }
+
+    fn kept(&self, number: usize) -> Option<Vec<u8>> {
+        let progress = self.progress();
+        progress.kept.get(&progress.key(number)).cloned()
+    }
+
+    fn keep(&self, number: usize, result: Vec<u8>) {
+        self.progress().keep(number, result);
     }
 }
 
@@ -211,17 +287,11 @@ pub(super) fn work(
     parameters: DiagnosisParameters,
     keeper: &mut dyn Keeper,
 ) -> Result<String, JobError> {
-    let state = Mutex::new((keeper, None));
-    let step = |progress: f64| {
-        let (keeper, ended) = &mut *state.lock().unwrap_or_else(PoisonError::into_inner);
-        if ended.is_none() {
-            *ended = keeper.progress(progress).err();
-        }
-        ended.is_none()
-    };
-    let document = document_of(reader, job, parameters, &step);
+    let state = reader.checkpoint(job.id)?.map(|checkpoint| checkpoint.state);
+    let progress = Mutex::new(Progress::new(keeper, state).ok_or(JobError::Checkpoint(job.id))?);
+    let document = document_of(reader, job, parameters, &progress);
     // Unfinished work leads to some other error, or to a meaningless result.
-    match state.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
+    match progress.into_inner().unwrap_or_else(PoisonError::into_inner).ended {
         Some(error) => Err(error),
         None => document,
     }
@@ -232,7 +302,7 @@ fn document_of(
     reader: &Reader,
     job: &JobRow,
     parameters: DiagnosisParameters,
-    step: &Step<'_>,
+    progress: &Mutex<Progress<'_>>,
 ) -> Result<String, JobError> {
     let plan = Plan::read(reader, job.capture, job.end_seq, &Channel::ANALYSED)?;
     // Another rate is refused before any work.
@@ -246,7 +316,7 @@ fn document_of(
             let capture = reader.capture(id)?;
             let plan = Plan::read(reader, id, capture.samples, &Channel::ANALYSED)?;
             same_rate(plan.rate_hz)?;
-            let (workers, room) = (OneByOne { step, from: 0.05, to: 0.5 }, room(&plan));
+            let (workers, room) = (OneByOne { progress, from: 0.05, to: 0.5 }, room(&plan));
             let fitted = fitted(reader, plan, &imu_diagnosis::effects(), &capture.name, room, &workers)?;
             (fitted.as_law()?, 0.5)
         }
@@ -256,7 +326,7 @@ fn document_of(
     let gridded = gridded(reader, &plan, room)?;
     let from = begun + 0.05;
     let name = reader.capture(job.capture)?.name;
-    let workers = OneByOne { step, from, to: 0.98 };
+    let workers = OneByOne { progress, from, to: 0.98 };
     let options = Options { software: SOFTWARE, real: &name, sim: &sim.name, workers: &workers, ..Options::default() };
     let reference = parameters.reference.as_ref().map(|given| reference_of(reader, given, &gridded)).transpose()?;
     let mut outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;

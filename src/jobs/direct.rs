@@ -2,6 +2,7 @@
 
 use super::curves::Curves;
 use super::distribution::Distribution;
+use super::examine::InOneGo;
 use super::fold::Pass;
 use super::motion::{AtRest, at_rest};
 use super::report::{self, Extent};
@@ -27,7 +28,7 @@ pub(super) fn noise_at_rest(source: &dyn SampleSource, at_rest: AtRest) -> Resul
     let mut spectra = Spectra::of(at_rest);
     take_all(source, &mut spectra)?;
     let (plan, sums, held) = spectra.finish();
-    report::noise(source, &plan, &sums, held, |_| Ok(()))
+    report::noise(source, &plan, &sums, held, &mut InOneGo)
 }
 
 /// Returns the deviation curves of a plan's samples. An estimator other than `oadev` holds all of them in memory.

@@ -16,6 +16,7 @@ use imu_noise::NoiseParameters;
 use imu_noise::allan::FixedPoint;
 use imu_noise::fit::Flag;
 use imu_noise::robust::{self, All, Company, Disturbances, Levels, Part, Portion, Record};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::ops::Range;
@@ -28,6 +29,47 @@ pub(super) struct Found {
     /// For several captures the findings in each, in the plan's order.
     pub(super) captures: Vec<BTreeMap<Channel, (Vec<Flag>, Disturbances)>>,
 }
+
+impl Found {
+    fn take(&mut self, channel: Channel, examined: Examined) {
+        for (own, of) in self.captures.iter_mut().zip(examined.captures) {
+            own.insert(channel, of);
+        }
+        self.channels.insert(channel, examined.parameters);
+    }
+}
+
+/// The result of examining one channel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Examined {
+    /// The parameters without disturbances, and the disturbances.
+    parameters: (NoiseParameters, Disturbances),
+    /// For several captures the findings in each, in the plan's order.
+    captures: Vec<(Vec<Flag>, Disturbances)>,
+}
+
+/// Receives the progress of an examination.
+pub(super) trait Steps {
+    /// Receives the share of the work done, 0–1; an error ends the work.
+    fn go_on(&mut self, _done: f64) -> Result<(), JobError> {
+        Ok(())
+    }
+
+    /// Returns what [`Self::keep`] received for a channel before the examination was interrupted.
+    fn kept(&self, _channel: Channel) -> Option<Examined> {
+        None
+    }
+
+    /// Receives the results for more channels and the share of the work done.
+    fn keep(&mut self, _examined: &[(Channel, Examined)], _done: f64) -> Result<(), JobError> {
+        Ok(())
+    }
+}
+
+/// An examination that is not interrupted.
+pub(super) struct InOneGo;
+
+impl Steps for InOneGo {}
 
 /// A capture's samples in blocks of equal length.
 #[derive(Debug)]
@@ -124,15 +166,15 @@ impl<'a> Blocks<'a> {
 }
 
 /// Examines every channel in `all`, capture by capture. `held` contains all samples, if they are held; otherwise they
-/// are read again. `go_on` is called between captures and portions of long ones with the share of the work done, 0–1;
-/// an error that it returns ends the work. A single capture of one block is done in one go, a second or two, so that a
-/// job that is stopped repeatedly still finishes.
+/// are read again. `steps` is called between captures and portions of long ones, and after each of their channels. A
+/// single capture of one block is done in one go, a second or two, so that a job that is stopped repeatedly still
+/// finishes.
 pub(super) fn examine(
     source: &dyn SampleSource,
     plan: &Plan,
     all: &BTreeMap<Channel, All<'_>>,
     held: Option<Held>,
-    mut go_on: impl FnMut(f64) -> Result<(), JobError>,
+    steps: &mut dyn Steps,
 ) -> Result<Found, JobError> {
     let captures: Vec<Blocks<'_>> =
         plan.slices.iter().map(|slice| Blocks::of(source, slice)).collect::<Result<_, _>>()?;
@@ -160,9 +202,19 @@ pub(super) fn examine(
     if company == Company::Several {
         found.captures.resize_with(captures.len(), BTreeMap::new);
     }
-    let channels: Vec<(Channel, &All<'_>)> = all.iter().map(|(channel, all)| (*channel, all)).collect();
-    // With held samples two channels at a time are examined, whatever the group.
-    let group_size = if held.is_some() { channels.len().max(1) } else { 2 - usize::from(long) };
+    let (count, mut channels) = (all.len(), Vec::new());
+    for (channel, all) in all {
+        match steps.kept(*channel) {
+            Some(examined) => {
+                done += 1.0 / count as f64;
+                found.take(*channel, examined);
+            }
+            None => channels.push((*channel, all)),
+        }
+    }
+    // Of one capture that is held two channels at a time are examined, whatever the group.
+    let is_one = held.is_some() && company == Company::Alone;
+    let group_size = if is_one { channels.len().max(1) } else { 2 - usize::from(long) };
     for group in channels.chunks(group_size) {
         let names: Vec<Channel> = group.iter().map(|(channel, _)| *channel).collect();
         let mut records: Vec<Vec<Record>> = names.iter().map(|_| Vec::new()).collect();
@@ -170,7 +222,7 @@ pub(super) fn examine(
             let looked: Vec<Record> = if long {
                 let mut read = |block: usize| {
                     done += share;
-                    go_on(done)?;
+                    steps.go_on(done)?;
                     let columns = capture.read(source, plan, &names, block)?;
                     Ok::<_, JobError>(columns.into_iter().next().unwrap_or_default())
                 };
@@ -180,7 +232,7 @@ pub(super) fn examine(
                 names.iter().map(of).collect::<Result<_, _>>()?
             } else {
                 if captures.len() > 1 {
-                    go_on(done)?;
+                    steps.go_on(done)?;
                     done += share * names.len() as f64;
                 }
                 let columns = match held {
@@ -198,25 +250,33 @@ pub(super) fn examine(
             };
             records.iter_mut().zip(looked).for_each(|(records, record)| records.push(record));
         }
-        if company == Company::Several {
-            for (channel, records) in names.iter().zip(&records) {
-                for (own, record) in found.captures.iter_mut().zip(records) {
-                    own.insert(*channel, (record.flags(*channel), record.disturbances(plan.rate_hz)));
-                }
-            }
-        }
-        let fitted = side_by_side(
+        let examined = side_by_side(
             group.iter().zip(records),
             || (),
             |(), ((channel, all), mut records)| match (company, records.pop()) {
-                (Company::Alone, Some(record)) => record.alone(*channel, plan.rate_hz, all),
+                (Company::Alone, Some(record)) => {
+                    Examined { parameters: record.alone(*channel, plan.rate_hz, all), captures: Vec::new() }
+                }
                 (_, last) => {
                     records.extend(last);
-                    robust::parameters_together(*channel, plan.rate_hz, &records, all)
+                    let of = |record: &Record| (record.flags(*channel), record.disturbances(plan.rate_hz));
+                    let captures = match company {
+                        Company::Several => records.iter().map(of).collect(),
+                        Company::Alone => Vec::new(),
+                    };
+                    Examined {
+                        parameters: robust::parameters_together(*channel, plan.rate_hz, &records, all),
+                        captures,
+                    }
                 }
             },
         );
-        found.channels.extend(names.into_iter().zip(fitted));
+        let examined: Vec<(Channel, Examined)> = names.into_iter().zip(examined).collect();
+        // A single capture of one block is not interrupted.
+        if passes > count {
+            steps.keep(&examined, done)?;
+        }
+        examined.into_iter().for_each(|(channel, examined)| found.take(channel, examined));
     }
     Ok(found)
 }

@@ -123,12 +123,13 @@ pub(super) trait Pass {
     /// Returns the state for a checkpoint: everything that continuing needs besides the samples.
     fn save(&mut self) -> Result<Vec<u8>, JobError>;
 
-    /// Returns the result's text, once the last pass has ended; `go_on` receives the progress of the remaining work.
+    /// Returns the result's text, once the last pass has ended; `go_on` receives the progress of the remaining work, and
+    /// the state from which it continues.
     fn document(self: Box<Self>, reader: &Reader, job: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError>;
 }
 
-/// Receives the progress, 0–1; an error ends the work.
-pub(super) type GoOn<'a> = dyn FnMut(f64) -> Result<(), JobError> + 'a;
+/// Receives the progress, 0–1, and a new state for a checkpoint, if there is one; an error ends the work.
+pub(super) type GoOn<'a> = dyn FnMut(f64, Option<Vec<u8>>) -> Result<(), JobError> + 'a;
 
 /// Joins byte strings, each preceded by its length.
 pub(super) fn join(entries: &[Vec<u8>]) -> Vec<u8> {

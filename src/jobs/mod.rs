@@ -6,8 +6,8 @@
 //! reset, an absent value or two rates. A job whose process dies three times at the same chunk fails. Each job has a
 //! separate process at nice 10 and with a memory limit. It rests a tenth of its time while it reads, holds no read
 //! transaction between chunks, and fits on two threads. Memory is bounded whatever a capture's length:
-//! docs/performance.md has the figures. A diagnosis is an exception in two ways: it begins again if it was interrupted,
-//! and it takes the samples that fit, all at once, and reports this.
+//! docs/performance.md has the figures. A diagnosis is an exception: it takes the samples that fit, all at once, and
+//! reports this. Its checkpoints come after each channel.
 //!
 //! [`direct`] does the same for a caller that waits, from any [`SampleSource`].
 //!

@@ -2,7 +2,7 @@
 
 use super::JobError;
 use super::SampleSource;
-use super::examine::examine;
+use super::examine::{Steps, examine};
 use super::held::Held;
 use super::live::LivePoints;
 use super::plan::{Plan, Shares};
@@ -182,13 +182,13 @@ fn motion(plan: &Plan) -> Option<Flag> {
     })
 }
 
-/// Returns the noise parameters of spectral sums, with and without disturbances; `held` and `go_on` as in [`examine`].
+/// Returns the noise parameters of spectral sums, with and without disturbances; `held` and `steps` as in [`examine`].
 pub(super) fn noise(
     source: &dyn SampleSource,
     plan: &Plan,
     sums: &[(Channel, DstSums)],
     held: Option<Held>,
-    go_on: impl FnMut(f64) -> Result<(), JobError>,
+    steps: &mut dyn Steps,
 ) -> Result<NoiseReport, JobError> {
     let motion = motion(plan);
     let fitted = side_by_side(
@@ -204,7 +204,7 @@ pub(super) fn noise(
     );
     let (mut channels, mut disturbances) = (BTreeMap::new(), BTreeMap::new());
     let mut extent = Extent::of_plan(source, plan)?;
-    let found = examine(source, plan, &fitted.into_iter().collect(), held, go_on)?;
+    let found = examine(source, plan, &fitted.into_iter().collect(), held, steps)?;
     for (channel, (mut parameters, disturbance)) in found.channels {
         let counted = sums.iter().find(|(own, _)| *own == channel);
         let beyond = counted.map_or((0, 0), |(_, sums)| (sums.out_of_range(), sums.out_of_range() + sums.samples()));

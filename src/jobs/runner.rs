@@ -34,7 +34,7 @@ pub(super) enum Outcome {
 pub(super) trait Keeper: Send {
     /// Stores a checkpoint of the job.
     fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError>;
-    /// Stores the progress of a job that has no checkpoints.
+    /// Stores the progress between checkpoints.
     fn progress(&mut self, progress: f64) -> Result<(), JobError>;
 }
 
@@ -154,7 +154,13 @@ pub(super) fn work(
         }
         next_seq = 0;
     }
-    pass.document(reader, job, &mut |done| keeper.progress(FOLDED + (1.0 - FOLDED) * done))
+    pass.document(reader, job, &mut |done, state| {
+        let progress = FOLDED + (1.0 - FOLDED) * done;
+        match state {
+            Some(state) => keeper.checkpoint(JobCheckpoint { next_seq: end_seq, state }, progress),
+            None => keeper.progress(progress),
+        }
+    })
 }
 
 fn rest(time: Duration) {

@@ -4,6 +4,7 @@
 //! one transform's work space, whatever the length. A checkpoint contains the sums of stretches that have ended. An
 //! open stretch is read again, so that the transform sees it without an interruption.
 
+use super::examine::{Examined, Steps};
 use super::fold::{GoOn, Pass, join, split};
 use super::held::Held;
 use super::motion::AtRest;
@@ -17,11 +18,12 @@ use imu_core::sample::Channel;
 use imu_noise::allan::FixedPoint;
 use imu_noise::robust::blocks_of;
 use imu_noise::whittle::{DstEstimator, DstSums, Transform};
+use std::collections::BTreeMap;
 
 /// The maximum memory of the samples of one pass in bytes: those of nine channels of five hours at 40 Hz.
 const MEMORY: usize = 64 << 20;
 /// Version of the checkpoint.
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 
 /// The sums under computation.
 #[derive(Debug)]
@@ -36,6 +38,8 @@ pub(super) struct Spectra {
     transform: Transform,
     /// The segment that the last sample taken in belongs to.
     open: Option<u32>,
+    /// The channels that were examined for disturbances before the job was interrupted.
+    examined: BTreeMap<Channel, Examined>,
     /// All samples so far, if there is room for all and no restart preceded them.
     held: Option<Held>,
 }
@@ -47,7 +51,16 @@ impl Spectra {
         let group = (MEMORY / DstEstimator::bytes(longest).max(1)).clamp(1, plan.channels.len().max(1));
         let transform = Transform::new();
         let held = Held::for_plan(&plan).filter(|_| group == plan.channels.len());
-        let mut spectra = Self { plan, group, done: Vec::new(), current: Vec::new(), transform, open: None, held };
+        let mut spectra = Self {
+            plan,
+            group,
+            done: Vec::new(),
+            current: Vec::new(),
+            transform,
+            open: None,
+            examined: BTreeMap::new(),
+            held,
+        };
         spectra.begin_pass();
         spectra
     }
@@ -68,11 +81,11 @@ impl Spectra {
         next_seq: u64,
         source: &dyn SampleSource,
     ) -> Result<Option<Self>, JobError> {
-        let Some((done, running)) = decode(state) else { return Ok(None) };
-        self.done = done;
+        let Some(State { done, running, examined }) = decode(state) else { return Ok(None) };
+        (self.done, self.examined) = (done, examined);
         self.held = None;
         let channels = self.pass_channels().to_vec();
-        if channels.is_empty() || channels.len() != running.len() {
+        if channels.len() != running.len() {
             return Ok(None);
         }
         let mut current = Vec::new();
@@ -185,9 +198,30 @@ impl Pass for Spectra {
         bytes.extend(join(&current));
         Ok(bytes)
     }
-    fn document(self: Box<Self>, reader: &Reader, _: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError> {
+    fn document(mut self: Box<Self>, reader: &Reader, _: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError> {
+        let mut steps = InJob { sums: self.save()?, examined: std::mem::take(&mut self.examined), go_on };
         let (plan, sums, held) = self.finish();
-        Ok(serde_json::to_string(&report::noise(reader, &plan, &sums, held, go_on)?)?)
+        Ok(serde_json::to_string(&report::noise(reader, &plan, &sums, held, &mut steps)?)?)
+    }
+}
+
+/// The examination of a job: the sums as a checkpoint has them, and the channels that are examined.
+struct InJob<'a, 'b> {
+    sums: Vec<u8>,
+    examined: BTreeMap<Channel, Examined>,
+    go_on: &'a mut GoOn<'b>,
+}
+
+impl Steps for InJob<'_, '_> {
+    fn go_on(&mut self, done: f64) -> Result<(), JobError> {
+        (self.go_on)(done, None)
+    }
+    fn kept(&self, channel: Channel) -> Option<Examined> {
+        self.examined.get(&channel).cloned()
+    }
+    fn keep(&mut self, examined: &[(Channel, Examined)], done: f64) -> Result<(), JobError> {
+        self.examined.extend(examined.iter().cloned());
+        (self.go_on)(done, Some([self.sums.clone(), serde_json::to_vec(&self.examined)?].concat()))
     }
 }
 
@@ -201,19 +235,27 @@ impl Spectra {
     }
 }
 
-/// The sums of earlier passes, and those of this pass with the number of samples of the open stretch.
-type State = (Vec<DstSums>, Vec<(DstSums, u64)>);
+/// The content of a checkpoint.
+struct State {
+    /// The sums of earlier passes.
+    done: Vec<DstSums>,
+    /// The sums of this pass with the number of samples of the open stretch.
+    running: Vec<(DstSums, u64)>,
+    /// The examined channels.
+    examined: BTreeMap<Channel, Examined>,
+}
 
 fn decode(state: &[u8]) -> Option<State> {
     let (version, mut rest) = state.split_first()?;
     let (done, current) = (split(&mut rest)?, split(&mut rest)?);
-    if *version != VERSION || !rest.is_empty() {
+    if *version != VERSION {
         return None;
     }
+    let examined = if rest.is_empty() { BTreeMap::new() } else { serde_json::from_slice(rest).ok()? };
     let done = done.iter().map(|bytes| DstSums::from_bytes(bytes)).collect::<Option<_>>()?;
     let running = |bytes: &Vec<u8>| {
         let (open, sums) = bytes.split_first_chunk::<8>()?;
         Some((DstSums::from_bytes(sums)?, u64::from_le_bytes(*open)))
     };
-    Some((done, current.iter().map(running).collect::<Option<_>>()?))
+    Some(State { done, running: current.iter().map(running).collect::<Option<_>>()?, examined })
 }

@@ -144,6 +144,45 @@ fn a_job_killed_at_every_chunk_comes_to_the_same_bytes() {
 }
 
 #[test]
+fn a_job_killed_at_every_checkpoint_comes_to_the_same_bytes() {
+    let channels = [Channel::AccelX, Channel::GyroX, Channel::GyroY];
+    let noise = channels.map(|of| (of.name().to_owned(), serde_json::json!({"N": 1e-4})));
+    let sim = serde_json::json!({"format": "vn100d-sensor-model-1", "name": "m", "rate_hz": 40.0,
+        "channels": noise.into_iter().collect::<serde_json::Map<_, _>>()});
+    let result = |is_diagnosis: bool, is_killed: bool| {
+        let world = World::new();
+        let captures = [("one", 0..TOTAL), ("two", TOTAL..2 * TOTAL)]
+            .map(|(name, range)| world.add(name, &serde_json::json!({}), 40.0, range));
+        let request = match is_diagnosis {
+            true => {
+                let sim = Simulator::of(&world.reader(), sim.clone()).unwrap();
+                JobRequest::Diagnosis(DiagnosisParameters { sim, reference: None })
+            }
+            false => JobRequest::Analysis(request(JobKind::Noise, &serde_json::json!({"with": [captures[1]]}))),
+        };
+        let job = world.store.submit_job(request.job(captures[0]).unwrap(), u64::MAX).unwrap().0.id;
+        let kept = || world.reader().checkpoint(job).unwrap().map(|checkpoint| checkpoint.state);
+        for kills in 0..20 {
+            let claimed = world.store.claim_job().unwrap().unwrap();
+            let before = kept();
+            let goes_on = || !is_killed || kept() == before;
+            match run(&world.store, &world.reader(), &claimed, 100_000, goes_on).unwrap() {
+                Outcome::Done(result) => return (world.reader().result(result).unwrap().unwrap().body, kills),
+                Outcome::Stopped => assert_ne!(kept(), before),
+                Outcome::Cancelled => panic!("nobody cancelled"),
+            }
+        }
+        panic!("the job did not come to an end");
+    };
+    for is_diagnosis in [true, false] {
+        let (whole, killed) = (result(is_diagnosis, false), result(is_diagnosis, true));
+        // Each of three channels; a chunk, and two groups of channels.
+        assert_eq!((whole.1, killed.1), (0, 3));
+        assert!(whole.0 == killed.0, "{}\n{}", whole.0, killed.0);
+    }
+}
+
+#[test]
 fn curves_of_whole_stretches_are_those_of_the_definition_through_kills_at_every_chunk_and_channel() {
     for estimator in ["adev", "mdev", "hdev", "ohdev", "totdev"] {
         let world = World::new();

@@ -388,6 +388,8 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     let capture = fill(&world, "night", &SIX, &plain(scaled(12 * CHUNK, 12 * 3600 * 40)), noise);
     let wanted = json!({"kind": "noise", "capture": capture});
     let whole = uninterrupted(&world, &wanted);
+    let compared = json!({"kind": "diagnosis", "capture": capture, "sim": model(&SIX, 40.0, 2e-3)});
+    let diagnosis = uninterrupted(&world, &compared);
     let mut job = 0;
     for killed in 0..5 {
         let mut daemon = world.daemon("", &[]);
@@ -417,9 +419,18 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     kill(Some(first));
     assert_eq!(ended(&world, job, &daemon)["state"], "done", "two killed workers are two starts more");
     assert!(body(&world, job) == whole, "the result differs from that of the uninterrupted run");
-    // A diagnosis begins again each time, so that three in a row fail it.
+    // With a channel done before each kill, a diagnosis goes on.
+    let job = submit(&world, &compared);
+    let (mut last, mut reached) = (None, 0.0);
+    for _ in 0..4 {
+        let further = || progress(&world, job).filter(|progress| *progress > reached + 0.1);
+        reached = world.until("another channel", Duration::from_secs(60), further, &daemon);
+        last = Some(kill(last));
+    }
+    assert_eq!(ended(&world, job, &daemon)["state"], "done", "{}", daemon.log());
+    assert!(body(&world, job) == diagnosis, "the result differs from that of the uninterrupted run");
+    // Three in a row, before the channel is explained, fail a diagnosis.
     let job = diagnose(&world, capture, &json!({"sim": model(&[Channel::GyroX], 40.0, 1e-3)}));
-    let mut last = None;
     for _ in 0..3 {
         last = Some(kill(last));
     }
@@ -436,10 +447,11 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
 #[test]
 fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() {
     let world = World::new();
-    let night = fill(&world, "night", &Channel::ANALYSED, &plain(300_000), noise);
+    // A single channel: with more the job would go on after the first.
+    let night = fill(&world, "night", &[Channel::GyroX], &plain(1_200_000), noise);
     fill(&world, "short", &SIX, &plain(2000), noise);
     let mut daemon = world.daemon("", &[]);
-    let first = diagnose(&world, night, &json!({"sim": model(&Channel::ANALYSED, 40.0, 1e-4)}));
+    let first = diagnose(&world, night, &json!({"sim": model(&[Channel::GyroX], 40.0, 1e-4)}));
     let next = submit(&world, &json!({"kind": "allan", "capture": "short"}));
     let pid = world.until("a worker", Duration::from_secs(20), || worker(&daemon), &daemon);
     // The process has its name before it has its limits: it sets them itself.

@@ -10,7 +10,7 @@ use super::series::Series;
 use std::collections::BTreeMap;
 
 /// A band in which the effect raises the likelihood of a series.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Band {
     /// The ends of the band.
     pub(super) hz: [f64; 2],
@@ -21,7 +21,7 @@ pub(super) struct Band {
 }
 
 /// The bands of the effects found on a channel.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct Bands {
     /// The bands of spectral effects and of courses of the level.
     pub(super) kinds: BTreeMap<Kind, Band>,

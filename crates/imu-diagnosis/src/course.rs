@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use std::sync::OnceLock;
 
 /// A deterministic course of a level over a record of n samples, with coefficient 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Course {
     /// From −½ to ½ over the record.
     Ramp,
@@ -20,7 +20,7 @@ pub enum Course {
 }
 
 /// How a level may follow the temperature other than along a straight line ([`imu_model::effects::TemperatureBias`]).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Follow {
     /// The square of the temperature, °C².
     Square,

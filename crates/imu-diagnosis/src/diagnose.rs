@@ -30,6 +30,8 @@ use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
 use imu_model::simulator::SensorModel;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
@@ -37,6 +39,15 @@ use std::sync::{Mutex, PoisonError};
 pub trait Workers: Sync {
     /// Calls `work` once with each number below `count`. If it leaves some numbers out, the diagnosis is cancelled.
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
+
+    /// Returns what [`Self::keep`] received for this number, during the same call of [`Self::each`] of an earlier
+    /// diagnosis with the same inputs, by the same version of the program.
+    fn kept(&self, _number: usize) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// Receives the result of the work on a number, from which a diagnosis that is interrupted can continue.
+    fn keep(&self, _number: usize, _result: Vec<u8>) {}
 }
 
 /// Does all work sequentially.
@@ -61,6 +72,21 @@ pub(super) fn gathered<T: Send>(
         *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(done);
     });
     places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+}
+
+/// Returns the result of the work on a number: the one that was kept, or a new one, which is kept. Both are equal, bit
+/// for bit.
+fn kept<T: Serialize + DeserializeOwned>(workers: &dyn Workers, number: usize, work: impl FnOnce() -> T) -> T {
+    let kept = workers.kept(number);
+    if let Some(result) = kept.as_ref().and_then(|kept| rmp_serde::from_slice(kept).ok()) {
+        return result;
+    }
+    let result = work();
+    // A result that cannot be written or read is found again after each interruption.
+    if let (None, Ok(new)) = (kept, rmp_serde::to_vec(&result)) {
+        workers.keep(number, new);
+    }
+    result
 }
 
 /// The inputs of a diagnosis besides record and model.
@@ -137,7 +163,7 @@ pub struct Outcome {
 }
 
 /// The findings on a channel.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Findings {
     pub(super) prepared: Prepared,
     pub(super) explanation: Explanation,
@@ -199,9 +225,16 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let wanted = |kind: Kind| options.wants(kind.effect());
     let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
     let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
-    let explained = |index: usize| explain(&ready, sim, index, &prices, &halves, options.believed);
-    let both = gathered(options.workers, ready.channels.len(), explained).ok_or(DiagnosisError::CalledOff)?;
-    let (mut channels, whitened): (Vec<Findings>, Vec<Whitened>) = both.into_iter().unzip();
+    let count = ready.channels.len();
+    let explained = |index: usize| {
+        let explain = || explain(&ready, sim, index, &prices, &halves, options.believed);
+        let mut of = kept(options.workers, index, explain);
+        of.prepared.samples.clone_from(&ready.channels[index].samples);
+        of
+    };
+    let mut channels = gathered(options.workers, count, explained).ok_or(DiagnosisError::CalledOff)?;
+    let whitened = |index: usize| whitened(&ready, sim, &channels[index]);
+    let whitened = gathered(options.workers, count, whitened).ok_or(DiagnosisError::CalledOff)?;
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
     let price = (pairs.max(1) as f64 * Kind::ALL.len() as f64 / options.level).ln().max(6.0);
     let shared = shared::shared(&whitened, price);
@@ -228,6 +261,14 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     Ok(outcome)
 }
 
+/// Whitens a channel's samples by what explains them.
+fn whitened(ready: &Ready, sim: &SensorModel, of: &Findings) -> Whitened {
+    let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &of.prepared, grid, without);
+    let setting = ready.setting(&of.prepared, &base);
+    let samples = of.prepared.samples.clone();
+    Whitened::of(&Series::explained(&setting, ready.transform.clone(), samples, of.explanation.clone()))
+}
+
 /// Returns the complete result for one channel.
 fn explain(
     ready: &Ready,
@@ -236,7 +277,7 @@ fn explain(
     prices: &Prices,
     halves: &Halves,
     believed: bool,
-) -> (Findings, Whitened) {
+) -> Findings {
     let mut prepared = ready.channels[index].clone();
     if !believed {
         prepared.priors = FREE;
@@ -320,34 +361,30 @@ fn explain(
     let scores = holdout::scores(whole);
     debug_assert_eq!(scores.effects.len(), BLOCKS);
     let spread = Spread::of(&series);
-    let whitened = Whitened::of(&series);
     let white = series.white() * prepared.scale;
     let level = prepared.level + series.mean * prepared.scale
         - courses::constant(&prepared, model, ready.reference_c, ready.courses.temperature());
     let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
     drop(series);
-    (
-        Findings {
-            spread,
-            average_variance,
-            louder: average_variance / declared_variance,
-            prepared,
-            explanation,
-            steps,
-            fitted,
-            held,
-            bands,
-            nameless,
-            levels,
-            wanders,
-            after,
-            statistics,
-            scores,
-            white,
-            level,
-            lines,
-            off,
-        },
-        whitened,
-    )
+    Findings {
+        spread,
+        average_variance,
+        louder: average_variance / declared_variance,
+        prepared,
+        explanation,
+        steps,
+        fitted,
+        held,
+        bands,
+        nameless,
+        levels,
+        wanders,
+        after,
+        statistics,
+        scores,
+        white,
+        level,
+        lines,
+        off,
+    }
 }

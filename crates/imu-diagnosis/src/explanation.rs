@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// A sine in a series.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Sine {
     /// Cycles per sample.
     pub cycles: f64,
@@ -62,7 +62,7 @@ pub(super) fn turning(cycles: f64, samples: usize, mut each: impl FnMut(usize, f
 pub(super) const LOUD: f64 = 4.0;
 
 /// A factor on the white part's standard deviation inside a range of samples.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Loud {
     /// First sample.
     pub from: usize,
@@ -88,7 +88,7 @@ impl Loud {
 }
 
 /// Spikes of a series.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SpikeLaw {
     /// Chance that a sample is a spike.
     pub rate: f64,
@@ -103,7 +103,7 @@ pub struct SpikeLaw {
 }
 
 /// How the variance of the white part depends on time or temperature.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Scedasticity {
     /// ln of the variance per °C about the mean temperature.
     PerDegree(f64),
@@ -113,7 +113,7 @@ pub enum Scedasticity {
 
 /// The complete explanation of a series so far. Transformed values are built again from the samples each time, so that no step is
 /// undone or applied twice.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Explanation {
     /// The spectrum.
     pub law: Law,

@@ -4,7 +4,7 @@
 use super::oddities::{self, Oddity};
 
 /// The facts that one channel's values show.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Facts {
     /// The step that the values are multiples of.
     pub step: Option<f64>,

@@ -13,7 +13,7 @@ pub const BLOCKS: usize = 64;
 const PHASE: f64 = 4.0;
 
 /// Logarithm of the density of the second half's samples, nats, in [`BLOCKS`] blocks.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Scores {
     /// Under the declared model.
     pub declared: Vec<f64>,

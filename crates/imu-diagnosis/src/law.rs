@@ -11,7 +11,7 @@ use imu_model::effects::{
 use nalgebra::{DMatrix, DVector};
 
 /// An effect that shapes a spectrum, without the numbers that a fit may change.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum Shape {
     /// ln Q² (per sample).
     QuantizationNoise,
@@ -43,7 +43,7 @@ impl Shape {
 }
 
 /// One spectral effect in a law.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Term {
     /// Its kind.
     pub shape: Shape,
@@ -225,7 +225,7 @@ pub struct Base {
 pub type Priors = [Option<(f64, f64)>; 3];
 
 /// A channel's spectrum as numbers.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Law {
     /// ln N², ln B², ln K² per sample.
     pub levels: [f64; 3],
@@ -237,7 +237,7 @@ pub struct Law {
 }
 
 /// A law at the maximum of its likelihood.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Fitted {
     /// The law.
     pub law: Law,

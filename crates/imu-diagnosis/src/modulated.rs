@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 
 /// A band whose level changes: the place of its term in the law, and the middles of stretches of the record in samples, each with
 /// the factor on the band's amplitude there. The mean square of the level is 1.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Levels {
     pub(super) term: usize,
     pub(super) points: Vec<(f64, f64)>,

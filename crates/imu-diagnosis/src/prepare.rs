@@ -40,7 +40,7 @@ const MOVES_S: f64 = 10.0;
 const LOUDER: f64 = 20.0;
 
 /// One channel, ready to be explained.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Prepared {
     /// The channel.
     pub channel: Channel,
@@ -48,7 +48,8 @@ pub struct Prepared {
     pub scale: f64,
     /// The level that was subtracted, U.
     pub level: f64,
-    /// The samples less their level, in the series' scale.
+    /// The samples less their level, in the series' scale. They are not stored with a result: they are the record's.
+    #[serde(skip)]
     pub samples: Vec<f64>,
     /// The facts that the values show.
     pub facts: Facts,

@@ -16,7 +16,7 @@ use super::taken_back::{
 };
 
 /// An effect that was added, or one of the model's that was changed.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Step {
     /// Its kind.
     pub kind: Kind,

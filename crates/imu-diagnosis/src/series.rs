@@ -294,17 +294,7 @@ impl<'a> Series<'a> {
         series.resolve_lines();
         let amplitudes: Vec<f64> = series.explanation.sines.iter().map(Sine::amplitude).collect();
         for pass in 0..3 {
-            series.fit_means();
-            // The replacement of samples that are left out is drawn from the spectrum, which depends a little on it.
-            for is_drawn in [false, true] {
-                if is_drawn {
-                    series.interpolate();
-                }
-                series.transformed();
-                series.fitted.logarithms = series.explanation.law.logarithms(series.data());
-                series.spectrum = series.grid.fill(&series.fitted.logarithms);
-            }
-            series.whiten();
+            series.apply();
             // The values that depend on the law need one more iteration.
             let is_alone = series.explanation.sines.is_empty() && !(pass == 0 && series.depends_on_law());
             if is_alone || pass == 2 {
@@ -316,6 +306,37 @@ impl<'a> Series<'a> {
             }
         }
         series
+    }
+
+    /// Returns a series under an explanation that was fitted to these samples before. Nothing is fitted again.
+    pub fn explained(
+        setting: &'a Setting<'a>,
+        transform: Cosines,
+        samples: Vec<f64>,
+        explanation: Explanation,
+    ) -> Self {
+        let mut series = Self::unbuilt(setting, transform, samples, explanation);
+        series.resolve_lines();
+        series.apply();
+        if series.depends_on_law() {
+            series.apply();
+        }
+        series
+    }
+
+    /// Whitens the samples by the explanation's law as it is.
+    fn apply(&mut self) {
+        self.fit_means();
+        // The replacement of samples that are left out is drawn from the spectrum, which depends a little on it.
+        for is_drawn in [false, true] {
+            if is_drawn {
+                self.interpolate();
+            }
+            self.transformed();
+            self.fitted.logarithms = self.explanation.law.logarithms(self.data());
+            self.spectrum = self.grid.fill(&self.fitted.logarithms);
+        }
+        self.whiten();
     }
 
     /// Returns ln of the density in nats, in `blocks` blocks of time, without the parts of spikes and tails.

@@ -35,7 +35,7 @@ impl Whitened {
         Self {
             coefficients,
             white: series.spectrum.iter().enumerate().map(share).collect(),
-            residual: series.residual.clone(),
+            residual: series.scores().into_owned(),
         }
     }
 }

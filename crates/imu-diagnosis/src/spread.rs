@@ -6,7 +6,7 @@ use super::polish::by_time_constant;
 use super::series::Series;
 
 /// Standard errors in the series' scale, beside the parts of an explanation.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Spread {
     /// The errors of each course's factor, and of the logarithm of a warm-up's time constant or of a step's place in
     /// samples.

@@ -4,7 +4,7 @@ use super::series::Series;
 use super::transform::Cosines;
 
 /// Stretches of time, and bands whose upper edges grow by half.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Tiles {
     /// Edges of the bands, Hz.
     pub edges_hz: Vec<f64>,

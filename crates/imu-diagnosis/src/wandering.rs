@@ -8,7 +8,7 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI, SQRT_2, TAU};
 use std::sync::Arc;
 
 /// A band of the law that is a wandering line.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Wander {
     /// The place of its term in the law.
     pub(super) term: usize,

@@ -16,7 +16,7 @@ use imu_model::simulator::ChannelModel;
 use std::collections::BTreeMap;
 
 /// An effect of the model that the channel does not have with the model's numbers.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Off {
     /// Its place in the model's list.
     pub(crate) place: usize,

@@ -21,7 +21,7 @@ use std::sync::Arc;
 const THERE: f64 = 6.0;
 
 /// One of the model's lines as a channel has it, in the series' scale.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct MeasuredLine {
     /// Peak and its standard error.
     pub(crate) amplitude: f64,
