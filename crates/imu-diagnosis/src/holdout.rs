@@ -5,7 +5,6 @@ use super::explanation::{Explanation, LOUD, Loud};
 use super::law::Law;
 use super::series::{Series, Setting};
 use super::transform::Cosines;
-use statrs::function::gamma::ln_gamma;
 
 /// Blocks of time in which densities are summed, for the bootstrap.
 pub const BLOCKS: usize = 64;
@@ -139,10 +138,7 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
         sum += flagged * (rate.ln() - 0.5 * variance.ln()) + (n - flagged) * (-rate).ln_1p();
     }
     if let Some(degrees) = explanation.tails {
-        let scale = (degrees - 2.0) / degrees;
-        let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
-        let of = |e: &f64| constant - 0.5 * (degrees + 1.0) * (e * e / (degrees * scale)).ln_1p() + 0.5 * e * e;
-        sum += series.innovations().iter().map(of).sum::<f64>();
+        sum += series.nats_of_tails(degrees);
     }
     sum
 }

@@ -7,7 +7,7 @@
 use super::plans;
 
 /// The least gain: narrow notches have no relevant phase.
-const LEAST: f64 = 1e-6;
+const LEAST: f64 = 1e-12;
 
 /// Removes the phase of filters from values. `gain` is the filters' power gain at each coefficient of a cosine
 /// transform of that length.

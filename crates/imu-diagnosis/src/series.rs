@@ -477,7 +477,12 @@ impl<'a> Series<'a> {
 
     /// Returns the residual before the filters: each value is the input at its time.
     pub fn innovations(&self) -> &[f64] {
-        if self.unfiltered.is_empty() { &self.residual } else { &self.unfiltered }
+        if self.is_filtered() { &self.unfiltered } else { &self.residual }
+    }
+
+    /// Returns whether the model or the explanation has filters.
+    pub(super) fn is_filtered(&self) -> bool {
+        !self.unfiltered.is_empty()
     }
 
     /// Returns the number of samples that the filters of the model and the found ones reach.

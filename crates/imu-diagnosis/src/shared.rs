@@ -17,26 +17,15 @@ pub struct Whitened {
 impl Whitened {
     /// Whitens a series.
     pub fn of(series: &Series<'_>) -> Self {
-        let white = series.white().powi(2);
-        // Noise that enters behind a filter is not part of noise shared in front of it.
-        let gain = series.filters();
-        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
-        let share =
-            |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
         // Behind different filters the same noise has different phases.
-        let coefficients = match gain {
-            Some(_) => {
-                let mut values = series.innovations().to_vec();
-                series.transform.clone().forward(&mut values);
-                values
-            }
-            None => series.whitened.clone(),
+        let coefficients = if series.is_filtered() {
+            let mut values = series.innovations().to_vec();
+            series.transform.clone().forward(&mut values);
+            values
+        } else {
+            series.whitened.clone()
         };
-        Self {
-            coefficients,
-            white: series.spectrum.iter().enumerate().map(share).collect(),
-            residual: series.scores().into_owned(),
-        }
+        Self { coefficients, white: series.white_shares(), residual: series.scores().into_owned() }
     }
 }
 

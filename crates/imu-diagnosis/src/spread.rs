@@ -4,6 +4,7 @@ use super::course::Course;
 use super::explanation::{Loud, Scedasticity};
 use super::polish::by_time_constant;
 use super::series::Series;
+use super::tails::{self, Kernel};
 
 /// Standard errors in the series' scale, beside the parts of an explanation.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -17,6 +18,8 @@ pub struct Spread {
     pub terms: Vec<Vec<f64>>,
     /// The error of ln of the degrees of freedom.
     pub tails: f64,
+    /// The part of the white samples' fourth cumulant that the residual has.
+    pub fourth: f64,
     /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
     /// The errors of ln of each stretch's factor.
@@ -99,72 +102,16 @@ impl Spread {
             }
             _ => 0.0,
         };
+        let kernel = Kernel::of(series);
+        let there = n - series.excluded().len() as f64;
         Self {
             courses: (0..explanation.courses.len()).map(of_course).collect(),
             sines: explanation.sines.iter().map(of_sine).collect(),
             terms: explanation.law.terms.iter().map(|term| of_term(term.numbers.len())).collect(),
-            tails: explanation.tails.map_or(0.0, |degrees| tails(degrees, n)),
+            tails: explanation.tails.map_or(0.0, |degrees| tails::error(degrees, &kernel, there)),
+            fourth: kernel.share(4.0).powi(4),
             per_degree,
             loud: explanation.loud.iter().map(|loud| factor_error(series, loud)).collect(),
-        }
-    }
-}
-
-/// Returns the standard error of ln ν for n samples of Student's t with a free scale.
-///
-/// Fisher's information of ν and scale: Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84, appendix B.
-fn tails(degrees: f64, n: f64) -> f64 {
-    let trigamma = |x: f64| {
-        // Uses the recurrence up to where the asymptotic series is exact to 1e-10.
-        let (mut x, mut sum) = (x, 0.0);
-        while x < 20.0 {
-            sum += 1.0 / (x * x);
-            x += 1.0;
-        }
-        sum + 1.0 / x + 0.5 / (x * x) + 1.0 / (6.0 * x.powi(3)) - 1.0 / (30.0 * x.powi(5))
-    };
-    let nu = degrees;
-    let of_degrees =
-        0.25 * (trigamma(0.5 * nu) - trigamma(0.5 * (nu + 1.0))) - 0.5 * (nu + 5.0) / (nu * (nu + 1.0) * (nu + 3.0));
-    let of_scale = 2.0 * nu / (nu + 3.0);
-    let both = -2.0 / ((nu + 1.0) * (nu + 3.0));
-    let information = of_degrees - both * both / of_scale;
-    if information > 0.0 { (1.0 / (n * information)).sqrt() / nu } else { 1.0 }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn tails_are_known_as_well_as_fishers_information_predicts() {
-        // Compares with a numerical integral of the squared score of ν, with the scale profiled out.
-        let of = |nu: f64| {
-            let steps = 200_000;
-            let density = |t: f64, nu: f64, s: f64| {
-                let c = statrs::function::gamma::ln_gamma(0.5 * (nu + 1.0))
-                    - statrs::function::gamma::ln_gamma(0.5 * nu)
-                    - 0.5 * (nu * std::f64::consts::PI).ln();
-                c - s - 0.5 * (nu + 1.0) * ((t * (-s).exp()).powi(2) / nu).ln_1p()
-            };
-            let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
-            for step in 0..steps {
-                let u = (step as f64 + 0.5) / steps as f64 * 2.0 - 1.0;
-                let t = 12.0 * u / (1.0 - u * u);
-                let weight = 12.0 * (1.0 + u * u) / (1.0 - u * u).powi(2) * 2.0 / steps as f64;
-                let h = 1e-4;
-                let a = (density(t, nu + h, 0.0) - density(t, nu - h, 0.0)) / (2.0 * h);
-                let b = (density(t, nu, h) - density(t, nu, -h)) / (2.0 * h);
-                let p = density(t, nu, 0.0).exp() * weight;
-                aa += p * a * a;
-                ab += p * a * b;
-                bb += p * b * b;
-            }
-            (1.0 / (aa - ab * ab / bb)).sqrt() / nu
-        };
-        for nu in [3.0, 8.0] {
-            let (found, expected) = (tails(nu, 1.0), of(nu));
-            assert!((found / expected - 1.0).abs() < 0.02, "{nu}: {found} {expected}");
         }
     }
 }

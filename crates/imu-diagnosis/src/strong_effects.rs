@@ -34,6 +34,34 @@ fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
     wrong.expect(named == expected, || format!("{one} {other} seed {seed}: {named:?}"));
 }
 
+/// Behind a filter a sample is a mixture of many, and where the filter passes nothing, other noise takes its place.
+#[test]
+fn tails_in_front_of_a_filter_or_beside_slow_noise_are_as_heavy_as_they_are() {
+    let low_pass = |cutoff_hz: f64, order: u64, behind: f64| json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": order, "white_behind": behind});
+    let mut wrong = Wrong::default();
+    for (other, degrees, seed) in [
+        (low_pass(9.0, 2, 0.0), 6.0, 1),
+        (low_pass(14.0, 2, 0.0), 4.0, 2),
+        (low_pass(6.0, 2, 1e-5), 5.0, 3),
+        (low_pass(9.0, 4, 3e-5), 6.0, 4),
+        (low_pass(12.0, 1, 1e-4), 8.0, 5),
+        (json!({"effect": "moving_average", "window": 4}), 6.0, 6),
+        (json!({"effect": "gauss_markov", "sigma": 0.05, "tc_s": 0.3}), 5.0, 7),
+    ] {
+        let mut truth = model(Some(&other));
+        let tails = model(Some(&json!({"effect": "heavy_tails", "degrees_of_freedom": degrees})));
+        let with = &tails.channels[&Channel::AccelX].effects[0];
+        truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.clone(), &[]);
+        let found = diagnosed(&recording(&truth, seed, 4 * SAMPLES), &model(None));
+        let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "heavy_tails");
+        let ends = cause.map(|cause| cause.uncertainty["accel_x"][0]["degrees_of_freedom"].clone()).unwrap_or_default();
+        let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
+        let is_right = low < 1.02 * degrees && high > 0.98 * degrees && high < 1.5 * low;
+        wrong.expect(is_right, || format!("{other} {degrees} seed {seed}: {low} to {high}"));
+    }
+    wrong.none();
+}
+
 /// A cosine transform mirrors a record at its ends, unlike a strong line. Values far from the line in the spectrum
 /// depend on the kind of line.
 #[test]

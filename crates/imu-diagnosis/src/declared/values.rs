@@ -76,7 +76,7 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
                 let kurtosis = |degrees: f64| if degrees > 4.0 { 6.0 / (degrees - 4.0) } else { 6.0 };
                 let Some(degrees) = of.explanation.tails.filter(|degrees| *degrees < 60.0) else {
                     // The fourth moment of this many samples has a standard deviation of √(24/n).
-                    let nats = 0.5 * kurtosis(declared).powi(2) * samples / 24.0;
+                    let nats = 0.5 * (of.spread.fourth * kurtosis(declared)).powi(2) * samples / 24.0;
                     return off(None, nats, format!("{channel}: the sensor's noise is normal, the model's is not"));
                 };
                 let nats = 0.5 * ((degrees / declared).ln() / error).powi(2);

@@ -13,6 +13,7 @@ use super::explanation::Explanation;
 use super::prices::with_tails;
 use super::report::Sense;
 use super::series::Series;
+use super::tails::heavy_tails;
 use imu_model::effects::EffectKind;
 
 with_tails! {
@@ -137,7 +138,7 @@ pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
 }
 
 fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate> {
-    let single = outlier::spikes(series).into_iter().chain(outlier::heavy_tails(series));
+    let single = outlier::spikes(series).into_iter().chain(heavy_tails(series));
     single.chain(loudness::intervals(series))
 }
 

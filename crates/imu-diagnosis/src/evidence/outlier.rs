@@ -5,7 +5,6 @@ use crate::averages::median;
 use crate::explanation::{Explanation, SpikeLaw};
 use crate::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
-use statrs::function::gamma::ln_gamma;
 
 /// Returns ln of the ratio of a normal density to the standard one, at the square of a value.
 fn normal(square: f64, variance: f64) -> f64 {
@@ -283,59 +282,4 @@ fn clustered(places: &[usize], samples: f64) -> bool {
     let share = (0..count).filter(|at| near(*at)).count() as f64 / count as f64;
     let expected = 1.0 - (1.0 - count as f64 / samples).powi(2 * NEAR as i32);
     share > expected + 0.3 * (1.0 - expected)
-}
-
-/// Searches for Student's t tails.
-pub fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
-    const DEGREES: [f64; 12] = [2.2, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 140.0];
-    let mut explanation = series.explanation.clone();
-    if explanation.tails.is_some() {
-        return None;
-    }
-    // A histogram of fine bins stands for the squares: ln(1 + a/νs) is smooth.
-    const PER_UNIT: f64 = 24.0;
-    let mut histogram: Vec<(f64, f64)> = Vec::new();
-    for e in series.innovations() {
-        let square = e * e;
-        let bin = ((1.0 + square).ln() * PER_UNIT) as usize;
-        if bin >= histogram.len() {
-            histogram.resize(bin + 1, (0.0, 0.0));
-        }
-        histogram[bin].0 += 1.0;
-        histogram[bin].1 += square;
-    }
-    // Count and mean of each bin.
-    let squares: Vec<(f64, f64)> =
-        histogram.into_iter().filter(|(count, _)| *count > 0.0).map(|(count, sum)| (count, sum / count)).collect();
-    let n = series.innovations().len() as f64;
-    let plain = squares.iter().map(|(count, a)| count * a).sum::<f64>() / n;
-    let reference: f64 = -0.5 * n * (1.0 + plain.ln());
-    let of = |degrees: f64| -> f64 {
-        let mut scale = plain * (1.0 - 2.0 / degrees).max(0.3);
-        for _ in 0..6 {
-            let weighted = |(count, a): &(f64, f64)| count * a * (degrees + 1.0) / (degrees + a / scale);
-            scale = squares.iter().map(weighted).sum::<f64>() / n;
-        }
-        let constant = ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
-        let sum: f64 = squares.iter().map(|(count, a)| count * (a / (degrees * scale)).ln_1p()).sum();
-        n * constant - 0.5 * (degrees + 1.0) * sum - reference
-    };
-    let start = DEGREES.into_iter().map(|degrees| (of(degrees), degrees)).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let (mut gain, mut degrees) = start;
-    if gain > 5.0 {
-        for step in [0.15, 0.05, 0.015] {
-            for _ in 0..4 {
-                let (left, right) = (of(degrees * f64::exp(-step)), of(degrees * f64::exp(step)));
-                if left > gain && degrees * f64::exp(-step) > 2.05 {
-                    (gain, degrees) = (left, degrees * f64::exp(-step));
-                } else if right > gain {
-                    (gain, degrees) = (right, degrees * f64::exp(step));
-                } else {
-                    break;
-                }
-            }
-        }
-    }
-    explanation.tails = Some(degrees);
-    Some(Candidate::missing(Kind::HeavyTails, gain, explanation))
 }
