@@ -188,6 +188,9 @@ pub(super) struct Findings {
     pub(super) white: f64,
     /// The record's mean without the explained part, U.
     pub(super) level: f64,
+    /// The factor on the white part's variance in each of the explanation's stretches, and the error of its logarithm over
+    /// that of the explanation's factor.
+    pub(super) ratios: Vec<(f64, f64)>,
     /// The white part's mean variance over its variance at times when nothing changes it.
     pub(super) average_variance: f64,
     /// The previous ratio over the ratio that the model states.
@@ -364,10 +367,12 @@ fn explain(
     let white = series.white() * prepared.scale;
     let level = prepared.level + series.mean * prepared.scale
         - courses::constant(&prepared, model, ready.reference_c, ready.courses.temperature());
-    let (explanation, average_variance) = (series.explanation.clone(), series.average_variance());
+    let ratios = series.white_ratios();
+    let (explanation, average_variance) = (series.explanation.clone(), series.average_with(&ratios));
     drop(series);
     Findings {
         spread,
+        ratios,
         average_variance,
         louder: average_variance / declared_variance,
         prepared,

@@ -215,8 +215,15 @@ impl<'a> Series<'a> {
 
     /// Measures again the loudness of excluded stretches relative to the noise without them.
     fn measure_loud(&mut self) {
+        for (at, ratio) in self.loudness() {
+            self.explanation.loud[at].ratio = ratio.max(1.01 * LOUD);
+        }
+    }
+
+    /// Returns the mean square of the residual in each excluded stretch, by its place in the list.
+    pub(super) fn loudness(&mut self) -> Vec<(usize, f64)> {
         if self.explanation.loud.iter().all(|loud| loud.ratio <= LOUD) {
-            return;
+            return Vec::new();
         }
         let mut there = self.rest.clone();
         let outliers = self.explanation.outliers.clone();
@@ -234,10 +241,12 @@ impl<'a> Series<'a> {
         self.transform.forward(&mut there);
         there.iter_mut().zip(&self.spectrum).for_each(|(c, s)| *c /= s.sqrt());
         self.transform.backward(&mut there);
-        for loud in self.explanation.loud.iter_mut().filter(|loud| loud.ratio > LOUD) {
+        let square = |loud: &Loud| {
             let inside = &there[loud.from..loud.to];
-            loud.ratio = (inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64).max(1.01 * LOUD);
-        }
+            inside.iter().map(|e| e * e).sum::<f64>() / inside.len() as f64
+        };
+        let loud = self.explanation.loud.iter().enumerate().filter(|(_, loud)| loud.ratio > LOUD);
+        loud.map(|(at, loud)| (at, square(loud))).collect()
     }
 
     /// Transforms the rest and fits the law to it. The whitened values stay those of the previous law.

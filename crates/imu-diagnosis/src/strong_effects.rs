@@ -62,6 +62,29 @@ fn tails_in_front_of_a_filter_or_beside_slow_noise_are_as_heavy_as_they_are() {
     wrong.none();
 }
 
+/// Beside other noise, and behind a filter, the residual's variance changes less than that of the white noise.
+#[test]
+fn a_change_of_variance_is_that_of_the_white_noise_whatever_lies_beside_it() {
+    let process = json!({"effect": "gauss_markov", "sigma": 1.5 * WHITE, "tc_s": 0.3});
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 9.0, "order": 2, "white_behind": 2e-4});
+    let mut wrong = Wrong::default();
+    for (seed, factor) in [(1, 1.6), (2, 2.24), (3, 4.0)] {
+        for other in [&process, &filter] {
+            let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
+            let mut truth = model(Some(other));
+            let with = model(Some(&change)).channels.remove(&Channel::AccelX).unwrap();
+            truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
+            let found = diagnosed(&recording(&truth, seed, 4 * SAMPLES), &model(None));
+            let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "variance_change");
+            let ends = cause.map(|cause| cause.uncertainty["accel_x"][0]["factor"].clone()).unwrap_or_default();
+            let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
+            let is_right = low < 1.01 * factor && high > 0.99 * factor && high < 1.12 * low;
+            wrong.expect(is_right, || format!("{other} {factor}: {low} to {high}"));
+        }
+    }
+    wrong.none();
+}
+
 /// A cosine transform mirrors a record at its ends, unlike a strong line. Values far from the line in the spectrum
 /// depend on the kind of line.
 #[test]

@@ -238,31 +238,31 @@ pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> V
         add(Kind::HeavyTails, Arc::new(effect), vec![("degrees_of_freedom", [ci95[0].max(2.0), ci95[1]])]);
     }
     let seconds = |sample: usize| sample as f64 / rate_hz;
-    let loud = explanation.loud.get(prepared.loud.len()..).unwrap_or_default();
+    let loud = explanation.loud.iter().zip(&of.ratios).skip(prepared.loud.len());
     let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
     let errors = spread.loud.get(prepared.loud.len()..).unwrap_or_default();
     let (intervals, bursts): (Vec<_>, Vec<_>) =
-        loud.iter().zip(errors).partition(|(of, _)| of.is_interval(samples, &prepared.bursts));
-    let bursts: Vec<&Loud> = bursts.into_iter().map(|(of, _)| of).collect();
-    for (one, error) in intervals {
+        loud.zip(errors).partition(|((of, _), _)| of.is_interval(samples, &prepared.bursts));
+    let bursts: Vec<(&Loud, f64)> = bursts.into_iter().map(|((of, (ratio, _)), _)| (of, *ratio)).collect();
+    for ((one, (ratio, wider)), error) in intervals {
         let (from_s, to_s) = (seconds(one.from), seconds(one.to));
-        let change = VarianceChange::Interval { from_s, to_s, factor: one.ratio.sqrt() };
+        let change = VarianceChange::Interval { from_s, to_s, factor: ratio.sqrt() };
         let end = (5.5 / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
         let ci95 = vec![
             ("from_s", about(from_s, end)),
             ("to_s", about(to_s, end)),
-            ("factor", times(one.ratio.sqrt(), *error)),
+            ("factor", times(ratio.sqrt(), *error * wider)),
         ];
         add(Kind::VarianceInterval, Arc::new(change), ci95);
     }
     if !bursts.is_empty() {
-        let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), of| {
+        let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), (of, ratio)| {
             let width = (of.to - of.from) as f64;
-            (sum + width * (of.ratio - 1.0).max(0.0), count + width)
+            (sum + width * (ratio - 1.0).max(0.0), count + width)
         });
         let excess = sum / count;
         let sigma = white * excess.sqrt();
-        let intervals = bursts.iter().map(|of| (seconds(of.from), seconds(of.to))).collect();
+        let intervals = bursts.iter().map(|(of, _)| (seconds(of.from), seconds(of.to))).collect();
         let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
         add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
     }

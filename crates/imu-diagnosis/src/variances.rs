@@ -43,6 +43,63 @@ impl Series<'_> {
         }
     }
 
+    /// Returns the factor on the white noise's variance in each stretch, and the error of its logarithm over that of the
+    /// explanation's factor. The explanation has the factor on the residual's variance wherever other noise cannot be
+    /// separated from it: in excluded stretches, and behind filters.
+    ///
+    /// Inside and outside a stretch the residual's mean squares are 1 − A + A·w, where A is the mean square of the white
+    /// noise's share of the root of the spectrum, and w the variance of the white noise over that of the law.
+    pub(super) fn white_ratios(&mut self) -> Vec<(f64, f64)> {
+        const ROUNDS: usize = 50;
+        let mut ratios: Vec<(f64, f64)> = self.explanation.loud.iter().map(|loud| (loud.ratio, 1.0)).collect();
+        let squares = |series: &Self| {
+            let shares = series.white_shares();
+            let sum: f64 = shares.iter().map(|share| f64::from(*share).powi(2)).sum();
+            (sum / shares.len().max(1) as f64).max(1e-3)
+        };
+        let converted = |ratio: f64, share: f64| {
+            let white = (1.0 + (ratio - 1.0) / share).max(1e-3);
+            (white, ratio / (share * white))
+        };
+        // At this limit a stretch is as loud as it can be without being excluded.
+        if self.equaliser.is_some() && self.explanation.loud.iter().any(|loud| loud.ratio == LOUD) {
+            let mut other = self.clone();
+            let limit = |loud: &mut Loud| loud.ratio = if loud.ratio == LOUD { 1.01 * LOUD } else { loud.ratio };
+            other.explanation.loud.iter_mut().for_each(limit);
+            other.rebuild(false);
+            let share = squares(&other);
+            for (at, ratio) in other.loudness() {
+                ratios[at] = converted(ratio, share);
+            }
+            return ratios;
+        }
+        let share = squares(self);
+        for (at, ratio) in self.loudness() {
+            ratios[at] = converted(ratio, share);
+        }
+        let quiet: Vec<usize> = (0..ratios.len()).filter(|at| self.explanation.loud[*at].ratio <= LOUD).collect();
+        if self.equaliser.is_some() || quiet.is_empty() || self.explanation.scedasticity.is_some() {
+            return ratios;
+        }
+        for _ in 0..ROUNDS {
+            let average = self.average_with(&ratios);
+            for at in &quiet {
+                // The share at times when nothing changes the variance.
+                let usual = share / average;
+                ratios[*at] = converted(self.explanation.loud[*at].ratio, usual / (usual + 1.0 - share));
+            }
+        }
+        ratios
+    }
+
+    /// Returns [`Self::average_variance`] with other factors in the stretches.
+    pub(super) fn average_with(&self, ratios: &[(f64, f64)]) -> f64 {
+        let own = self.explanation.loud.iter().zip(ratios).filter(|(loud, _)| loud.ratio <= LOUD);
+        let quiet: Vec<Loud> = own.map(|(loud, (ratio, _))| Loud { ratio: *ratio, ..*loud }).collect();
+        let raw = self.computed_variances(&quiet);
+        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+    }
+
     /// Computes the variances. `quiet` are the stretches that are not so loud that they are left out.
     fn computed_variances(&self, quiet: &[Loud]) -> Vec<f64> {
         let n = self.len();
