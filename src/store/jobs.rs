@@ -238,7 +238,8 @@ impl Store {
         })
     }
 
-    /// Stores the progress of a running job between its checkpoints. Its starts continue to be counted. Returns `false` if the job was cancelled or deleted and must end.
+    /// Stores the progress of a running job between its checkpoints. Its starts continue to be counted. Returns `false` if
+    /// the job was cancelled or deleted and must end.
     ///
     /// # Errors
     /// The error that the database reports.

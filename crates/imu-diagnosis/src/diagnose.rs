@@ -297,7 +297,7 @@ fn explain(
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
     for (kind, evidence) in [
         (EffectKind::Spikes, super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
-        (EffectKind::HeavyTails, super::tails::heavy_tails),
+        (EffectKind::HeavyTails, super::evidence::heavy_tails::heavy_tails),
     ] {
         if prepared.has.contains(&kind)
             && let Some(candidate) = evidence(&series)

@@ -102,7 +102,6 @@ mod shared;
 mod spread;
 #[cfg(test)]
 mod strong_effects;
-mod tails;
 mod taken_back;
 #[cfg(test)]
 mod test_place;

@@ -10,7 +10,6 @@ use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::report::Sense;
 use super::series::Series;
-use super::tails;
 use super::taken_back::{
     drop_minor_steps, put_back, same_as_the_models, tails_and_bursts_again, take_back, weak_steps, weak_stretches,
     weak_tones,
@@ -154,7 +153,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
     polish(series, &start);
     weak_stretches(series, &mut steps, start.loud.len());
     tails_and_bursts_again(series, prices, &mut steps, &start);
-    tails::fit_again(series);
+    evidence::heavy_tails::fit_again(series);
     steps
 }
 

@@ -1,10 +1,10 @@
 //! Spread: standard errors of a series' explanation.
 
 use super::course::Course;
+use super::evidence::heavy_tails::{self, Kernel};
 use super::explanation::{Loud, Scedasticity};
 use super::polish::by_time_constant;
 use super::series::Series;
-use super::tails::{self, Kernel};
 
 /// Standard errors in the series' scale, beside the parts of an explanation.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -108,7 +108,7 @@ impl Spread {
             courses: (0..explanation.courses.len()).map(of_course).collect(),
             sines: explanation.sines.iter().map(of_sine).collect(),
             terms: explanation.law.terms.iter().map(|term| of_term(term.numbers.len())).collect(),
-            tails: explanation.tails.map_or(0.0, |degrees| tails::error(degrees, &kernel, there)),
+            tails: explanation.tails.map_or(0.0, |degrees| heavy_tails::error(degrees, &kernel, there)),
             fourth: kernel.share(4.0).powi(4),
             per_degree,
             loud: explanation.loud.iter().map(|loud| factor_error(series, loud)).collect(),

@@ -5,6 +5,7 @@ use super::round_trip::{RATE_HZ, model, recording};
 use super::{Outcome, Verdict};
 use imu_core::sample::Channel;
 use imu_model::effects::{Stream, StreamId};
+use imu_model::simulator::SensorModel;
 use serde_json::{Value, json};
 
 const SAMPLES: usize = 40_000;
@@ -21,12 +22,30 @@ fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
     wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
 }
 
+/// Returns a sensor with two effects on one channel.
+fn with_both([one, other]: [&Value; 2]) -> SensorModel {
+    let mut sensor = model(Some(one));
+    let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
+    sensor.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
+    sensor
+}
+
+/// Expects that the interval of a parameter of the second of two effects holds the truth within a share `near`, and is
+/// no wider than `wide`, high over low.
+fn expect_interval(wrong: &mut Wrong, both: [&Value; 2], parameter: &str, seed: u64, (near, wide): (f64, f64)) {
+    let found = diagnosed(&recording(&with_both(both), seed, 4 * SAMPLES), &model(None));
+    let [other, effect] = both;
+    let cause = found.diagnosis.causes.iter().find(|cause| effect["effect"] == cause.effect.name());
+    let ends = cause.map(|cause| cause.uncertainty["accel_x"][0][parameter].clone()).unwrap_or_default();
+    let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
+    let truth = effect[parameter].as_f64().unwrap();
+    let is_right = low < (1.0 + near) * truth && high > (1.0 - near) * truth && high < wide * low;
+    wrong.expect(is_right, || format!("{other} {effect} seed {seed}: {low} to {high}"));
+}
+
 /// Expects that the diagnosis names two effects of one channel that the model lacks, and no others.
 fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
-    let mut truth = model(Some(one));
-    let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
-    truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
-    let found = diagnosed(&recording(&truth, seed, SAMPLES), &model(None));
+    let found = diagnosed(&recording(&with_both([one, other]), seed, SAMPLES), &model(None));
     let mut named = names(&found);
     let mut expected = [one, other].map(|effect| effect["effect"].as_str().unwrap());
     named.sort_unstable();
@@ -48,16 +67,8 @@ fn tails_in_front_of_a_filter_or_beside_slow_noise_are_as_heavy_as_they_are() {
         (json!({"effect": "moving_average", "window": 4}), 6.0, 6),
         (json!({"effect": "gauss_markov", "sigma": 0.05, "tc_s": 0.3}), 5.0, 7),
     ] {
-        let mut truth = model(Some(&other));
-        let tails = model(Some(&json!({"effect": "heavy_tails", "degrees_of_freedom": degrees})));
-        let with = &tails.channels[&Channel::AccelX].effects[0];
-        truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.clone(), &[]);
-        let found = diagnosed(&recording(&truth, seed, 4 * SAMPLES), &model(None));
-        let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "heavy_tails");
-        let ends = cause.map(|cause| cause.uncertainty["accel_x"][0]["degrees_of_freedom"].clone()).unwrap_or_default();
-        let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
-        let is_right = low < 1.02 * degrees && high > 0.98 * degrees && high < 1.5 * low;
-        wrong.expect(is_right, || format!("{other} {degrees} seed {seed}: {low} to {high}"));
+        let tails = json!({"effect": "heavy_tails", "degrees_of_freedom": degrees});
+        expect_interval(&mut wrong, [&other, &tails], "degrees_of_freedom", seed, (0.02, 1.5));
     }
     wrong.none();
 }
@@ -71,15 +82,7 @@ fn a_change_of_variance_is_that_of_the_white_noise_whatever_lies_beside_it() {
     for (seed, factor) in [(1, 1.6), (2, 2.24), (3, 4.0)] {
         for other in [&process, &filter] {
             let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
-            let mut truth = model(Some(other));
-            let with = model(Some(&change)).channels.remove(&Channel::AccelX).unwrap();
-            truth.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
-            let found = diagnosed(&recording(&truth, seed, 4 * SAMPLES), &model(None));
-            let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "variance_change");
-            let ends = cause.map(|cause| cause.uncertainty["accel_x"][0]["factor"].clone()).unwrap_or_default();
-            let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
-            let is_right = low < 1.01 * factor && high > 0.99 * factor && high < 1.12 * low;
-            wrong.expect(is_right, || format!("{other} {factor}: {low} to {high}"));
+            expect_interval(&mut wrong, [other, &change], "factor", seed, (0.01, 1.12));
         }
     }
     wrong.none();

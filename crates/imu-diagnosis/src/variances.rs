@@ -17,8 +17,7 @@ impl Series<'_> {
     /// Returns the ratio of the white part's average variance to its variance at times when nothing changes it: the
     /// law's level of white noise is the average.
     pub fn average_variance(&self) -> f64 {
-        let raw = self.raw_variances();
-        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+        average(&self.raw_variances())
     }
 
     /// Returns the variance that the explanation gives each sample of the residual, 1 on average; empty if it is
@@ -41,6 +40,17 @@ impl Series<'_> {
                 values
             }
         }
+    }
+
+    /// Returns the white noise's share of the root of the spectrum at each coefficient. Noise that enters behind a
+    /// filter is not part of it.
+    pub(super) fn white_shares(&self) -> Vec<f32> {
+        let white = self.white().powi(2);
+        let gain = self.filters();
+        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
+        let share =
+            |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
+        self.spectrum.iter().enumerate().map(share).collect()
     }
 
     /// Returns the factor on the white noise's variance in each stretch, and the error of its logarithm over that of the
@@ -96,8 +106,7 @@ impl Series<'_> {
     pub(super) fn average_with(&self, ratios: &[(f64, f64)]) -> f64 {
         let own = self.explanation.loud.iter().zip(ratios).filter(|(loud, _)| loud.ratio <= LOUD);
         let quiet: Vec<Loud> = own.map(|(loud, (ratio, _))| Loud { ratio: *ratio, ..*loud }).collect();
-        let raw = self.computed_variances(&quiet);
-        if raw.is_empty() { 1.0 } else { raw.iter().sum::<f64>() / raw.len() as f64 }
+        average(&self.computed_variances(&quiet))
     }
 
     /// Computes the variances. `quiet` are the stretches that are not so loud that they are left out.
@@ -115,6 +124,11 @@ impl Series<'_> {
         }
         variance
     }
+}
+
+/// Returns the mean of variances; no variances are those of a constant one.
+fn average(variances: &[f64]) -> f64 {
+    if variances.is_empty() { 1.0 } else { variances.iter().sum::<f64>() / variances.len() as f64 }
 }
 
 fn normalised(mut variance: Vec<f64>) -> Vec<f64> {

@@ -1,6 +1,7 @@
 //! Evidence: the gain of each effect for a series, in nats, with the noise fitted again beside it.
 
 pub(super) mod declared;
+pub(super) mod heavy_tails;
 pub(super) mod leaps;
 pub(super) mod level;
 pub(super) mod line;
@@ -13,7 +14,6 @@ use super::explanation::Explanation;
 use super::prices::with_tails;
 use super::report::Sense;
 use super::series::Series;
-use super::tails::heavy_tails;
 use imu_model::effects::EffectKind;
 
 with_tails! {
@@ -138,7 +138,7 @@ pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
 }
 
 fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate> {
-    let single = outlier::spikes(series).into_iter().chain(heavy_tails(series));
+    let single = outlier::spikes(series).into_iter().chain(heavy_tails::heavy_tails(series));
     single.chain(loudness::intervals(series))
 }
 

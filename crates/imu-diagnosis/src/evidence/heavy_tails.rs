@@ -1,21 +1,21 @@
-//! Tails: the distribution of a residual whose white part has Student's t, and the search for such tails.
+//! Heavy tails: the distribution of a residual whose white part has Student's t, and the search for such tails.
 //!
 //! A residual holds a white sample as a whole only if there is nothing else. Slow noise, lines and noise behind a filter
 //! take a part of the band; there the residual is theirs. What a white sample lacks at its own time is spread over many
 //! samples, where it looks normal.
 
-use super::evidence::{Candidate, Kind};
-use super::series::Series;
+use super::{Candidate, Kind};
+use crate::series::Series;
 use statrs::function::gamma::ln_gamma;
 use std::f64::consts::{PI, TAU};
 
 /// The values that a white sample of 1 leaves in a residual, by their distance in time.
 #[derive(Debug, Clone)]
-pub(super) struct Kernel(Vec<f64>);
+pub(crate) struct Kernel(Vec<f64>);
 
 impl Kernel {
     /// Returns the kernel of a series' residual.
-    pub(super) fn of(series: &Series<'_>) -> Self {
+    pub(crate) fn of(series: &Series<'_>) -> Self {
         const REACH: usize = 32;
         /// Averages of neighbouring coefficients, many more than [`REACH`].
         const BLOCKS: usize = 4096;
@@ -36,7 +36,7 @@ impl Kernel {
 
     /// Returns the factor on Student's t in the residual. Far out a sum of such values is distributed as one value times
     /// this; for 4 degrees of freedom the factor preserves the fourth cumulant.
-    pub(super) fn share(&self, degrees: f64) -> f64 {
+    pub(crate) fn share(&self, degrees: f64) -> f64 {
         let powers = self.0.iter().enumerate().map(|(lag, value)| {
             let twice = if lag == 0 { 1.0 } else { 2.0 };
             twice * value.abs().powf(degrees)
@@ -47,7 +47,7 @@ impl Kernel {
 
 /// Student's t times a share, and normal noise up to a variance of 1.
 #[derive(Debug, Clone)]
-enum Tails {
+enum StudentT {
     /// Hardly any normal noise: the degrees of freedom, the square of the scale, and a constant.
     Whole { degrees: f64, scale: f64, constant: f64 },
     /// Student's t is normal noise whose variance is drawn: ln of the chance over the standard deviation, and one over
@@ -55,7 +55,7 @@ enum Tails {
     Mixed(Vec<(f64, f64)>),
 }
 
-impl Tails {
+impl StudentT {
     /// A share that counts as whole.
     const WHOLE: f64 = 0.998;
 
@@ -97,11 +97,11 @@ impl Tails {
 
 /// Returns the standard error of ln ν for n samples with a free scale, from Fisher's information of both. It is that of
 /// Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84, appendix B, if the residual holds the white samples as a whole.
-pub(super) fn error(degrees: f64, kernel: &Kernel, n: f64) -> f64 {
+pub(crate) fn error(degrees: f64, kernel: &Kernel, n: f64) -> f64 {
     /// Step of ln (ν − 2) and of ln of the scale, and points of the integral over half of the distribution.
     const STEP: f64 = 1e-3;
     const POINTS: usize = 1000;
-    let tails = |degrees: f64| Tails::new(degrees, kernel.share(degrees));
+    let tails = |degrees: f64| StudentT::new(degrees, kernel.share(degrees));
     let [more, less] = [STEP, -STEP].map(|by: f64| tails(2.0 + (degrees - 2.0) * by.exp()));
     let own = tails(degrees);
     let (mut both, mut of_degrees, mut of_scale) = (0.0, 0.0, 0.0);
@@ -146,7 +146,7 @@ impl Squares {
     }
 
     /// Returns the nats that a distribution with a free scale gains over a normal one.
-    fn gain(&self, tails: &Tails) -> f64 {
+    fn gain(&self, tails: &StudentT) -> f64 {
         let n = self.sum(|_| 1.0);
         let plain = self.sum(|square| square) / n;
         let at = |scale: f64| self.sum(|square| tails.logarithm(square / plain * (-2.0 * scale).exp())) - n * scale;
@@ -167,7 +167,7 @@ impl Squares {
         const DEGREES: [f64; 12] = [2.2, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 25.0, 40.0, 60.0, 90.0, 140.0];
         /// Nats below which the degrees of freedom are hardly known.
         const ANY: f64 = 1.0;
-        let whole = |degrees: f64| self.gain(&Tails::new(degrees, 1.0));
+        let whole = |degrees: f64| self.gain(&StudentT::new(degrees, 1.0));
         let starts = DEGREES.map(|degrees| (whole(degrees), degrees));
         let (gain, degrees) = starts.into_iter().fold(starts[0], |a, b| if b.0 > a.0 { b } else { a });
         if gain < ANY {
@@ -175,10 +175,10 @@ impl Squares {
         }
         let (gain, degrees) = highest(whole, (gain, degrees));
         let kernel = kernel();
-        if kernel.share(degrees) > Tails::WHOLE {
+        if kernel.share(degrees) > StudentT::WHOLE {
             return (gain, degrees);
         }
-        let of = |degrees: f64| self.gain(&Tails::new(degrees, kernel.share(degrees)));
+        let of = |degrees: f64| self.gain(&StudentT::new(degrees, kernel.share(degrees)));
         (gain, highest(of, (of(degrees), degrees)).1)
     }
 }
@@ -205,26 +205,15 @@ fn highest(of: impl Fn(f64) -> f64, start: (f64, f64)) -> (f64, f64) {
 }
 
 impl Series<'_> {
-    /// Returns the white noise's share of the root of the spectrum at each coefficient. Noise that enters behind a
-    /// filter is not part of it.
-    pub(super) fn white_shares(&self) -> Vec<f32> {
-        let white = self.white().powi(2);
-        let gain = self.filters();
-        let passed = |k: usize| gain.as_ref().map_or(1.0, |gain| gain[k]);
-        let share =
-            |(k, s): (usize, &f64)| if s.is_finite() { (white * passed(k) / s).sqrt().min(1.0) as f32 } else { 0.0 };
-        self.spectrum.iter().enumerate().map(share).collect()
-    }
-
     /// Returns the nats by which Student's t of these degrees of freedom is denser than a normal distribution.
-    pub(super) fn nats_of_tails(&self, degrees: f64) -> f64 {
-        let tails = Tails::new(degrees, Kernel::of(self).share(degrees));
+    pub(crate) fn nats_of_tails(&self, degrees: f64) -> f64 {
+        let tails = StudentT::new(degrees, Kernel::of(self).share(degrees));
         Squares::of(self.innovations().iter().copied()).sum(|square| tails.logarithm(square) + 0.5 * square)
     }
 }
 
 /// Searches for Student's t tails.
-pub(super) fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
+pub(crate) fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     let mut explanation = series.explanation.clone();
     if explanation.tails.is_some() {
         return None;
@@ -234,13 +223,17 @@ pub(super) fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     series.excluded().into_iter().for_each(|place| is_replaced[place] = true);
     series.censored.iter().for_each(|of| is_replaced[of.place] = false);
     let there = series.innovations().iter().zip(is_replaced).filter(|(_, is_replaced)| !is_replaced);
-    let (gain, degrees) = Squares::of(there.map(|(value, _)| *value)).fit(|| Kernel::of(series));
+    let squares = Squares::of(there.map(|(value, _)| *value));
+    if squares.0.is_empty() {
+        return None;
+    }
+    let (gain, degrees) = squares.fit(|| Kernel::of(series));
     explanation.tails = Some(degrees);
     Some(Candidate::missing(Kind::HeavyTails, gain, explanation))
 }
 
 /// Fits the degrees of freedom again, beside all effects that were found later.
-pub(super) fn fit_again(series: &mut Series<'_>) {
+pub(crate) fn fit_again(series: &mut Series<'_>) {
     let Some(before) = series.explanation.tails.take() else { return };
     let again = heavy_tails(series).and_then(|of| of.explanation.tails);
     series.explanation.tails = Some(again.unwrap_or(before));
@@ -254,7 +247,7 @@ mod tests {
     fn densities_are_normalised_have_variance_1_and_are_that_of_student_alone() {
         for (degrees, share) in [(3.0, 1.0), (6.0, 0.9), (12.0, 0.6), (5.0, 0.2), (100.0, 0.95)] {
             const STEP: f64 = 0.01;
-            let tails = Tails::new(degrees, share);
+            let tails = StudentT::new(degrees, share);
             let (mut all, mut variance) = (0.0, 0.0);
             for step in -100_000..=100_000 {
                 let x = STEP * f64::from(step);
@@ -271,7 +264,7 @@ mod tests {
                 ln_gamma(0.5 * (degrees + 1.0)) - ln_gamma(0.5 * degrees) - 0.5 * (0.5 * degrees * scale).ln();
             for square in [0.0, 0.3, 2.0, 50.0] {
                 let expected = constant - 0.5 * (degrees + 1.0) * (square / (degrees * scale)).ln_1p();
-                let found = Tails::new(degrees, Tails::WHOLE).logarithm(square);
+                let found = StudentT::new(degrees, StudentT::WHOLE).logarithm(square);
                 assert!(
                     (found - expected).abs() < 0.005 * (1.0 + expected.abs()),
                     "{degrees} {square}: {found} {expected}"
