@@ -96,6 +96,8 @@ impl Kind {
                     file.sync_data().await.map_err(|error| self.no_room(&error))?;
                     // A file system without such a cache refuses.
                     let _ = rustix::fs::fadvise(&file, 0, None, rustix::fs::Advice::DontNeed);
+                    // The disk's time is not the sender's.
+                    (window, in_window) = (Instant::now(), 0);
                 }
             }
             if received > self.bytes_max {
