@@ -1,8 +1,8 @@
 //! Diagnosis: compares a capture with a simulator, as a job.
 //!
-//! Unlike the other kinds it holds all samples at once. Its checkpoint has the result for each channel that is done: a
-//! process that continues explains the others, and comes to the same result, bit for bit. After each channel it checks
-//! whether it is still wanted.
+//! Unlike the other kinds it holds all samples at once. Its checkpoint has the result for each channel that is done, and
+//! what the work on the present channel decided so far: a process that continues repeats no search, and comes to the same
+//! result, bit for bit. After each channel it checks whether it is still wanted.
 
 use super::fold::{join, split};
 use super::plan::Plan;
@@ -220,9 +220,10 @@ impl<'a> Progress<'a> {
         Some(Self { keeper, ended: None, turn: 0, share: 0.0, kept })
     }
 
-    /// Identifies the work on a number among all work of the job.
-    fn key(&self, number: usize) -> u64 {
-        (u64::from(self.turn) << 32) | number as u64
+    /// Identifies a part of the work on a number among all work of the job. The keys of a number's parts follow one
+    /// another.
+    fn key(&self, number: usize, part: usize) -> u64 {
+        (u64::from(self.turn) << 32) | ((number as u64) << 16) | part as u64
     }
 
     /// Stores the progress; returns `false` if the job is no longer wanted.
@@ -234,13 +235,17 @@ impl<'a> Progress<'a> {
         self.ended.is_none()
     }
 
-    /// Stores a checkpoint with one more result.
-    fn keep(&mut self, number: usize, result: Vec<u8>) {
+    /// Stores a checkpoint with one more result. That of part 0, the whole work on a number, replaces all parts.
+    fn keep(&mut self, number: usize, part: usize, result: Vec<u8>) {
+        if part == 0 {
+            let parts = self.key(number, 0)..self.key(number + 1, 0);
+            self.kept.retain(|key, _| !parts.contains(key));
+        }
         let size: usize = self.kept.values().map(Vec::len).sum();
         if self.ended.is_some() || size + result.len() > KEPT_MAX {
             return;
         }
-        self.kept.insert(self.key(number), result);
+        self.kept.insert(self.key(number, part), result);
         let entry = |(key, result): (&u64, &Vec<u8>)| [&key.to_le_bytes(), result.as_slice()].concat();
         let entries: Vec<Vec<u8>> = self.kept.iter().map(entry).collect();
         let state = [vec![VERSION], join(&entries)].concat();
@@ -270,13 +275,13 @@ impl Workers for OneByOne<'_, '_> {
         }
     }
 
-    fn kept(&self, number: usize) -> Option<Vec<u8>> {
+    fn kept(&self, number: usize, part: usize) -> Option<Vec<u8>> {
         let progress = self.progress();
-        progress.kept.get(&progress.key(number)).cloned()
+        progress.kept.get(&progress.key(number, part)).cloned()
     }
 
-    fn keep(&self, number: usize, result: Vec<u8>) {
-        self.progress().keep(number, result);
+    fn keep(&self, number: usize, part: usize, result: Vec<u8>) {
+        self.progress().keep(number, part, result);
     }
 }
 

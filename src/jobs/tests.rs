@@ -162,7 +162,7 @@ fn a_job_killed_at_every_checkpoint_comes_to_the_same_bytes() {
         };
         let job = world.store.submit_job(request.job(captures[0]).unwrap(), u64::MAX).unwrap().0.id;
         let kept = || world.reader().checkpoint(job).unwrap().map(|checkpoint| checkpoint.state);
-        for kills in 0..20 {
+        for kills in 0..50 {
             let claimed = world.store.claim_job().unwrap().unwrap();
             let before = kept();
             let goes_on = || !is_killed || kept() == before;
@@ -176,8 +176,10 @@ fn a_job_killed_at_every_checkpoint_comes_to_the_same_bytes() {
     };
     for is_diagnosis in [true, false] {
         let (whole, killed) = (result(is_diagnosis, false), result(is_diagnosis, true));
-        // Each of three channels; a chunk, and two groups of channels.
-        assert_eq!((whole.1, killed.1), (0, 3));
+        // Each of three channels, in four parts or more; a chunk, and two groups of channels.
+        assert_eq!(whole.1, 0);
+        let expected = if is_diagnosis { 12..50 } else { 3..4 };
+        assert!(expected.contains(&killed.1), "{}", killed.1);
         assert!(whole.0 == killed.0, "{}\n{}", whole.0, killed.0);
     }
 }

@@ -419,7 +419,7 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     kill(Some(first));
     assert_eq!(ended(&world, job, &daemon)["state"], "done", "two killed workers are two starts more");
     assert!(body(&world, job) == whole, "the result differs from that of the uninterrupted run");
-    // With a channel done before each kill, a diagnosis goes on.
+    // With a checkpoint before each kill, a diagnosis goes on.
     let job = submit(&world, &compared);
     let (mut last, mut reached) = (None, 0.0);
     for _ in 0..4 {
@@ -447,11 +447,11 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
 #[test]
 fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() {
     let world = World::new();
-    // A single channel: with more the job would go on after the first.
-    let night = fill(&world, "night", &[Channel::GyroX], &plain(1_200_000), noise);
+    // Only reading it takes longer: a job that has made a checkpoint would go on.
+    let night = fill(&world, "night", &SIX, &plain(800_000), noise);
     fill(&world, "short", &SIX, &plain(2000), noise);
     let mut daemon = world.daemon("", &[]);
-    let first = diagnose(&world, night, &json!({"sim": model(&[Channel::GyroX], 40.0, 1e-4)}));
+    let first = diagnose(&world, night, &json!({"sim": model(&SIX, 40.0, 1e-4)}));
     let next = submit(&world, &json!({"kind": "allan", "capture": "short"}));
     let pid = world.until("a worker", Duration::from_secs(20), || worker(&daemon), &daemon);
     // The process has its name before it has its limits: it sets them itself.

@@ -1,6 +1,5 @@
 //! Calibration: records of a model's noise alone, of a record's own length, and the chance findings of a diagnosis in them.
 
-use super::diagnose::{Workers, gathered};
 use super::error::DiagnosisError;
 use super::evidence::{self, Kind};
 use super::explanation::Explanation;
@@ -9,6 +8,7 @@ use super::prepare;
 use super::prices::{Tail, Tails};
 use super::recording::Recording;
 use super::series::Series;
+use super::work::{Workers, gathered};
 use imu_core::sample::Channel;
 use imu_model::effects::{Effect, Flicker, RandomWalk, Stream, StreamId, White};
 use imu_model::simulator::{ChannelModel, SensorModel};

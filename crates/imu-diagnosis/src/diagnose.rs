@@ -25,69 +25,14 @@ use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
 use super::wandering::{self, Wander};
+use super::work::{Alone, Parts, Workers, gathered};
 use super::zero_rows;
 use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
 use imu_model::simulator::SensorModel;
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::sync::{Mutex, PoisonError};
-
-/// The scheduler of the work: several channels may be examined at a time.
-pub trait Workers: Sync {
-    /// Calls `work` once with each number below `count`. If it leaves some numbers out, the diagnosis is cancelled.
-    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync));
-
-    /// Returns what [`Self::keep`] received for this number, during the same call of [`Self::each`] of an earlier
-    /// diagnosis with the same inputs, by the same version of the program.
-    fn kept(&self, _number: usize) -> Option<Vec<u8>> {
-        None
-    }
-
-    /// Receives the result of the work on a number, from which a diagnosis that is interrupted can continue.
-    fn keep(&self, _number: usize, _result: Vec<u8>) {}
-}
-
-/// Does all work sequentially.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Alone;
-
-impl Workers for Alone {
-    fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
-        (0..count).for_each(work);
-    }
-}
-
-/// Returns the results of `work` for all numbers below `count`, in order; `None` if the workers left some out.
-pub(super) fn gathered<T: Send>(
-    workers: &dyn Workers,
-    count: usize,
-    work: impl Fn(usize) -> T + Sync,
-) -> Option<Vec<T>> {
-    let places: Vec<Mutex<Option<T>>> = (0..count).map(|_| Mutex::new(None)).collect();
-    workers.each(count, &|index| {
-        let done = work(index);
-        *places[index].lock().unwrap_or_else(PoisonError::into_inner) = Some(done);
-    });
-    places.into_iter().map(|place| place.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
-}
-
-/// Returns the result of the work on a number: the one that was kept, or a new one, which is kept. Both are equal, bit
-/// for bit.
-fn kept<T: Serialize + DeserializeOwned>(workers: &dyn Workers, number: usize, work: impl FnOnce() -> T) -> T {
-    let kept = workers.kept(number);
-    if let Some(result) = kept.as_ref().and_then(|kept| rmp_serde::from_slice(kept).ok()) {
-        return result;
-    }
-    let result = work();
-    // A result that cannot be written or read is found again after each interruption.
-    if let (None, Ok(new)) = (kept, rmp_serde::to_vec(&result)) {
-        workers.keep(number, new);
-    }
-    result
-}
 
 /// The inputs of a diagnosis besides record and model.
 #[derive(Clone, Copy)]
@@ -230,8 +175,8 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
     let count = ready.channels.len();
     let explained = |index: usize| {
-        let explain = || explain(&ready, sim, index, &prices, &halves, options.believed);
-        let mut of = kept(options.workers, index, explain);
+        let explain = |parts: &mut Parts<'_>| explain(&ready, sim, index, &prices, &halves, options.believed, parts);
+        let mut of = Parts::whole(options.workers, index, explain);
         of.prepared.samples.clone_from(&ready.channels[index].samples);
         of
     };
@@ -280,6 +225,7 @@ fn explain(
     prices: &Prices,
     halves: &Halves,
     believed: bool,
+    work: &mut Parts<'_>,
 ) -> Findings {
     let mut prepared = ready.channels[index].clone();
     if !believed {
@@ -313,10 +259,10 @@ fn explain(
         series.explanation.law.fit(data)
     };
     let declared_variance = series.average_variance();
-    let steps = search::explain(&mut series, prices);
+    let steps = search::explain(&mut series, prices, work);
     let fitted = free(&series);
     let changed = series.average_variance().ln();
-    let held = [0, 1, 2].map(|level| {
+    let held = |level: usize| {
         // A prior that is a thousandth wide is as good as a fixed value.
         let fixed = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
         let fixed = fixed.max(super::law::LEVELS[level].0);
@@ -327,7 +273,8 @@ fn explain(
         let mut data = series.data();
         data.priors = &priors;
         law.fit(data)
-    });
+    };
+    let held = work.next(|| [0, 1, 2].map(held));
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let nameless = nameless::density(&series);
@@ -361,7 +308,7 @@ fn explain(
         known: &known,
         found: &found,
     };
-    let scores = holdout::scores(whole);
+    let scores = work.next(|| holdout::scores(whole));
     debug_assert_eq!(scores.effects.len(), BLOCKS);
     let spread = Spread::of(&series);
     let white = series.white() * prepared.scale;

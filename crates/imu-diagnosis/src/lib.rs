@@ -110,12 +110,13 @@ pub mod transform;
 mod translate;
 mod variances;
 mod wandering;
+mod work;
 mod written;
 mod zero_rows;
 
 use imu_model::effects::{CHANNEL, EffectKind};
 
-pub use diagnose::{Alone, Options, Outcome, Workers, diagnose};
+pub use diagnose::{Options, Outcome, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
 pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
@@ -123,6 +124,7 @@ pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
 pub use remainder::MATERIAL;
 pub use report::{Diagnosis, FORMAT, Verdict};
+pub use work::{Alone, Workers};
 
 /// Returns the effects that can be found in a record at rest: those of docs/effects.md that act on channels.
 pub fn effects() -> Vec<EffectKind> {

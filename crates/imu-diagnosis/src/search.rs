@@ -14,6 +14,7 @@ use super::taken_back::{
     drop_minor_steps, put_back, same_as_the_models, tails_and_bursts_again, take_back, weak_steps, weak_stretches,
     weak_tones,
 };
+use super::work::Parts;
 
 /// An effect that was added, or one of the model's that was changed.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -77,8 +78,32 @@ const ANY_LEVELS: f64 = 12.0;
 /// Maximum number of named effects on a channel; no more are searched.
 const EFFECTS_MAX: usize = 12;
 
+/// What a turn of the search decides.
+#[derive(serde::Serialize, serde::Deserialize)]
+enum Turn {
+    /// No further effect is worth its price.
+    End,
+    /// The prior on B and K is dropped.
+    FreeLevels,
+    /// This step is taken, with this explanation.
+    Adopt(Step, Box<Explanation>),
+}
+
+/// Decides on the next step. The series stays as it is.
+fn turn(series: &mut Series<'_>, prices: &Prices, steps: &[Step], refused: &[Kind]) -> Turn {
+    let mut candidates = everything(series, prices);
+    candidates.retain(|of| !refused.contains(&of.kind));
+    let others = candidates.clone();
+    let Some((step, chosen)) = best_of(candidates, prices, steps) else { return Turn::End };
+    if levels_do(series, &step) {
+        return Turn::FreeLevels;
+    }
+    let (step, chosen) = hidden::instead(series, prices, steps, &step, others).unwrap_or((step, chosen));
+    Turn::Adopt(step, Box::new(chosen.explanation))
+}
+
 /// Explains a series as far as effects are worth their prices.
-pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
+pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -> Vec<Step> {
     /// Steps may be taken back and found again. After this number of turns the search ends in its current state.
     const TURNS: usize = 3 * EFFECTS_MAX;
     let start = series.explanation.clone();
@@ -97,16 +122,17 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices) -> Vec<Step> {
         if steps.len() >= EFFECTS_MAX {
             break;
         }
-        let mut candidates = everything(series, prices);
-        candidates.retain(|of| !refused.contains(&of.kind));
-        let others = candidates.clone();
-        let Some((step, chosen)) = best_of(candidates, prices, &steps) else { break };
-        if levels_do(series, &step) {
-            continue;
-        }
-        let (step, chosen) = hidden::instead(series, prices, &steps, &step, others).unwrap_or((step, chosen));
+        let (step, explanation) = match work.next(|| turn(series, prices, &steps, &refused)) {
+            Turn::End => break,
+            Turn::FreeLevels => {
+                series.priors = FREE;
+                series.rebuild(true);
+                continue;
+            }
+            Turn::Adopt(step, explanation) => (step, explanation),
+        };
         let before = (step.kind == Kind::BiasStep).then(|| series.clone());
-        series.adopt(chosen.explanation);
+        series.adopt(*explanation);
         let kind = step.kind;
         steps.push(step);
         match kind {
@@ -204,8 +230,8 @@ fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     found
 }
 
-/// Returns whether B and K that are far off explain as much as an effect. In that case, the prior on them is dropped.
-fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
+/// Returns whether B and K that are far off explain as much as an effect.
+fn levels_do(series: &Series<'_>, step: &Step) -> bool {
     /// Nats by which slow noise of another form has to be better.
     const CLEARLY: f64 = 3.0;
     /// Sessions differ by up to 30 times. From 100 times on there is further doubt: this is ln of 10⁴, the ratio in
@@ -220,15 +246,10 @@ fn levels_do(series: &mut Series<'_>, step: &Step) -> bool {
     };
     let doubt: f64 = free.law.levels.iter().zip(&series.priors).map(beyond).sum();
     let gain = free.log_likelihood - series.fitted.log_posterior - doubt;
-    let do_as_well = match step.kind {
+    match step.kind {
         Kind::GaussMarkov => gain > step.gain - CLEARLY,
         _ => gain - ANY_LEVELS > step.gain - step.price,
-    };
-    if do_as_well {
-        series.priors = FREE;
-        series.rebuild(true);
     }
-    do_as_well
 }
 
 /// Resets B and K to the model's values if these fit about as well, because known effects may explain the difference.

@@ -3,10 +3,11 @@
 use super::align::{Aligned, Lie};
 use super::lateness::{self, Delay};
 use super::settle::{About, Settled, pricing};
-use crate::diagnose::{Options, Outcome, diagnose, gathered};
+use crate::diagnose::{Options, Outcome, diagnose};
 use crate::error::DiagnosisError;
 use crate::prepare;
 use crate::recording::Recording;
+use crate::work::gathered;
 use imu_core::sample::Triad;
 use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
