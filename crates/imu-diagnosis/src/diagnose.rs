@@ -5,7 +5,7 @@ use super::bands::Bands;
 use super::declared::courses::{self, Off};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
-use super::evidence::Kind;
+use super::evidence::{Kind, heavy_tails};
 use super::explanation::Explanation;
 use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
@@ -24,6 +24,7 @@ use super::series::{Series, Setting};
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
+use super::variances::Ratio;
 use super::wandering::{self, Wander};
 use super::work::{Alone, Parts, Workers, gathered};
 use super::zero_rows;
@@ -133,9 +134,8 @@ pub(super) struct Findings {
     pub(super) white: f64,
     /// The record's mean without the explained part, U.
     pub(super) level: f64,
-    /// The factor on the white part's variance in each of the explanation's stretches, and the error of its logarithm over
-    /// that of the explanation's factor.
-    pub(super) ratios: Vec<(f64, f64)>,
+    /// The white part's variance in each of the explanation's stretches.
+    pub(super) ratios: Vec<Ratio>,
     /// The white part's mean variance over its variance at times when nothing changes it.
     pub(super) average_variance: f64,
     /// The previous ratio over the ratio that the model states.
@@ -195,6 +195,10 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         of.statistics.push((Statistic::Crosstalk, value));
     }
     let shared = if options.wants(EffectKind::CommonMode) { shared } else { Vec::new() };
+    for part in shared.iter().flat_map(|of| &of.parts) {
+        let of = &mut channels[part.index];
+        beside_shared(&ready, sim, of, part.size.powi(2).min(0.98));
+    }
     let found = Found {
         channels,
         shared,
@@ -215,6 +219,22 @@ fn whitened(ready: &Ready, sim: &SensorModel, of: &Findings) -> Whitened {
     let setting = ready.setting(&of.prepared, &base);
     let samples = of.prepared.samples.clone();
     Whitened::of(&Series::explained(&setting, ready.transform.clone(), samples, of.explanation.clone()))
+}
+
+/// Corrects what was found on a channel's white noise for the part of its variance that other channels share. Changes of
+/// the channel's own white noise do not concern that part.
+fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f64) {
+    for ratio in &mut of.ratios {
+        *ratio = ratio.beside_shared(shared, of.average_variance);
+    }
+    if of.explanation.tails.is_some() {
+        let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &of.prepared, grid, without);
+        let setting = ready.setting(&of.prepared, &base);
+        let (samples, explanation) = (of.prepared.samples.clone(), of.explanation.clone());
+        let series = Series::explained(&setting, ready.transform.clone(), samples, explanation);
+        let (degrees, error) = heavy_tails::beside_shared(&series, shared);
+        (of.explanation.tails, of.spread.tails) = (Some(degrees), error);
+    }
 }
 
 /// Returns the complete result for one channel.
@@ -243,7 +263,7 @@ fn explain(
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
     for (kind, evidence) in [
         (EffectKind::Spikes, super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
-        (EffectKind::HeavyTails, super::evidence::heavy_tails::heavy_tails),
+        (EffectKind::HeavyTails, heavy_tails::heavy_tails),
     ] {
         if prepared.has.contains(&kind)
             && let Some(candidate) = evidence(&series)

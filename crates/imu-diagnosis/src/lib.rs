@@ -108,6 +108,8 @@ mod test_place;
 mod tiles;
 pub mod transform;
 mod translate;
+#[cfg(test)]
+mod two_effects;
 mod variances;
 mod wandering;
 mod work;

@@ -128,8 +128,8 @@ fn stretches(series: &mut Series<'_>, known: usize) {
             *last = change;
         }
         series.rebuild(false);
-        // The separation of white noise from the rest depends on how loud the white noise is.
-        if moved < SETTLED || series.equaliser.is_none() {
+        // The separation of white noise from the rest, and the residual's ranks, depend on how loud the white noise is.
+        if moved < SETTLED {
             break;
         }
     }

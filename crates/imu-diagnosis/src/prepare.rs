@@ -125,6 +125,7 @@ impl Ready {
             priors: prepared.priors,
             rate_hz: self.rate_hz,
             bursts: &prepared.bursts,
+            shifts: prepared.shifts.len(),
             reach: prepared.reach,
             owner: prepared.channel as u32,
         }

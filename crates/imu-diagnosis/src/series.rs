@@ -37,6 +37,8 @@ pub struct Setting<'a> {
     pub rate_hz: f64,
     /// The intervals of the model's bursts.
     pub bursts: &'a [std::ops::Range<usize>],
+    /// Number of the model's courses, which are the first in an explanation.
+    pub shifts: usize,
     /// Samples that the model's own filters reach.
     pub reach: usize,
     /// Number of the channel whose random draws replace excluded samples.

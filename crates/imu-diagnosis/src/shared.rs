@@ -12,6 +12,8 @@ pub struct Whitened {
     pub white: Vec<f32>,
     /// The residual in time.
     pub residual: Vec<f64>,
+    /// The samples that were replaced by draws, in order.
+    pub replaced: Vec<usize>,
 }
 
 impl Whitened {
@@ -25,7 +27,12 @@ impl Whitened {
         } else {
             series.whitened.clone()
         };
-        Self { coefficients, white: series.white_shares(), residual: series.scores().into_owned() }
+        Self {
+            coefficients,
+            white: series.white_shares(),
+            residual: series.scores().into_owned(),
+            replaced: series.excluded(),
+        }
     }
 }
 
@@ -70,6 +77,8 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
                 product += x * y * weight;
                 square += weight * weight;
             }
+            // Draws have nothing in common.
+            square *= 1.0 - in_either(&a.replaced, &b.replaced) as f64 / a.residual.len().max(1) as f64;
             let r = (product / square.max(1.0)).clamp(-0.999, 0.999);
             if -0.5 * square * (-r * r).ln_1p() > price {
                 correlation[(i, j)] = r;
@@ -93,6 +102,12 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
     let members = |of: usize| -> Vec<usize> { (0..count).filter(|index| group[*index] == of).collect() };
     let sources = groups.into_iter().map(members).filter(|of| of.len() > 1);
     sources.map(|of| with_part(source(&of, &correlation, white))).filter(|of| of.parts.len() > 1).collect()
+}
+
+/// Returns how many numbers are in one of two ordered lists, or in both.
+fn in_either(a: &[usize], b: &[usize]) -> usize {
+    let both = a.iter().filter(|of| b.binary_search(of).is_ok()).count();
+    a.len() + b.len() - both
 }
 
 /// Drops the channels that are linked to others but have almost none of the source.
@@ -193,6 +208,7 @@ mod tests {
                 .collect(),
             white: vec![1.0; n],
             residual: Vec::new(),
+            replaced: Vec::new(),
         };
         let channels = [of(0, 0.5), of(1, 0.0), of(2, -0.3), of(3, 0.4)];
         let all = shared(&channels, 10.0);
@@ -220,6 +236,7 @@ mod tests {
                 .collect(),
             white: vec![1.0; n],
             residual: Vec::new(),
+            replaced: Vec::new(),
         };
         let (one, other) = (noise(8), noise(9));
         let found = shared(&[of(0, &one, 0.8), of(1, &one, 0.8), of(2, &other, 0.8), of(3, &other, -0.8)], 10.0);

@@ -22,16 +22,21 @@ pub struct Spread {
     pub fourth: f64,
     /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
+    /// The variance of the residual's squares over that of a normal distribution's.
+    pub squares: f64,
     /// The errors of ln of each stretch's factor.
     pub loud: Vec<f64>,
 }
 
 /// Returns the error of ln of the factor on the white noise's deviation in a stretch. The rest of the noise hides a part of it,
 /// and its power is itself known only to `REST_ERROR`.
-fn factor_error(series: &Series<'_>, loud: &Loud) -> f64 {
+fn factor_error(series: &Series<'_>, loud: &Loud, squares: f64) -> f64 {
     /// The error of ln of the rest's power: B and K of hours are known to about a fifth.
     const REST_ERROR: f64 = 0.2;
     let samples = (loud.to - loud.from) as f64;
+    // The factor is the mean square in the stretch over that in the others.
+    let others = (series.len() as f64 - samples).max(1.0);
+    let samples = 1.0 / ((1.0 / samples + 1.0 / others) * squares);
     let (left, slope) = series.equaliser.as_ref().map_or((1.0, 0.0), |of| of.left((loud.from + loud.to) / 2));
     (0.5 / (samples * left)).sqrt().hypot(0.5 * slope * REST_ERROR)
 }
@@ -102,6 +107,8 @@ impl Spread {
             }
             _ => 0.0,
         };
+        let [square, fourth] = [2, 4].map(|power| series.innovations().iter().map(|e| e.powi(power)).sum::<f64>() / n);
+        let squares = (0.5 * (fourth / square.powi(2) - 1.0)).max(1.0);
         let kernel = Kernel::of(series);
         let there = n - series.excluded().len() as f64;
         Self {
@@ -111,7 +118,8 @@ impl Spread {
             tails: explanation.tails.map_or(0.0, |degrees| heavy_tails::error(degrees, &kernel, there)),
             fourth: kernel.share(4.0).powi(4),
             per_degree,
-            loud: explanation.loud.iter().map(|loud| factor_error(series, loud)).collect(),
+            squares,
+            loud: explanation.loud.iter().map(|loud| factor_error(series, loud, squares)).collect(),
         }
     }
 }

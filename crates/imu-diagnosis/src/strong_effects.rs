@@ -2,13 +2,12 @@
 
 use super::cliffs::{WHITE, Wrong, diagnosed, list, names};
 use super::round_trip::{RATE_HZ, model, recording};
+use super::two_effects::expect_both;
 use super::{Outcome, Verdict};
-use imu_core::sample::Channel;
 use imu_model::effects::{Stream, StreamId};
-use imu_model::simulator::SensorModel;
 use serde_json::{Value, json};
 
-const SAMPLES: usize = 40_000;
+pub(super) const SAMPLES: usize = 40_000;
 
 /// Returns the findings on an effect that the model lacks.
 fn found(effect: &Value, seed: u64) -> Outcome {
@@ -20,72 +19,6 @@ fn expect_alone(wrong: &mut Wrong, effect: &Value, seed: u64) {
     let found = found(effect, seed);
     let is_right = names(&found) == [effect["effect"].as_str().unwrap()] && found.diagnosis.verdict == Verdict::Effects;
     wrong.expect(is_right, || format!("{effect} seed {seed}: {:?} {:?}", names(&found), found.diagnosis.notes));
-}
-
-/// Returns a sensor with two effects on one channel.
-fn with_both([one, other]: [&Value; 2]) -> SensorModel {
-    let mut sensor = model(Some(one));
-    let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
-    sensor.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
-    sensor
-}
-
-/// Expects that the interval of a parameter of the second of two effects holds the truth within a share `near`, and is
-/// no wider than `wide`, high over low.
-fn expect_interval(wrong: &mut Wrong, both: [&Value; 2], parameter: &str, seed: u64, (near, wide): (f64, f64)) {
-    let found = diagnosed(&recording(&with_both(both), seed, 4 * SAMPLES), &model(None));
-    let [other, effect] = both;
-    let cause = found.diagnosis.causes.iter().find(|cause| effect["effect"] == cause.effect.name());
-    let ends = cause.map(|cause| cause.uncertainty["accel_x"][0][parameter].clone()).unwrap_or_default();
-    let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
-    let truth = effect[parameter].as_f64().unwrap();
-    let is_right = low < (1.0 + near) * truth && high > (1.0 - near) * truth && high < wide * low;
-    wrong.expect(is_right, || format!("{other} {effect} seed {seed}: {low} to {high}"));
-}
-
-/// Expects that the diagnosis names two effects of one channel that the model lacks, and no others.
-fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
-    let found = diagnosed(&recording(&with_both([one, other]), seed, SAMPLES), &model(None));
-    let mut named = names(&found);
-    let mut expected = [one, other].map(|effect| effect["effect"].as_str().unwrap());
-    named.sort_unstable();
-    expected.sort_unstable();
-    wrong.expect(named == expected, || format!("{one} {other} seed {seed}: {named:?}"));
-}
-
-/// Behind a filter a sample is a mixture of many, and where the filter passes nothing, other noise takes its place.
-#[test]
-fn tails_in_front_of_a_filter_or_beside_slow_noise_are_as_heavy_as_they_are() {
-    let low_pass = |cutoff_hz: f64, order: u64, behind: f64| json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": order, "white_behind": behind});
-    let mut wrong = Wrong::default();
-    for (other, degrees, seed) in [
-        (low_pass(9.0, 2, 0.0), 6.0, 1),
-        (low_pass(14.0, 2, 0.0), 4.0, 2),
-        (low_pass(6.0, 2, 1e-5), 5.0, 3),
-        (low_pass(9.0, 4, 3e-5), 6.0, 4),
-        (low_pass(12.0, 1, 1e-4), 8.0, 5),
-        (json!({"effect": "moving_average", "window": 4}), 6.0, 6),
-        (json!({"effect": "gauss_markov", "sigma": 0.05, "tc_s": 0.3}), 5.0, 7),
-    ] {
-        let tails = json!({"effect": "heavy_tails", "degrees_of_freedom": degrees});
-        expect_interval(&mut wrong, [&other, &tails], "degrees_of_freedom", seed, (0.02, 1.5));
-    }
-    wrong.none();
-}
-
-/// Beside other noise, and behind a filter, the residual's variance changes less than that of the white noise.
-#[test]
-fn a_change_of_variance_is_that_of_the_white_noise_whatever_lies_beside_it() {
-    let process = json!({"effect": "gauss_markov", "sigma": 1.5 * WHITE, "tc_s": 0.3});
-    let filter = json!({"effect": "low_pass", "cutoff_hz": 9.0, "order": 2, "white_behind": 2e-4});
-    let mut wrong = Wrong::default();
-    for (seed, factor) in [(1, 1.6), (2, 2.24), (3, 4.0)] {
-        for other in [&process, &filter] {
-            let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
-            expect_interval(&mut wrong, [other, &change], "factor", seed, (0.01, 1.12));
-        }
-    }
-    wrong.none();
 }
 
 /// A cosine transform mirrors a record at its ends, unlike a strong line. Values far from the line in the spectrum

@@ -6,6 +6,7 @@ use super::evidence::Kind;
 use super::explanation::{Loud, Scedasticity};
 use super::law::{Shape, Term};
 use super::modulated::Levels;
+use super::variances::Ratio;
 use super::wandering::Wander;
 use imu_model::effects::{
     BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage,
@@ -243,22 +244,22 @@ pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> V
     let errors = spread.loud.get(prepared.loud.len()..).unwrap_or_default();
     let (intervals, bursts): (Vec<_>, Vec<_>) =
         loud.zip(errors).partition(|((of, _), _)| of.is_interval(samples, &prepared.bursts));
-    let bursts: Vec<(&Loud, f64)> = bursts.into_iter().map(|((of, (ratio, _)), _)| (of, *ratio)).collect();
-    for ((one, (ratio, wider)), error) in intervals {
+    let bursts: Vec<(&Loud, &Ratio)> = bursts.into_iter().map(|(of, _)| of).collect();
+    for ((one, ratio), error) in intervals {
         let (from_s, to_s) = (seconds(one.from), seconds(one.to));
-        let change = VarianceChange::Interval { from_s, to_s, factor: ratio.sqrt() };
-        let end = (5.5 / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
+        let change = VarianceChange::Interval { from_s, to_s, factor: ratio.factor.sqrt() };
+        let end = (5.5 * spread.squares / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
         let ci95 = vec![
             ("from_s", about(from_s, end)),
             ("to_s", about(to_s, end)),
-            ("factor", times(ratio.sqrt(), *error * wider)),
+            ("factor", times(ratio.factor.sqrt(), error * ratio.error)),
         ];
         add(Kind::VarianceInterval, Arc::new(change), ci95);
     }
     if !bursts.is_empty() {
         let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), (of, ratio)| {
             let width = (of.to - of.from) as f64;
-            (sum + width * (ratio - 1.0).max(0.0), count + width)
+            (sum + width * ratio.usual * (ratio.factor - 1.0).max(0.0), count + width)
         });
         let excess = sum / count;
         let sigma = white * excess.sqrt();

@@ -53,15 +53,15 @@ impl Series<'_> {
         self.spectrum.iter().enumerate().map(share).collect()
     }
 
-    /// Returns the factor on the white noise's variance in each stretch, and the error of its logarithm over that of the
-    /// explanation's factor. The explanation has the factor on the residual's variance wherever other noise cannot be
-    /// separated from it: in excluded stretches, and behind filters.
+    /// Returns the variance of the white noise in each stretch. The explanation has the factor on the residual's variance
+    /// wherever other noise cannot be separated from it: in excluded stretches, and behind filters.
     ///
     /// Inside and outside a stretch the residual's mean squares are 1 − A + A·w, where A is the mean square of the white
     /// noise's share of the root of the spectrum, and w the variance of the white noise over that of the law.
-    pub(super) fn white_ratios(&mut self) -> Vec<(f64, f64)> {
+    pub(super) fn white_ratios(&mut self) -> Vec<Ratio> {
         const ROUNDS: usize = 50;
-        let mut ratios: Vec<(f64, f64)> = self.explanation.loud.iter().map(|loud| (loud.ratio, 1.0)).collect();
+        let ratio = |loud: &Loud| Ratio { factor: loud.ratio, error: 1.0, usual: 1.0 };
+        let mut ratios: Vec<Ratio> = self.explanation.loud.iter().map(ratio).collect();
         let squares = |series: &Self| {
             let shares = series.white_shares();
             let sum: f64 = shares.iter().map(|share| f64::from(*share).powi(2)).sum();
@@ -69,7 +69,7 @@ impl Series<'_> {
         };
         let converted = |ratio: f64, share: f64| {
             let white = (1.0 + (ratio - 1.0) / share).max(1e-3);
-            (white, ratio / (share * white))
+            Ratio { factor: white, error: ratio / (share * white), usual: 1.0 }
         };
         // At this limit a stretch is as loud as it can be without being excluded.
         if self.equaliser.is_some() && self.explanation.loud.iter().any(|loud| loud.ratio == LOUD) {
@@ -81,6 +81,7 @@ impl Series<'_> {
             for (at, ratio) in other.loudness() {
                 ratios[at] = converted(ratio, share);
             }
+            other.over_usual(&mut ratios);
             return ratios;
         }
         let share = squares(self);
@@ -88,25 +89,44 @@ impl Series<'_> {
             ratios[at] = converted(ratio, share);
         }
         let quiet: Vec<usize> = (0..ratios.len()).filter(|at| self.explanation.loud[*at].ratio <= LOUD).collect();
-        if self.equaliser.is_some() || quiet.is_empty() || self.explanation.scedasticity.is_some() {
-            return ratios;
-        }
-        for _ in 0..ROUNDS {
-            let average = self.average_with(&ratios);
-            for at in &quiet {
-                // The share at times when nothing changes the variance.
-                let usual = share / average;
-                ratios[*at] = converted(self.explanation.loud[*at].ratio, usual / (usual + 1.0 - share));
+        if self.equaliser.is_none() && self.explanation.scedasticity.is_none() && !quiet.is_empty() {
+            for _ in 0..ROUNDS {
+                let average = self.average_with(&ratios);
+                for at in &quiet {
+                    // The share at times when nothing changes the variance.
+                    let usual = share / average;
+                    ratios[*at] = converted(self.explanation.loud[*at].ratio, usual / (usual + 1.0 - share));
+                }
             }
         }
+        self.over_usual(&mut ratios);
         ratios
     }
 
+    /// Relates each stretch to the variance that all else gives it. Until now, excluded stretches are relative to the law,
+    /// which is the average.
+    fn over_usual(&self, ratios: &mut [Ratio]) {
+        let variances = self.computed_variances(&self.quiet_with(ratios));
+        let mean = average(&variances);
+        for (loud, ratio) in self.explanation.loud.iter().zip(ratios) {
+            let is_quiet = loud.ratio <= LOUD;
+            let inside = variances.get(loud.from..loud.to).map_or(1.0, average);
+            ratio.usual = if is_quiet { inside / ratio.factor } else { inside };
+            if !is_quiet {
+                ratio.factor *= mean / inside;
+            }
+        }
+    }
+
     /// Returns [`Self::average_variance`] with other factors in the stretches.
-    pub(super) fn average_with(&self, ratios: &[(f64, f64)]) -> f64 {
+    pub(super) fn average_with(&self, ratios: &[Ratio]) -> f64 {
+        average(&self.computed_variances(&self.quiet_with(ratios)))
+    }
+
+    /// Returns the stretches that are not left out, with other factors.
+    fn quiet_with(&self, ratios: &[Ratio]) -> Vec<Loud> {
         let own = self.explanation.loud.iter().zip(ratios).filter(|(loud, _)| loud.ratio <= LOUD);
-        let quiet: Vec<Loud> = own.map(|(loud, (ratio, _))| Loud { ratio: *ratio, ..*loud }).collect();
-        average(&self.computed_variances(&quiet))
+        own.map(|(loud, ratio)| Loud { ratio: ratio.factor, ..*loud }).collect()
     }
 
     /// Computes the variances. `quiet` are the stretches that are not so loud that they are left out.
@@ -129,6 +149,28 @@ impl Series<'_> {
 /// Returns the mean of variances; no variances are those of a constant one.
 fn average(variances: &[f64]) -> f64 {
     if variances.is_empty() { 1.0 } else { variances.iter().sum::<f64>() / variances.len() as f64 }
+}
+
+/// The variance of the white noise in a stretch.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct Ratio {
+    /// The factor that the stretch has on the variance.
+    pub factor: f64,
+    /// The error of the factor's logarithm over that of the explanation's factor.
+    pub error: f64,
+    /// The variance without this factor over the variance at times when nothing changes it.
+    pub usual: f64,
+}
+
+impl Ratio {
+    /// Returns the factor on a channel's own white noise, if `shared` is the part of the white noise's average variance
+    /// that other channels share: the stretch does not change that part. `average` is the average variance over that at
+    /// times when nothing changes it.
+    pub(super) fn beside_shared(self, shared: f64, average: f64) -> Self {
+        let shared = shared * average / self.usual;
+        let factor = ((self.factor - shared) / (1.0 - shared)).max(1e-3);
+        Self { factor, error: self.error * self.factor / (self.factor - shared).max(1e-3), ..self }
+    }
 }
 
 fn normalised(mut variance: Vec<f64>) -> Vec<f64> {

@@ -126,6 +126,16 @@ pub(crate) fn error(degrees: f64, kernel: &Kernel, n: f64) -> f64 {
 struct Squares(Vec<(f64, f64)>);
 
 impl Squares {
+    /// Returns those of a series' residual. Replaced samples are normal. Those at a limit were drawn beyond it, which is
+    /// evidence.
+    fn of_series(series: &Series<'_>) -> Self {
+        let mut is_replaced = vec![false; series.len()];
+        series.excluded().into_iter().for_each(|place| is_replaced[place] = true);
+        series.censored.iter().for_each(|of| is_replaced[of.place] = false);
+        let there = series.innovations().iter().zip(is_replaced).filter(|(_, is_replaced)| !is_replaced);
+        Self::of(there.map(|(value, _)| *value))
+    }
+
     fn of(values: impl IntoIterator<Item = f64>) -> Self {
         const PER_UNIT: f64 = 24.0;
         let mut bins: Vec<(f64, f64)> = Vec::new();
@@ -218,18 +228,24 @@ pub(crate) fn heavy_tails(series: &Series<'_>) -> Option<Candidate> {
     if explanation.tails.is_some() {
         return None;
     }
-    // Replaced samples are normal. Those at a limit were drawn beyond it, which is evidence.
-    let mut is_replaced = vec![false; series.len()];
-    series.excluded().into_iter().for_each(|place| is_replaced[place] = true);
-    series.censored.iter().for_each(|of| is_replaced[of.place] = false);
-    let there = series.innovations().iter().zip(is_replaced).filter(|(_, is_replaced)| !is_replaced);
-    let squares = Squares::of(there.map(|(value, _)| *value));
+    let squares = Squares::of_series(series);
     if squares.0.is_empty() {
         return None;
     }
     let (gain, degrees) = squares.fit(|| Kernel::of(series));
     explanation.tails = Some(degrees);
     Some(Candidate::missing(Kind::HeavyTails, gain, explanation))
+}
+
+/// Returns the degrees of freedom, and the standard error of their logarithm, if other channels share this part of the
+/// white noise's variance, which is normal.
+pub(crate) fn beside_shared(series: &Series<'_>, shared: f64) -> (f64, f64) {
+    let own = (1.0 - shared).sqrt();
+    let kernel = Kernel(Kernel::of(series).0.into_iter().map(|value| value * own).collect());
+    let squares = Squares::of_series(series);
+    let n = squares.sum(|_| 1.0);
+    let (_, degrees) = squares.fit(|| kernel.clone());
+    (degrees, error(degrees, &kernel, n))
 }
 
 /// Fits the degrees of freedom again, beside all effects that were found later.

@@ -18,9 +18,20 @@ fn has(series: &Series<'_>, wanted: impl Fn(&Course) -> bool) -> bool {
     series.explanation.courses.iter().any(|(course, _)| wanted(course))
 }
 
-/// Searches for a ramp.
+/// Searches for a ramp. Beside a warm-up that was found before it, the warm-up's time constant is searched again.
 pub fn ramp(series: &Series<'_>) -> Option<Candidate> {
-    of_course(series, Kind::RateRamp, Course::Ramp)
+    let alone = of_course(series, Kind::RateRamp, Course::Ramp)?;
+    Some(ramp_beside_warm_up(series).filter(|both| both.gain > alone.gain).unwrap_or(alone))
+}
+
+fn ramp_beside_warm_up(series: &Series<'_>) -> Option<Candidate> {
+    let mut courses = series.explanation.courses.iter().enumerate().skip(series.setting().shifts);
+    let (at, _) = courses.find(|(_, (course, _))| matches!(course, Course::WarmUp(_)))?;
+    let bare = series.changed(|of| of.courses.remove(at));
+    let (tau, drift) = warm_up_beside(&bare, &[Course::Ramp])?;
+    let gain = drift.gain - (series.fitted.log_posterior - bare.fitted.log_posterior);
+    let own = Candidate { gain, ..candidate(&bare, Kind::RateRamp, &[Course::WarmUp(tau), Course::Ramp], drift) };
+    Some(own)
 }
 
 /// Searches for an influence of the temperature.
@@ -56,28 +67,28 @@ fn of_ways(series: &Series<'_>, wanted: impl Fn(Follow) -> bool) -> Option<Candi
     Some(candidate(series, Kind::TemperatureCurve, &[course], drift))
 }
 
-/// Searches for a warm-up with a time constant from a 200th to a quarter of the record.
+/// Searches for a warm-up.
 pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
     if has(series, |course| matches!(course, Course::WarmUp(_))) {
         return None;
     }
+    let (tau, drift) = warm_up_beside(series, &[])?;
+    Some(candidate(series, Kind::WarmUp, &[Course::WarmUp(tau)], drift))
+}
+
+/// Returns the time constant of the best warm-up, from a 200th to a quarter of the record, and the result of adding it and
+/// other courses.
+fn warm_up_beside(series: &Series<'_>, others: &[Course]) -> Option<(f64, Drift)> {
     let n = series.len() as f64;
     let (least, most) = (n / 200.0, n / 4.0);
-    // The present law is precise enough for the choice.
-    let score = |tau: f64| {
-        let column = series.setting().courses.coefficients(Course::WarmUp(tau));
-        let (mut product, mut square) = (0.0, 0.0);
-        for (k, x) in column.iter().enumerate().skip(1) {
-            product += x * series.coefficients[k] / series.spectrum[k];
-            square += x * x / series.spectrum[k];
-        }
-        product * product / square
-    };
     let steps = 10;
     let at = |step: usize| least * (most / least).powf(step as f64 / f64::from(steps));
-    let start = (0..=steps as usize).map(at).max_by(|a, b| score(*a).total_cmp(&score(*b)))?;
-    let fitted = |tau: f64| (tau, series.with_courses(&[Course::WarmUp(tau)]));
-    let mut best = fitted(start);
+    let fitted = |tau: f64| {
+        let courses: Vec<Course> = std::iter::once(Course::WarmUp(tau)).chain(others.iter().copied()).collect();
+        (tau, series.with_courses(&courses))
+    };
+    let starts = (0..=steps as usize).map(|step| fitted(at(step)));
+    let mut best = starts.max_by(|a, b| a.1.gain.total_cmp(&b.1.gain))?;
     for width in [1.25, 1.08, 1.025] {
         if best.1.gain < 4.0 {
             break;
@@ -91,7 +102,7 @@ pub fn warm_up(series: &Series<'_>) -> Option<Candidate> {
             }
         }
     }
-    Some(candidate(series, Kind::WarmUp, &[Course::WarmUp(best.0)], best.1))
+    Some(best)
 }
 
 /// Nats that a further step has to gain, and its price.
@@ -263,7 +274,9 @@ pub fn rises(series: &Series<'_>) -> Vec<usize> {
 fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     const PLACES: usize = 96;
     let n = series.len();
-    let mut weighted: Vec<f64> = rest.iter().zip(spectrum).map(|(c, s)| c / s).collect();
+    // A step passes the filters as the white noise does: coefficients that hardly pass are no evidence of its place.
+    let least = series.white().powi(2);
+    let mut weighted: Vec<f64> = rest.iter().zip(spectrum).map(|(c, s)| c / s.max(least)).collect();
     series.transform.backward(&mut weighted);
     // The information about a step at a few places; it varies slowly.
     let margin = (n / 250).max(2);

@@ -1,0 +1,134 @@
+//! Two effects on one channel: both are found, and the interval of each holds the truth whatever the other is.
+
+use super::cliffs::{WHITE, Wrong, diagnosed, names};
+use super::round_trip::{model, recording};
+use super::strong_effects::SAMPLES;
+use imu_core::sample::Channel;
+use imu_model::simulator::SensorModel;
+use serde_json::{Value, json};
+
+/// Returns a sensor with two effects on one channel.
+pub(super) fn with_both([one, other]: [&Value; 2]) -> SensorModel {
+    let mut sensor = model(Some(one));
+    let with = model(Some(other)).channels.remove(&Channel::AccelX).unwrap();
+    sensor.channels.get_mut(&Channel::AccelX).unwrap().push_effect(with.effects[0].clone(), &[]);
+    sensor
+}
+
+/// Expects that the interval of a parameter of the second of two effects holds the truth within a share `near`, and is
+/// no wider than `wide`, high over low.
+fn expect_interval(wrong: &mut Wrong, both: [&Value; 2], parameter: &str, seed: u64, (near, wide): (f64, f64)) {
+    let found = diagnosed(&recording(&with_both(both), seed, 4 * SAMPLES), &model(None));
+    let [other, effect] = both;
+    let cause = found.diagnosis.causes.iter().find(|cause| effect["effect"] == cause.effect.name());
+    let ends = cause.map(|cause| cause.uncertainty["accel_x"][0][parameter].clone()).unwrap_or_default();
+    let [low, high] = [0, 1].map(|end| ends[end].as_f64().unwrap_or_default());
+    let truth = effect[parameter].as_f64().unwrap();
+    let is_right = low < (1.0 + near) * truth && high > (1.0 - near) * truth && high < wide * low;
+    wrong.expect(is_right, || format!("{other} {effect} seed {seed}: {low} to {high}"));
+}
+
+/// Expects that the diagnosis names two effects of one channel that the model lacks, and no others.
+pub(super) fn expect_both(wrong: &mut Wrong, [one, other]: [&Value; 2], seed: u64) {
+    let found = diagnosed(&recording(&with_both([one, other]), seed, SAMPLES), &model(None));
+    let mut named = names(&found);
+    let mut expected = [one, other].map(|effect| effect["effect"].as_str().unwrap());
+    named.sort_unstable();
+    expected.sort_unstable();
+    wrong.expect(named == expected, || format!("{one} {other} seed {seed}: {named:?}"));
+}
+
+/// Behind a filter a sample is a mixture of many, and where the filter passes nothing, other noise takes its place.
+#[test]
+fn tails_in_front_of_a_filter_or_beside_slow_noise_are_as_heavy_as_they_are() {
+    let low_pass = |cutoff_hz: f64, order: u64, behind: f64| json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": order, "white_behind": behind});
+    let mut wrong = Wrong::default();
+    for (other, degrees, seed) in [
+        (low_pass(9.0, 2, 0.0), 6.0, 1),
+        (low_pass(14.0, 2, 0.0), 4.0, 2),
+        (low_pass(6.0, 2, 1e-5), 5.0, 3),
+        (low_pass(9.0, 4, 3e-5), 6.0, 4),
+        (low_pass(12.0, 1, 1e-4), 8.0, 5),
+        (json!({"effect": "moving_average", "window": 4}), 6.0, 6),
+        (json!({"effect": "gauss_markov", "sigma": 0.05, "tc_s": 0.3}), 5.0, 7),
+    ] {
+        let tails = json!({"effect": "heavy_tails", "degrees_of_freedom": degrees});
+        expect_interval(&mut wrong, [&other, &tails], "degrees_of_freedom", seed, (0.02, 1.5));
+    }
+    wrong.none();
+}
+
+/// Beside other noise, and behind a filter, the residual's variance changes less than that of the white noise.
+#[test]
+fn a_change_of_variance_is_that_of_the_white_noise_whatever_lies_beside_it() {
+    let process = json!({"effect": "gauss_markov", "sigma": 1.5 * WHITE, "tc_s": 0.3});
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 9.0, "order": 2, "white_behind": 2e-4});
+    let mut wrong = Wrong::default();
+    for (seed, factor) in [(1, 1.6), (2, 2.24), (3, 4.0)] {
+        for other in [&process, &filter] {
+            let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
+            expect_interval(&mut wrong, [other, &change], "factor", seed, (0.01, 1.12));
+        }
+    }
+    wrong.none();
+}
+
+/// Noise that other channels share is neither heavy-tailed nor louder in a stretch.
+#[test]
+fn changes_of_a_channels_own_noise_do_not_concern_what_it_shares() {
+    let shared = json!({"effect": "common_mode", "sigma": 0.6 * WHITE});
+    let mut wrong = Wrong::default();
+    for seed in 1..4 {
+        let tails = json!({"effect": "heavy_tails", "degrees_of_freedom": 6.0});
+        expect_interval(&mut wrong, [&shared, &tails], "degrees_of_freedom", seed, (0.02, 1.5));
+        for factor in [1.4, 3.0] {
+            let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
+            expect_interval(&mut wrong, [&shared, &change], "factor", seed, (0.01, 1.12));
+        }
+    }
+    wrong.none();
+}
+
+/// The size of a stretch is relative to the noise about it, whose variance may change too, and is less certain if a few
+/// values are far out.
+#[test]
+fn stretches_are_as_loud_as_they_are_beside_other_changes_of_the_variance() {
+    let longer = json!({"effect": "variance_change", "from_s": 700.0, "to_s": 2000.0, "factor": 1.4});
+    let bursts = json!({"effect": "bursts", "intervals": [[300.0, 310.0], [900.0, 907.0]], "sigma": 4.0 * WHITE});
+    let tails = json!({"effect": "heavy_tails", "degrees_of_freedom": 6.0});
+    let mut wrong = Wrong::default();
+    for seed in 1..4 {
+        expect_interval(&mut wrong, [&longer, &bursts], "sigma", seed, (0.02, 1.3));
+        expect_interval(&mut wrong, [&tails, &longer], "factor", seed, (0.005, 1.12));
+    }
+    wrong.none();
+}
+
+/// Behind a filter hardly anything is left of a step at high frequencies, nor of the noise.
+#[test]
+fn small_steps_behind_a_filter_are_found() {
+    let mut wrong = Wrong::default();
+    for (seed, filter) in [
+        (1, json!({"effect": "low_pass", "cutoff_hz": 11.0, "order": 2})),
+        (2, json!({"effect": "low_pass", "cutoff_hz": 5.0, "order": 3})),
+        (3, json!({"effect": "moving_average", "window": 4})),
+    ] {
+        for size in [0.8 * WHITE, -1.6 * WHITE] {
+            let step = json!({"effect": "bias_step", "at_s": 463.2, "size": size});
+            expect_both(&mut wrong, [&filter, &step], seed);
+        }
+    }
+    wrong.none();
+}
+
+/// A warm-up alone would take over a part of the ramp, with another time constant.
+#[test]
+fn a_ramp_beside_a_warm_up_is_found() {
+    let mut wrong = Wrong::default();
+    for (seed, per_s, tau_s) in [(1, 3e-5, 100.0), (2, -3e-5, 60.0), (3, 5e-5, 200.0)] {
+        let ramp = json!({"effect": "rate_ramp", "R": per_s});
+        let warm_up = json!({"effect": "warm_up", "amplitude": -0.03, "tau_s": tau_s});
+        expect_both(&mut wrong, [&ramp, &warm_up], seed);
+    }
+    wrong.none();
+}
