@@ -1,8 +1,8 @@
 //! Diagnosis: compares a capture with a simulator, as a job.
 //!
 //! Unlike the other kinds it holds all samples at once. Its checkpoint has the result for each channel that is done, and
-//! what the work on the present channel decided so far: a process that continues repeats no search, and comes to the same
-//! result, bit for bit. After each channel it checks whether it is still wanted.
+//! what the turns of the search on the present channel decided so far: a process that continues comes to the same result,
+//! bit for bit. After each channel it checks whether it is still wanted.
 
 use super::fold::{join, split};
 use super::plan::Plan;
@@ -188,11 +188,11 @@ struct Written<'a> {
     drawings: Drawings,
 }
 
-/// Maximum size of the results that a checkpoint holds, bytes. A channel whose result does not fit is explained again
-/// after an interruption.
+/// Maximum size of the results that a checkpoint holds, bytes. A result that does not fit is found again after an
+/// interruption.
 const KEPT_MAX: usize = 4 << 20;
-/// Version of the checkpoint.
-const VERSION: u8 = 1;
+/// Version of the checkpoint. One of another version is not used.
+const VERSION: u8 = 2;
 
 /// The progress of the work.
 struct Progress<'a> {
@@ -200,7 +200,7 @@ struct Progress<'a> {
     /// The reason why the job is no longer wanted.
     ended: Option<JobError>,
     /// Number of times that work was given out.
-    turn: u32,
+    given_out: u32,
     share: f64,
     /// The results of the work by [`Self::key`].
     kept: BTreeMap<u64, Vec<u8>>,
@@ -210,20 +210,20 @@ impl<'a> Progress<'a> {
     /// Begins, or continues from a checkpoint's state. `None` if it is damaged.
     fn new(keeper: &'a mut dyn Keeper, state: Option<Vec<u8>>) -> Option<Self> {
         let mut kept = BTreeMap::new();
-        if let Some(state) = state {
-            let (_, mut rest) = state.split_first().filter(|(version, _)| **version == VERSION)?;
+        if let Some((_, mut rest)) = state.as_deref().and_then(|of| of.split_first()).filter(|of| *of.0 == VERSION) {
             for entry in split(&mut rest)? {
                 let (key, result) = entry.split_first_chunk()?;
                 kept.insert(u64::from_le_bytes(*key), result.to_vec());
             }
         }
-        Some(Self { keeper, ended: None, turn: 0, share: 0.0, kept })
+        Some(Self { keeper, ended: None, given_out: 0, share: 0.0, kept })
     }
 
     /// Identifies a part of the work on a number among all work of the job. The keys of a number's parts follow one
     /// another.
     fn key(&self, number: usize, part: usize) -> u64 {
-        (u64::from(self.turn) << 32) | ((number as u64) << 16) | part as u64
+        debug_assert!(number < 1 << 16 && part < 1 << 16, "{number} {part}");
+        (u64::from(self.given_out) << 32) | ((number as u64) << 16) | part as u64
     }
 
     /// Stores the progress; returns `false` if the job is no longer wanted.
@@ -237,14 +237,13 @@ impl<'a> Progress<'a> {
 
     /// Stores a checkpoint with one more result. That of part 0, the whole work on a number, replaces all parts.
     fn keep(&mut self, number: usize, part: usize, result: Vec<u8>) {
-        if part == 0 {
-            let parts = self.key(number, 0)..self.key(number + 1, 0);
-            self.kept.retain(|key, _| !parts.contains(key));
-        }
-        let size: usize = self.kept.values().map(Vec::len).sum();
+        let parts = self.key(number, 0)..self.key(number + 1, 0);
+        let stays = |key: &u64| part != 0 || !parts.contains(key);
+        let size: usize = self.kept.iter().filter(|(key, _)| stays(key)).map(|(_, result)| result.len()).sum();
         if self.ended.is_some() || size + result.len() > KEPT_MAX {
             return;
         }
+        self.kept.retain(|key, _| stays(key));
         self.kept.insert(self.key(number, part), result);
         let entry = |(key, result): (&u64, &Vec<u8>)| [&key.to_le_bytes(), result.as_slice()].concat();
         let entries: Vec<Vec<u8>> = self.kept.iter().map(entry).collect();
@@ -268,7 +267,7 @@ impl<'b> OneByOne<'_, 'b> {
 
 impl Workers for OneByOne<'_, '_> {
     fn each(&self, count: usize, work: &(dyn Fn(usize) + Sync)) {
-        self.progress().turn += 1;
+        self.progress().given_out += 1;
         let share = |index: usize| self.from + (self.to - self.from) * index as f64 / count as f64;
         for index in (0..count).take_while(|index| self.progress().note(share(*index))) {
             work(index);
@@ -346,4 +345,40 @@ fn document_of(
 /// Returns the number of places for which there is room with a plan's channels.
 fn room(plan: &Plan) -> u64 {
     ROOM / (plan.channels.len() as u64 + BESIDES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Keeps the sizes of the checkpoints.
+    struct Sizes(Vec<usize>);
+
+    impl Keeper for Sizes {
+        fn checkpoint(&mut self, checkpoint: JobCheckpoint, _progress: f64) -> Result<(), JobError> {
+            self.0.push(checkpoint.state.len());
+            Ok(())
+        }
+
+        fn progress(&mut self, _progress: f64) -> Result<(), JobError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_result_that_does_not_fit_replaces_nothing_and_makes_no_checkpoint() {
+        let mut sizes = Sizes(Vec::new());
+        let mut progress = Progress::new(&mut sizes, None).unwrap();
+        let kept = |progress: &Progress<'_>| progress.kept.values().map(Vec::len).collect::<Vec<_>>();
+        progress.keep(0, 1, vec![0; 100]);
+        progress.keep(0, 2, vec![0; KEPT_MAX - 200]);
+        progress.keep(1, 1, vec![0; 90]);
+        progress.keep(1, 2, vec![0; 11]);
+        progress.keep(0, 0, vec![0; KEPT_MAX]);
+        assert_eq!(kept(&progress), [100, KEPT_MAX - 200, 90]);
+        // Its own parts make room for the whole.
+        progress.keep(0, 0, vec![0; KEPT_MAX - 90]);
+        assert_eq!(kept(&progress), [KEPT_MAX - 90, 90]);
+        assert_eq!(sizes.0.len(), 4);
+    }
 }

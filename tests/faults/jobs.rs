@@ -421,15 +421,19 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
     assert!(body(&world, job) == whole, "the result differs from that of the uninterrupted run");
     // With a checkpoint before each kill, a diagnosis goes on.
     let job = submit(&world, &compared);
-    let (mut last, mut reached) = (None, 0.0);
-    for _ in 0..4 {
-        let further = || progress(&world, job).filter(|progress| *progress > reached + 0.1);
-        reached = world.until("another channel", Duration::from_secs(60), further, &daemon);
+    let mut last = None;
+    let mut kept = Vec::new();
+    for _ in 0..6 {
+        let further = || {
+            let rows = world.query(&format!("SELECT state FROM job_checkpoint WHERE job_id = {job}"));
+            rows.into_iter().next().filter(|state| *state != kept)
+        };
+        kept = world.until("another checkpoint", Duration::from_secs(60), further, &daemon);
         last = Some(kill(last));
     }
     assert_eq!(ended(&world, job, &daemon)["state"], "done", "{}", daemon.log());
     assert!(body(&world, job) == diagnosis, "the result differs from that of the uninterrupted run");
-    // Three in a row, before the channel is explained, fail a diagnosis.
+    // Three in a row, before the first checkpoint, fail a diagnosis.
     let job = diagnose(&world, capture, &json!({"sim": model(&[Channel::GyroX], 40.0, 1e-3)}));
     for _ in 0..3 {
         last = Some(kill(last));
@@ -447,7 +451,7 @@ fn a_killed_worker_costs_a_start_three_fail_the_job_and_killed_daemons_none() {
 #[test]
 fn a_job_beyond_its_processor_time_is_failed_at_once_and_the_next_one_is_done() {
     let world = World::new();
-    // Only reading it takes longer: a job that has made a checkpoint would go on.
+    // Reading it and the first turn of the search take longer: a job that has made a checkpoint would go on.
     let night = fill(&world, "night", &SIX, &plain(800_000), noise);
     fill(&world, "short", &SIX, &plain(2000), noise);
     let mut daemon = world.daemon("", &[]);

@@ -175,7 +175,7 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
     let count = ready.channels.len();
     let explained = |index: usize| {
-        let explain = |parts: &mut Parts<'_>| explain(&ready, sim, index, &prices, &halves, options.believed, parts);
+        let explain = |work: &mut Parts<'_>| explain(&ready, sim, index, &prices, &halves, options.believed, work);
         let mut of = Parts::whole(options.workers, index, explain);
         of.prepared.samples.clone_from(&ready.channels[index].samples);
         of

@@ -1,4 +1,7 @@
 //! Plans: transforms of the lengths in use. Each thread keeps them, because planning one takes as long as running it.
+//!
+//! Each length has a planner of its own: a planner builds on what it planned before, so that the rounding of a transform
+//! would depend on the lengths that were used before it.
 
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::cell::RefCell;
@@ -14,7 +17,6 @@ pub(super) type Turns = Arc<[(f64, f64)]>;
 
 #[derive(Default)]
 struct Plans {
-    planner: Option<RealFftPlanner<f64>>,
     forward: BTreeMap<usize, Arc<dyn RealToComplex<f64>>>,
     backward: BTreeMap<usize, Arc<dyn ComplexToReal<f64>>>,
     turns: BTreeMap<usize, Turns>,
@@ -36,8 +38,7 @@ impl Plans {
 pub(super) fn forward(n: usize) -> Arc<dyn RealToComplex<f64>> {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();
-        let planner = plans.planner.get_or_insert_with(RealFftPlanner::new);
-        plans.forward.entry(n).or_insert_with(|| planner.plan_fft_forward(n)).clone()
+        plans.forward.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_forward(n)).clone()
     })
 }
 
@@ -45,8 +46,7 @@ pub(super) fn forward(n: usize) -> Arc<dyn RealToComplex<f64>> {
 pub(super) fn backward(n: usize) -> Arc<dyn ComplexToReal<f64>> {
     PLANS.with_borrow_mut(|plans| {
         plans.forget();
-        let planner = plans.planner.get_or_insert_with(RealFftPlanner::new);
-        plans.backward.entry(n).or_insert_with(|| planner.plan_fft_inverse(n)).clone()
+        plans.backward.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_inverse(n)).clone()
     })
 }
 

@@ -48,6 +48,7 @@ pub(super) fn gathered<T: Send>(
 pub(super) struct Parts<'a> {
     workers: &'a dyn Workers,
     number: usize,
+    /// Number of the last part that was begun.
     begun: usize,
 }
 
@@ -92,10 +93,12 @@ mod tests {
     use serde_json::{Value, json};
     use std::collections::BTreeMap;
 
+    /// The parts that were kept, by the call of `each`, number and part.
+    type Kept = BTreeMap<(u32, usize, usize), Vec<u8>>;
+
     /// Stops the work once it has kept this many new parts.
-    #[derive(Debug, Default)]
     struct Killed {
-        kept: Mutex<BTreeMap<(u32, usize, usize), Vec<u8>>>,
+        kept: Mutex<Kept>,
         each: Mutex<u32>,
         left: Mutex<usize>,
     }
@@ -113,16 +116,11 @@ mod tests {
 
         fn keep(&self, number: usize, part: usize, result: Vec<u8>) {
             let mut left = self.left.lock().unwrap();
-            if *left == 0 {
-                return;
+            if *left > 0 {
+                *left -= 1;
+                let each = *self.each.lock().unwrap();
+                assert_eq!(self.kept.lock().unwrap().insert((each, number, part), result), None);
             }
-            *left -= 1;
-            let each = *self.each.lock().unwrap();
-            let mut kept = self.kept.lock().unwrap();
-            if part == 0 {
-                kept.retain(|(of, place, _), _| (*of, *place) != (each, number));
-            }
-            kept.insert((each, number, part), result);
         }
     }
 
@@ -143,31 +141,46 @@ mod tests {
             {"effect": "spikes", "rate_hz": 0.06, "amplitude": 0.3},
             {"effect": "variance_change", "from_s": 100.0, "to_s": 200.0, "factor": 2.0}]);
         let none = json!([]);
-        let real = recording(&model([&steps, &samples, &none]), 7, 20_000);
-        // The last model has an effect that the record lacks; B is far off.
-        let mut sim = model([
+        let mut sensor = model([&steps, &samples, &none]);
+        sensor.channels.values_mut().last().unwrap().k *= 100.0;
+        let real = recording(&sensor, 7, 36_000);
+        // The last channel's model has an effect that the record lacks, and its K is far off.
+        let sim = model([
             &none,
             &none,
             &json!([{"effect": "resonance", "frequency_hz": 5.0, "bandwidth_hz": 0.4, "sigma": 0.01}]),
         ]);
-        sim.channels.values_mut().for_each(|channel| channel.b *= 10.0);
-        let report = |workers: &dyn Workers| {
-            let done = diagnose(&real, &sim, &Options { workers, ..Options::default() });
-            done.map(|done| format!("{}\n{:?}", serde_json::to_string(&done.diagnosis).unwrap(), done.augmented))
+        let report = |kept: Kept, left: usize| {
+            let workers = Killed { kept: Mutex::new(kept), each: Mutex::new(0), left: Mutex::new(left) };
+            // A new process has no plans.
+            let options = Options { workers: &workers, ..Options::default() };
+            let done = std::thread::scope(|scope| scope.spawn(|| diagnose(&real, &sim, &options)).join().unwrap());
+            let text = |done: crate::Outcome| {
+                format!("{}\n{:?}", serde_json::to_string(&done.diagnosis).unwrap(), done.augmented)
+            };
+            (done.map(text), workers.kept.into_inner().unwrap())
         };
-        let whole = report(&Alone).unwrap();
+        let (whole, parts) = report(Kept::new(), usize::MAX);
+        let whole = whole.unwrap();
         assert!(whole.contains("\"bias_step\"") && whole.contains("\"low_pass\""), "{whole}");
-        let mut killed = Killed::default();
-        for kills in 0..100 {
-            (killed.each, killed.left) = (Mutex::new(0), Mutex::new(1));
-            let done = report(&killed);
-            // A diagnosis that keeps nothing new is not cut off.
-            if *killed.left.lock().unwrap() > 0 {
-                assert!(done.unwrap() == whole);
-                assert!(kills > 12, "{kills}");
-                return;
-            }
+        let count =
+            |name: &str| parts.values().filter(|of| of.windows(name.len()).any(|of| of == name.as_bytes())).count();
+        assert!(
+            count("Adopt") > 5 && count("FreeLevels") > 0 && count("End") >= CHANNELS.len(),
+            "{} {} {}",
+            count("Adopt"),
+            count("FreeLevels"),
+            count("End")
+        );
+        let mut kept = Kept::new();
+        for kills in 1..parts.len() {
+            let (_, more) = report(kept, 1);
+            assert_eq!(more.len(), kills);
+            kept = more;
         }
-        panic!("the diagnosis did not come to its end");
+        // All but the last part are kept.
+        let (done, kept) = report(kept, usize::MAX);
+        assert!(done.unwrap() == whole);
+        assert!(kept == parts);
     }
 }
