@@ -6,7 +6,7 @@ use super::declared::courses::{self, Off};
 use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::{Kind, heavy_tails};
-use super::explanation::Explanation;
+use super::explanation::{Explanation, Scedasticity};
 use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::Fitted;
@@ -234,6 +234,21 @@ fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f6
         let series = Series::explained(&setting, ready.transform.clone(), samples, explanation);
         let (degrees, error) = heavy_tails::beside_shared(&series, shared);
         (of.explanation.tails, of.spread.tails) = (Some(degrees), error);
+    }
+    // The part at times when nothing changes the variance.
+    let usual = (shared * of.average_variance).min(0.98);
+    if of.prepared.scedasticity.is_none() {
+        match &mut of.explanation.scedasticity {
+            Some(Scedasticity::PerDegree(slope)) => {
+                *slope /= 1.0 - usual;
+                of.spread.per_degree /= 1.0 - usual;
+            }
+            Some(Scedasticity::Profile(values)) => {
+                let own = |ln: &f64| ((ln.exp() - usual) / (1.0 - usual)).max(1e-3).ln();
+                values.iter_mut().for_each(|value| *value = own(value));
+            }
+            None => {}
+        }
     }
 }
 

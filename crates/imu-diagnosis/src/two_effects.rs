@@ -85,6 +85,8 @@ fn changes_of_a_channels_own_noise_do_not_concern_what_it_shares() {
             let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
             expect_interval(&mut wrong, [&shared, &change], "factor", seed, (0.01, 1.12));
         }
+        let warm = json!({"effect": "variance_change", "per_c": 0.06, "reference_c": 25.0});
+        expect_interval(&mut wrong, [&shared, &warm], "per_c", seed, (0.01, 1.3));
     }
     wrong.none();
 }
