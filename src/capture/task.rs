@@ -217,7 +217,8 @@ enum Happened {
 /// Reads what arrives; if `gathers`, whatever the line's buffer holds at intervals.
 ///
 /// A read from an empty buffer waits until the kernel's own thread has handed on what the driver holds. That thread has
-/// no priority: on a busy machine it is kept from its turn while the buffer is full and the reader waits for it. A look at the number of bytes waits only while that thread copies some.
+/// no priority: on a busy machine it is kept from its turn while the buffer is full and the reader waits for it. A look at
+/// the number of bytes waits only while that thread copies some.
 async fn read(
     stream: &mut Option<(SerialStream, PathBuf)>,
     buffer: &mut [u8],

@@ -195,9 +195,13 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
         of.statistics.push((Statistic::Crosstalk, value));
     }
     let shared = if options.wants(EffectKind::CommonMode) { shared } else { Vec::new() };
-    for part in shared.iter().flat_map(|of| &of.parts) {
-        let of = &mut channels[part.index];
-        beside_shared(&ready, sim, of, part.size.powi(2).min(0.98));
+    let declares = |index: usize| channels[index].prepared.has.contains(&EffectKind::CommonMode);
+    // If the model has shared noise on other channels, that of this channel is not named.
+    let is_declared = shared.iter().flat_map(|of| &of.parts).any(|part| declares(part.index));
+    let parts = shared.iter().flat_map(|of| of.parts.iter().map(|part| (part, of.parts.len() > 2)));
+    let parts: Vec<_> = parts.filter(|(part, _)| !is_declared || declares(part.index)).collect();
+    for (part, is_exact) in parts {
+        beside_shared(&ready, sim, &mut channels[part.index], part.size.powi(2).min(0.98), is_exact);
     }
     let found = Found {
         channels,
@@ -222,8 +226,11 @@ fn whitened(ready: &Ready, sim: &SensorModel, of: &Findings) -> Whitened {
 }
 
 /// Corrects what was found on a channel's white noise for the part of its variance that other channels share. Changes of
-/// the channel's own white noise do not concern that part.
-fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f64) {
+/// the channel's own white noise do not concern that part. If the part is not known exactly, there are no intervals.
+fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f64, is_exact: bool) {
+    let unknown = if is_exact { 1.0 } else { f64::INFINITY };
+    of.spread.loud.iter_mut().for_each(|error| *error *= unknown);
+    of.spread.fourth *= (1.0 - shared).powi(2);
     for ratio in &mut of.ratios {
         *ratio = ratio.beside_shared(shared, of.average_variance);
     }
@@ -233,7 +240,7 @@ fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f6
         let (samples, explanation) = (of.prepared.samples.clone(), of.explanation.clone());
         let series = Series::explained(&setting, ready.transform.clone(), samples, explanation);
         let (degrees, error) = heavy_tails::beside_shared(&series, shared);
-        (of.explanation.tails, of.spread.tails) = (Some(degrees), error);
+        (of.explanation.tails, of.spread.tails) = (Some(degrees), error * unknown);
     }
     // The part at times when nothing changes the variance.
     let usual = (shared * of.average_variance).min(0.98);
@@ -241,7 +248,7 @@ fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f6
         match &mut of.explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {
                 *slope /= 1.0 - usual;
-                of.spread.per_degree /= 1.0 - usual;
+                of.spread.per_degree *= unknown / (1.0 - usual);
             }
             Some(Scedasticity::Profile(values)) => {
                 let own = |ln: &f64| ((ln.exp() - usual) / (1.0 - usual)).max(1e-3).ln();

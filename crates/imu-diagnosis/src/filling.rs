@@ -5,6 +5,7 @@ use super::explanation::LOUD;
 use super::preconditioner::Preconditioner;
 use super::series::Series;
 use imu_model::effects::{Stream, StreamId};
+use std::collections::BTreeSet;
 
 /// Random streams of the filled-in values: one per purpose, so that no two are alike.
 const SIMPLE: u16 = 0;
@@ -27,6 +28,23 @@ impl Series<'_> {
         places.sort_unstable();
         places.dedup();
         places
+    }
+
+    /// Returns the samples that are replaced by draws of any size, in order. Samples at a limit are drawn beyond it, so that they
+    /// stay evidence.
+    pub(super) fn replaced(&self) -> Vec<usize> {
+        let limits: BTreeSet<usize> = self.censored.iter().map(|of| of.place).collect();
+        let mut places = self.excluded();
+        places.retain(|place| !limits.contains(place));
+        places
+    }
+
+    /// Returns places and residual of the samples that are not replaced.
+    pub(super) fn there(&self) -> impl Iterator<Item = (usize, f64)> {
+        let mut is_there = vec![true; self.len()];
+        self.replaced().into_iter().for_each(|place| is_there[place] = false);
+        let values = self.innovations().iter().copied().enumerate();
+        values.zip(is_there).filter(|(_, is_there)| *is_there).map(|(of, _)| of)
     }
 
     /// Replaces excluded samples with a draw from the conditional distribution of the present law, given all other samples. The

@@ -2,7 +2,7 @@
 
 use super::course::{Course, Follow};
 use super::evidence::loudness;
-use super::explanation::{Explanation, Scedasticity};
+use super::explanation::{Explanation, LOUD, Scedasticity};
 use super::series::Series;
 
 /// Fits again the time constant of a warm-up, the dependence of variance on time or temperature, and the ratios of
@@ -124,12 +124,14 @@ fn stretches(series: &mut Series<'_>, known: usize) {
             // If the rest is louder than the white noise, the changes are a slow geometric series: its sum, each second
             // time (Aitken 1926).
             let share = if round % 2 == 1 && *last != 0.0 { (change / *last).clamp(0.0, SLOWEST) } else { 0.0 };
-            loud.ratio *= (change / (1.0 - share)).exp();
+            loud.ratio = (loud.ratio * (change / (1.0 - share)).exp()).min(LOUD.max(loud.ratio));
             *last = change;
         }
         series.rebuild(false);
-        // The separation of white noise from the rest, and the residual's ranks, depend on how loud the white noise is.
-        if moved < SETTLED {
+        // The separation of white noise from the rest, the residual's ranks and the replaced samples depend on how loud
+        // the white noise is.
+        let is_exact = series.equaliser.is_none() && series.explanation.tails.is_none() && series.excluded().is_empty();
+        if moved < SETTLED || is_exact {
             break;
         }
     }

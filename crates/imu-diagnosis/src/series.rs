@@ -532,19 +532,10 @@ impl<'a> Series<'a> {
     /// Returns the residual for methods that must not depend on its tails. If the explanation has Student's t, these
     /// are normal scores: the values that a normal distribution has at the residual's ranks, in their order in time.
     pub fn scores(&self) -> Cow<'_, [f64]> {
-        use statrs::distribution::{ContinuousCDF, Normal};
-        if self.explanation.tails.is_none() {
-            return Cow::Borrowed(self.innovations());
+        match self.explanation.tails {
+            None => Cow::Borrowed(self.innovations()),
+            Some(_) => Cow::Owned(normal_scores(self.innovations())),
         }
-        let normal = Normal::standard();
-        let values = self.innovations();
-        let mut order: Vec<usize> = (0..values.len()).collect();
-        order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));
-        let mut scores = vec![0.0; values.len()];
-        for (rank, place) in order.into_iter().enumerate() {
-            scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / values.len() as f64);
-        }
-        Cow::Owned(scores)
     }
 
     /// Returns the covariance of the factors of courses whose transforms are `columns`, at the present law. `None` if
@@ -559,6 +550,18 @@ impl<'a> Series<'a> {
             normal[(i, i)] *= 1.0 + 1e-12;
         }
         normal.cholesky().map(|factor| factor.inverse())
+    }
+
+    /// Returns the gain in nats of courses of the level under the present law.
+    pub(super) fn gain_of(&self, courses: &[Course]) -> f64 {
+        let columns: Vec<Vec<f64>> = courses.iter().map(|course| self.setting.courses.coefficients(*course)).collect();
+        let Some(covariance) = self.covariance(&columns) else { return 0.0 };
+        let products = columns.iter().map(|column| {
+            let places = column.iter().zip(&self.coefficients).zip(&self.spectrum).skip(1);
+            places.map(|((x, c), s)| x * c / s).sum()
+        });
+        let right = DVector::from_iterator(columns.len(), products);
+        0.5 * right.dot(&(covariance * &right))
     }
 
     /// Returns the gain in nats, the factors, their covariance and the law after adding courses to the level.
@@ -625,6 +628,19 @@ impl<'a> Series<'a> {
         }
         best
     }
+}
+
+/// Returns the values that a normal distribution has at the ranks of values, in their order.
+pub(super) fn normal_scores(values: &[f64]) -> Vec<f64> {
+    use statrs::distribution::{ContinuousCDF, Normal};
+    let normal = Normal::standard();
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_unstable_by(|a, b| values[*a].total_cmp(&values[*b]));
+    let mut scores = vec![0.0; values.len()];
+    for (rank, place) in order.into_iter().enumerate() {
+        scores[place] = normal.inverse_cdf((rank as f64 + 0.5) / values.len() as f64);
+    }
+    scores
 }
 
 /// The result of adding courses.

@@ -12,7 +12,7 @@ pub struct Whitened {
     pub white: Vec<f32>,
     /// The residual in time.
     pub residual: Vec<f64>,
-    /// The samples that were replaced by draws, in order.
+    /// The samples that were replaced by draws of any size, in order.
     pub replaced: Vec<usize>,
 }
 
@@ -31,7 +31,7 @@ impl Whitened {
             coefficients,
             white: series.white_shares(),
             residual: series.scores().into_owned(),
-            replaced: series.excluded(),
+            replaced: series.replaced(),
         }
     }
 }
@@ -77,9 +77,10 @@ pub fn shared(channels: &[Whitened], price: f64) -> Vec<Shared> {
                 product += x * y * weight;
                 square += weight * weight;
             }
-            // Draws have nothing in common.
-            square *= 1.0 - in_either(&a.replaced, &b.replaced) as f64 / a.residual.len().max(1) as f64;
-            let r = (product / square.max(1.0)).clamp(-0.999, 0.999);
+            // Draws have nothing in common, but they scatter like samples.
+            let there = 1.0 - in_either(&a.replaced, &b.replaced) as f64 / a.residual.len().max(1) as f64;
+            let r = (product / (there * square).max(1.0)).clamp(-0.999, 0.999);
+            square *= there * there;
             if -0.5 * square * (-r * r).ln_1p() > price {
                 correlation[(i, j)] = r;
                 correlation[(j, i)] = r;
@@ -221,6 +222,41 @@ mod tests {
         assert_eq!(shared(&channels[1..2], 10.0), []);
         assert_eq!(shared(&[of(5, 0.0), of(6, 0.0)], 10.0), []);
     }
+    /// Draws in place of samples have nothing in common, but they scatter like samples.
+    #[test]
+    fn replaced_samples_make_no_shared_noise_and_do_not_hide_it() {
+        const PRICE: f64 = 6.0;
+        let n = 10_000;
+        let noise = |effect: u16, seed: u64| {
+            let mut stream = Stream::new(seed, StreamId { owner: 1, effect, instance: 0 });
+            (0..n).map(|_| stream.normal()).collect::<Vec<f64>>()
+        };
+        let replaced: Vec<usize> = (0..n).filter(|t| t % 5 != 0).collect();
+        let channel = |coefficients: Vec<f64>, replaced: &[usize]| Whitened {
+            coefficients,
+            white: vec![1.0; n],
+            residual: vec![0.0; n],
+            replaced: replaced.to_vec(),
+        };
+        let records = 200;
+        let is_false = |seed: &u64| {
+            let of = |effect| channel(noise(effect, *seed), &replaced);
+            !shared(&[of(0), of(1)], PRICE).is_empty()
+        };
+        // The chance is that of a normal value beyond √12: 5e-4.
+        let count = (0..records).filter(is_false).count();
+        assert!(count <= 1, "{count} of {records}");
+        // A fifth of the samples has a common part of 0.6.
+        let source = noise(9, 1);
+        let with = |effect| {
+            let own = noise(effect, 2).into_iter().zip(&source);
+            let mix = own.enumerate().map(|(t, (own, all))| if t % 5 == 0 { 0.8 * own + 0.6 * all } else { own });
+            channel(mix.collect(), &replaced)
+        };
+        let found = shared(&[with(0), with(1), with(2)], PRICE);
+        assert!(found[0].parts.iter().all(|part| part.ci95[0] < 0.6 && part.ci95[1] > 0.6), "{found:?}");
+    }
+
     #[test]
     fn two_sources_are_two() {
         let n = 20_000;

@@ -2,7 +2,8 @@
 
 use super::course::Course;
 use super::evidence::heavy_tails::{self, Kernel};
-use super::explanation::{Loud, Scedasticity};
+use super::evidence::loudness::LARGEST;
+use super::explanation::{LOUD, Loud, Scedasticity};
 use super::polish::by_time_constant;
 use super::series::Series;
 
@@ -22,21 +23,41 @@ pub struct Spread {
     pub fourth: f64,
     /// The error of the slope of ln variance by °C.
     pub per_degree: f64,
-    /// The variance of the residual's squares over that of a normal distribution's.
+    /// The variance of the residual's squares over that of a normal distribution's, as the ratios of stretches use them.
     pub squares: f64,
     /// The errors of ln of each stretch's factor.
     pub loud: Vec<f64>,
 }
 
+/// Returns the variance of ratios of normal scores' mean squares over that for normal noise. For Student's t no method is
+/// below 1 + 3/ν (Fisher's information of the scale); scores are somewhat above it.
+fn of_scores(degrees: f64) -> f64 {
+    1.0 + 5.0 / degrees
+}
+
+/// Returns the variances of the residual's squares over that of a normal distribution's: as the ratios of stretches use the
+/// squares, and as those of excluded stretches do.
+fn squares(series: &Series<'_>) -> [f64; 2] {
+    let over_normal = |limit: f64| {
+        let sums = series.there().fold((0.0, 0.0, 0.0), |(count, square, fourth), (_, value)| {
+            let own = (value * value).min(limit);
+            (count + 1.0, square + own, fourth + own * own)
+        });
+        let (count, square, fourth) = sums;
+        if square > 0.0 { (0.5 * (fourth * count / (square * square) - 1.0)).max(1.0) } else { 1.0 }
+    };
+    let limited = series.explanation.tails.map_or_else(|| over_normal(LARGEST), of_scores);
+    [limited, over_normal(f64::INFINITY)]
+}
+
 /// Returns the error of ln of the factor on the white noise's deviation in a stretch. The rest of the noise hides a part of it,
 /// and its power is itself known only to `REST_ERROR`.
-fn factor_error(series: &Series<'_>, loud: &Loud, squares: f64) -> f64 {
+fn factor_error(series: &Series<'_>, loud: &Loud, others: f64, squares: f64) -> f64 {
     /// The error of ln of the rest's power: B and K of hours are known to about a fifth.
     const REST_ERROR: f64 = 0.2;
     let samples = (loud.to - loud.from) as f64;
-    // The factor is the mean square in the stretch over that in the others.
-    let others = (series.len() as f64 - samples).max(1.0);
-    let samples = 1.0 / ((1.0 / samples + 1.0 / others) * squares);
+    // The factor is the mean square in the stretch over that in no stretch.
+    let samples = 1.0 / ((1.0 / samples + 1.0 / others.max(1.0)) * squares);
     let (left, slope) = series.equaliser.as_ref().map_or((1.0, 0.0), |of| of.left((loud.from + loud.to) / 2));
     (0.5 / (samples * left)).sqrt().hypot(0.5 * slope * REST_ERROR)
 }
@@ -107,8 +128,14 @@ impl Spread {
             }
             _ => 0.0,
         };
-        let [square, fourth] = [2, 4].map(|power| series.innovations().iter().map(|e| e.powi(power)).sum::<f64>() / n);
-        let squares = (0.5 * (fourth / square.powi(2) - 1.0)).max(1.0);
+        let [squares, of_excluded] = squares(series);
+        let mut is_loud = vec![false; series.len()];
+        explanation.loud.iter().for_each(|loud| is_loud[series.spoilt(loud)].fill(true));
+        let others = series.there().filter(|(t, _)| !is_loud[*t]).count() as f64;
+        let error_of = |loud: &Loud| {
+            let squares = if loud.ratio > LOUD { of_excluded } else { squares };
+            factor_error(series, loud, others, squares)
+        };
         let kernel = Kernel::of(series);
         let there = n - series.excluded().len() as f64;
         Self {
@@ -119,7 +146,43 @@ impl Spread {
             fourth: kernel.share(4.0).powi(4),
             per_degree,
             squares,
-            loud: explanation.loud.iter().map(|loud| factor_error(series, loud, squares)).collect(),
+            loud: explanation.loud.iter().map(error_of).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::series::normal_scores;
+    use imu_model::effects::{Stream, StreamId};
+
+    #[test]
+    fn ratios_of_normal_scores_scatter_about_as_much_as_stated() {
+        const DRAWS: u64 = 200;
+        const HALF: usize = 1000;
+        for degrees in [3, 6] {
+            let ratio = |seed: u64| {
+                let mut stream = Stream::new(seed, StreamId { owner: 1, effect: degrees, instance: 0 });
+                let mut draw = || {
+                    let chi: f64 = (0..degrees).map(|_| stream.normal().powi(2)).sum();
+                    stream.normal() / (chi / f64::from(degrees)).sqrt()
+                };
+                let values: Vec<f64> = (0..2 * HALF).map(|_| draw()).collect();
+                let mut ratio = 1.0f64;
+                for _ in 0..20 {
+                    let divided = |(at, value): (usize, &f64)| if at < HALF { value / ratio.sqrt() } else { *value };
+                    let scores = normal_scores(&values.iter().enumerate().map(divided).collect::<Vec<f64>>());
+                    let square = |of: &[f64]| of.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>();
+                    ratio *= square(&scores[..HALF]) / square(&scores[HALF..]);
+                }
+                ratio.ln().powi(2)
+            };
+            let variance = (0..DRAWS).map(ratio).sum::<f64>() / DRAWS as f64;
+            // The mean square of n normal values has a relative variance of 2/n.
+            let over_normal = variance / (2.0 * 2.0 / HALF as f64);
+            let over_stated = over_normal / of_scores(f64::from(degrees));
+            assert!((0.6..1.25).contains(&over_stated), "{degrees}: {over_stated}");
         }
     }
 }

@@ -257,14 +257,15 @@ pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> V
         add(Kind::VarianceInterval, Arc::new(change), ci95);
     }
     if !bursts.is_empty() {
-        let (sum, count) = bursts.iter().fold((0.0, 0.0), |(sum, count), (of, ratio)| {
+        let (sum, errors, count) = bursts.iter().fold((0.0, 0.0, 0.0), |(sum, errors, count), (of, ratio)| {
             let width = (of.to - of.from) as f64;
-            (sum + width * ratio.usual * (ratio.factor - 1.0).max(0.0), count + width)
+            let more = width * ratio.usual * (ratio.factor - 1.0).max(0.0);
+            (sum + more, errors + width * ratio.usual * ratio.factor * ratio.error, count + width)
         });
         let excess = sum / count;
         let sigma = white * excess.sqrt();
         let intervals = bursts.iter().map(|(of, _)| (seconds(of.from), seconds(of.to))).collect();
-        let error = (0.5 / count).sqrt() * (1.0 + excess) / excess.max(1e-6);
+        let error = (0.5 / count).sqrt() * errors / sum.max(1e-6 * count);
         add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
     }
     if prepared.scedasticity.is_none() {

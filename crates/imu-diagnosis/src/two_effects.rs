@@ -85,6 +85,8 @@ fn changes_of_a_channels_own_noise_do_not_concern_what_it_shares() {
             let change = json!({"effect": "variance_change", "from_s": 500.0, "to_s": 1000.0, "factor": factor});
             expect_interval(&mut wrong, [&shared, &change], "factor", seed, (0.01, 1.12));
         }
+        let bursts = json!({"effect": "bursts", "intervals": [[300.0, 310.0], [900.0, 907.0]], "sigma": 3.0 * WHITE});
+        expect_interval(&mut wrong, [&shared, &bursts], "sigma", seed, (0.02, 1.3));
         let warm = json!({"effect": "variance_change", "per_c": 0.06, "reference_c": 25.0});
         expect_interval(&mut wrong, [&shared, &warm], "per_c", seed, (0.01, 1.3));
     }
@@ -102,6 +104,9 @@ fn stretches_are_as_loud_as_they_are_beside_other_changes_of_the_variance() {
     for seed in 1..4 {
         expect_interval(&mut wrong, [&longer, &bursts], "sigma", seed, (0.02, 1.3));
         expect_interval(&mut wrong, [&tails, &longer], "factor", seed, (0.005, 1.12));
+        let heavier = json!({"effect": "heavy_tails", "degrees_of_freedom": 4.0});
+        let louder = json!({"effect": "variance_change", "from_s": 700.0, "to_s": 2000.0, "factor": 2.4});
+        expect_interval(&mut wrong, [&heavier, &louder], "factor", seed, (0.01, 1.2));
     }
     wrong.none();
 }

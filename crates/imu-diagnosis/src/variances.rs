@@ -17,13 +17,27 @@ impl Series<'_> {
     /// Returns the ratio of the white part's average variance to its variance at times when nothing changes it: the
     /// law's level of white noise is the average.
     pub fn average_variance(&self) -> f64 {
-        average(&self.raw_variances())
+        self.average(&self.raw_variances())
+    }
+
+    /// Returns the mean of variances over the samples that determine the law: those of excluded stretches are replaced by
+    /// draws. No variances are those of a constant one.
+    fn average(&self, variances: &[f64]) -> f64 {
+        let mut is_there = vec![true; variances.len()];
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD && !variances.is_empty()) {
+            is_there[self.spoilt(loud)].fill(false);
+        }
+        let there = variances.iter().zip(is_there).filter(|(_, is_there)| *is_there);
+        let (sum, count) = there.fold((0.0, 0.0), |(sum, count), (value, _)| (sum + value, count + 1.0));
+        if count > 0.0 { sum / count } else { 1.0 }
     }
 
     /// Returns the variance that the explanation gives each sample of the residual, 1 on average; empty if it is
     /// constant.
     pub(super) fn variances(&self) -> Vec<f64> {
-        normalised(self.raw_variances().to_vec())
+        let raw = self.raw_variances();
+        let mean = self.average(&raw);
+        raw.iter().map(|value| value / mean).collect()
     }
 
     /// Returns the variance that the explanation gives each sample, over the variance at times when nothing changes it.
@@ -72,17 +86,12 @@ impl Series<'_> {
             Ratio { factor: white, error: ratio / (share * white), usual: 1.0 }
         };
         // At this limit a stretch is as loud as it can be without being excluded.
-        if self.equaliser.is_some() && self.explanation.loud.iter().any(|loud| loud.ratio == LOUD) {
+        if self.explanation.loud.iter().any(|loud| loud.ratio == LOUD) {
             let mut other = self.clone();
             let limit = |loud: &mut Loud| loud.ratio = if loud.ratio == LOUD { 1.01 * LOUD } else { loud.ratio };
             other.explanation.loud.iter_mut().for_each(limit);
             other.rebuild(false);
-            let share = squares(&other);
-            for (at, ratio) in other.loudness() {
-                ratios[at] = converted(ratio, share);
-            }
-            other.over_usual(&mut ratios);
-            return ratios;
+            return other.white_ratios();
         }
         let share = squares(self);
         for (at, ratio) in self.loudness() {
@@ -107,10 +116,11 @@ impl Series<'_> {
     /// which is the average.
     fn over_usual(&self, ratios: &mut [Ratio]) {
         let variances = self.computed_variances(&self.quiet_with(ratios));
-        let mean = average(&variances);
+        let mean = self.average(&variances);
         for (loud, ratio) in self.explanation.loud.iter().zip(ratios) {
             let is_quiet = loud.ratio <= LOUD;
-            let inside = variances.get(loud.from..loud.to).map_or(1.0, average);
+            let inside = variances.get(loud.from..loud.to);
+            let inside = inside.map_or(1.0, |of| of.iter().sum::<f64>() / of.len() as f64);
             ratio.usual = if is_quiet { inside / ratio.factor } else { inside };
             if !is_quiet {
                 ratio.factor *= mean / inside;
@@ -120,7 +130,7 @@ impl Series<'_> {
 
     /// Returns [`Self::average_variance`] with other factors in the stretches.
     pub(super) fn average_with(&self, ratios: &[Ratio]) -> f64 {
-        average(&self.computed_variances(&self.quiet_with(ratios)))
+        self.average(&self.computed_variances(&self.quiet_with(ratios)))
     }
 
     /// Returns the stretches that are not left out, with other factors.
@@ -146,11 +156,6 @@ impl Series<'_> {
     }
 }
 
-/// Returns the mean of variances; no variances are those of a constant one.
-fn average(variances: &[f64]) -> f64 {
-    if variances.is_empty() { 1.0 } else { variances.iter().sum::<f64>() / variances.len() as f64 }
-}
-
 /// The variance of the white noise in a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Ratio {
@@ -163,20 +168,18 @@ pub(super) struct Ratio {
 }
 
 impl Ratio {
-    /// Returns the factor on a channel's own white noise, if `shared` is the part of the white noise's average variance
+    /// Returns the variance of a channel's own white noise, if `shared` is the part of the white noise's average variance
     /// that other channels share: the stretch does not change that part. `average` is the average variance over that at
-    /// times when nothing changes it.
+    /// times when nothing changes it. The error is infinite if hardly anything is the channel's own.
     pub(super) fn beside_shared(self, shared: f64, average: f64) -> Self {
-        let shared = shared * average / self.usual;
-        let factor = ((self.factor - shared) / (1.0 - shared)).max(1e-3);
-        Self { factor, error: self.error * self.factor / (self.factor - shared).max(1e-3), ..self }
+        const MOST: f64 = 0.98;
+        let part = shared * average / self.usual;
+        let own = 1.0 - part.min(MOST);
+        let left = self.factor - part.min(MOST);
+        let is_known = part < MOST && left > (1.0 - MOST) * self.factor;
+        let error = if is_known { self.error * self.factor / left } else { f64::INFINITY };
+        Self { factor: (left / own).max(1e-3), error, usual: self.usual * own }
     }
-}
-
-fn normalised(mut variance: Vec<f64>) -> Vec<f64> {
-    let mean = variance.iter().sum::<f64>() / variance.len().max(1) as f64;
-    variance.iter_mut().for_each(|value| *value /= mean);
-    variance
 }
 
 #[cfg(test)]
@@ -223,6 +226,33 @@ mod tests {
             assert!(series.raw_variances().is_empty());
             assert!(is_fresh(&kept) && kept.raw_variances().len() == kept.len());
         });
+    }
+
+    #[test]
+    fn the_average_is_that_of_the_samples_that_are_not_replaced() {
+        with_uneven(|mut series| {
+            series.explanation.scedasticity = None;
+            series.explanation.loud =
+                vec![Loud { from: 0, to: 2000, ratio: 16.0 }, Loud { from: 4000, to: 6000, ratio: 3.0 }];
+            let expected = (4000.0 + 2000.0 * 3.0) / 6000.0;
+            assert!((series.average_variance() - expected).abs() < 1e-12, "{}", series.average_variance());
+            assert!((series.variances()[7000] - 1.0 / expected).abs() < 1e-12);
+            assert!((series.variances()[5000] - 3.0 / expected).abs() < 1e-12);
+        });
+    }
+
+    #[test]
+    fn a_factor_beside_shared_noise_is_finite_and_has_no_interval_where_nothing_is_left() {
+        let of = |factor: f64, shared: f64, usual: f64| Ratio { factor, error: 1.0, usual }.beside_shared(shared, 1.0);
+        let louder = of(2.0, 0.25, 1.0);
+        assert!((louder.factor - 1.75 / 0.75).abs() < 1e-12 && (louder.error - 2.0 / 1.75).abs() < 1e-12);
+        // What a stretch adds stays the same.
+        assert!((louder.usual * (louder.factor - 1.0) - 1.0).abs() < 1e-12);
+        for (factor, shared, usual) in [(2.0, 0.5, 0.4), (1.0, 1.0, 1.0), (0.2, 0.265, 1.0), (2.0, 0.999, 1.0)] {
+            let found = of(factor, shared, usual);
+            assert!(found.factor.is_finite() && found.factor > 0.0 && found.error == f64::INFINITY, "{found:?}");
+            assert!(factor <= 1.0 || found.factor > 1.0, "{found:?}");
+        }
     }
 
     #[test]

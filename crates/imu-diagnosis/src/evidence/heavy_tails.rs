@@ -126,14 +126,9 @@ pub(crate) fn error(degrees: f64, kernel: &Kernel, n: f64) -> f64 {
 struct Squares(Vec<(f64, f64)>);
 
 impl Squares {
-    /// Returns those of a series' residual. Replaced samples are normal. Those at a limit were drawn beyond it, which is
-    /// evidence.
+    /// Returns those of a series' residual. Replaced samples are normal.
     fn of_series(series: &Series<'_>) -> Self {
-        let mut is_replaced = vec![false; series.len()];
-        series.excluded().into_iter().for_each(|place| is_replaced[place] = true);
-        series.censored.iter().for_each(|of| is_replaced[of.place] = false);
-        let there = series.innovations().iter().zip(is_replaced).filter(|(_, is_replaced)| !is_replaced);
-        Self::of(there.map(|(value, _)| *value))
+        Self::of(series.there().map(|(_, value)| value))
     }
 
     fn of(values: impl IntoIterator<Item = f64>) -> Self {
@@ -209,7 +204,7 @@ fn highest(of: impl Fn(f64) -> f64, start: (f64, f64)) -> (f64, f64) {
     let [below, above] = [-step, step].map(|by| of((degrees * by.exp()).max(LEAST)));
     let bend = below + above - 2.0 * best;
     if bend < 0.0 {
-        degrees = (degrees * (step * 0.5 * (below - above) / bend).exp()).max(LEAST);
+        degrees = (degrees * (step * (0.5 * (below - above) / bend).clamp(-1.0, 1.0)).exp()).max(LEAST);
     }
     (best, degrees)
 }

@@ -29,7 +29,10 @@ fn ramp_beside_warm_up(series: &Series<'_>) -> Option<Candidate> {
     let (at, _) = courses.find(|(_, (course, _))| matches!(course, Course::WarmUp(_)))?;
     let bare = series.changed(|of| of.courses.remove(at));
     let (tau, drift) = warm_up_beside(&bare, &[Course::Ramp])?;
-    let gain = drift.gain - (series.fitted.log_posterior - bare.fitted.log_posterior);
+    // A better time constant alone is not the ramp's gain.
+    let present = series.fitted.log_posterior - bare.fitted.log_posterior;
+    let alone = warm_up_beside(&bare, &[]).map_or(present, |(_, alone)| alone.gain.max(present));
+    let gain = drift.gain - alone;
     let own = Candidate { gain, ..candidate(&bare, Kind::RateRamp, &[Course::WarmUp(tau), Course::Ramp], drift) };
     Some(own)
 }
@@ -83,12 +86,12 @@ fn warm_up_beside(series: &Series<'_>, others: &[Course]) -> Option<(f64, Drift)
     let (least, most) = (n / 200.0, n / 4.0);
     let steps = 10;
     let at = |step: usize| least * (most / least).powf(step as f64 / f64::from(steps));
-    let fitted = |tau: f64| {
-        let courses: Vec<Course> = std::iter::once(Course::WarmUp(tau)).chain(others.iter().copied()).collect();
-        (tau, series.with_courses(&courses))
-    };
-    let starts = (0..=steps as usize).map(|step| fitted(at(step)));
-    let mut best = starts.max_by(|a, b| a.1.gain.total_cmp(&b.1.gain))?;
+    let with = |tau: f64| std::iter::once(Course::WarmUp(tau)).chain(others.iter().copied()).collect::<Vec<Course>>();
+    let fitted = |tau: f64| (tau, series.with_courses(&with(tau)));
+    // The present law is precise enough for the choice.
+    let starts = (0..=steps as usize).map(at);
+    let start = starts.max_by(|a, b| series.gain_of(&with(*a)).total_cmp(&series.gain_of(&with(*b))))?;
+    let mut best = fitted(start);
     for width in [1.25, 1.08, 1.025] {
         if best.1.gain < 4.0 {
             break;
@@ -285,7 +288,7 @@ fn place(series: &mut Series<'_>, spectrum: &[f64], rest: &[f64]) -> usize {
     let shape: Vec<f64> = (1..kept)
         .map(|k| {
             let sine = (std::f64::consts::PI * k as f64 / (2.0 * n as f64)).sin();
-            scale / (4.0 * sine * sine * spectrum[k])
+            scale / (4.0 * sine * sine * spectrum[k].max(least))
         })
         .collect();
     let information = |at: usize| -> f64 {

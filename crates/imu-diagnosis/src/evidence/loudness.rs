@@ -7,7 +7,7 @@ use crate::series::Series;
 use nalgebra::{DMatrix, DVector};
 
 /// Squares above this are outliers. They carry no information about a variance that changes slowly.
-const LARGEST: f64 = 16.0;
+pub(crate) const LARGEST: f64 = 16.0;
 
 /// Initial number of cosines of a course of ln variance over the record.
 const COSINES: usize = 12;
