@@ -15,6 +15,9 @@ pub(super) fn sums(values: impl Iterator<Item = f64>) -> Vec<f64> {
     [0.0].into_iter().chain(values.map(next)).collect()
 }
 
+/// The median of the squares of standard normal values.
+pub(super) const MEDIAN: f64 = 0.454_936;
+
 /// Returns the median of some values, which it reorders.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;

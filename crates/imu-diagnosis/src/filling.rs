@@ -47,6 +47,21 @@ impl Series<'_> {
         values.zip(is_there).filter(|(_, is_there)| *is_there).map(|(of, _)| of)
     }
 
+    /// Returns which samples are near a stretch that is replaced. A stretch may begin and end softly: what is left of it outside
+    /// its ends looks like tails or spikes.
+    pub(super) fn near_stretches(&self) -> Vec<bool> {
+        /// Part of a stretch's length, and the least and greatest number of samples.
+        const PART: usize = 4;
+        const SAMPLES: (usize, usize) = (4, 256);
+        let mut near = vec![false; self.len()];
+        for loud in self.explanation.loud.iter().filter(|loud| loud.ratio > LOUD) {
+            let margin = ((loud.to - loud.from) / PART).clamp(SAMPLES.0, SAMPLES.1);
+            let to = (self.spoilt(loud).end + margin).min(near.len());
+            near[loud.from.saturating_sub(margin)..to].fill(true);
+        }
+        near
+    }
+
     /// Replaces excluded samples with a draw from the conditional distribution of the present law, given all other samples. The
     /// replaced samples then show no features of any effect.
     ///

@@ -70,6 +70,65 @@ fn a_variance_that_changes_a_thousandfold_is_no_other_effect() {
     wrong.none();
 }
 
+/// The variance of a course may rise or fall at the record's ends, unlike a sum of cosines.
+#[test]
+fn a_variance_that_falls_steeply_at_the_ends_is_no_burst() {
+    let mut wrong = Wrong::default();
+    let profile = |most: f64, turns: f64, phase: f64| -> Vec<[f64; 2]> {
+        let at = |k: u32| f64::from(k) / 48.0;
+        let value = |k: u32| (most * (std::f64::consts::TAU * turns * at(k) + phase).sin()).exp();
+        (0..=48).map(|k| [at(k) * 1000.0, value(k)]).collect()
+    };
+    for (most, turns, phase, seed) in [(3.5, 2.3, 2.5, 1), (3.0, 0.7, 2.8, 2), (2.0, 1.0, 3.14, 3), (3.0, 3.2, 0.0, 4)]
+    {
+        expect_alone(&mut wrong, &json!({"effect": "variance_change", "profile": profile(most, turns, phase)}), seed);
+    }
+    wrong.none();
+}
+
+/// Noise that rises and falls over an eighth of a stretch leaves loud samples outside the stretch that is found.
+#[test]
+fn soft_ends_of_loud_stretches_are_neither_tails_nor_spikes() {
+    let mut wrong = Wrong::default();
+    for (size, length, seed) in [(9.0, 33, 1), (9.0, 120, 2), (40.0, 60, 3), (4.0, 300, 4)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let mut stream = Stream::new(seed, StreamId { owner: 93, effect: 0, instance: 0 });
+        for from in (0..10).map(|of| 1_700 + of * 3_771) {
+            for (at, value) in real.channels[0].1[from..from + length].iter_mut().enumerate() {
+                let edge = (at.min(length - 1 - at) as f64 + 0.5) / (0.125 * length as f64);
+                let envelope = (std::f64::consts::FRAC_PI_2 * edge.min(1.0)).sin().powi(2);
+                *value += size * WHITE * envelope * stream.normal();
+            }
+        }
+        let found = diagnosed(&real, &model(None));
+        wrong.expect(names(&found) == ["bursts"], || format!("{size} {length}: {:?}", names(&found)));
+    }
+    wrong.none();
+}
+
+#[test]
+fn a_loud_part_of_the_record_with_soft_ends_is_one_change_of_the_variance() {
+    let mut wrong = Wrong::default();
+    for (factor, seed) in [(10.0, 1), (40.0, 2)] {
+        let mut real = recording(&model(None), seed, SAMPLES);
+        let (from, to) = (0.3 * SAMPLES as f64, 0.72 * SAMPLES as f64);
+        let mut stream = Stream::new(seed, StreamId { owner: 94, effect: 0, instance: 0 });
+        for (at, value) in real.channels[0].1.iter_mut().enumerate() {
+            let edge = (at as f64 - from).min(to - at as f64) / (0.02 * (to - from));
+            *value +=
+                factor * WHITE * (std::f64::consts::FRAC_PI_2 * edge.clamp(0.0, 1.0)).sin().powi(2) * stream.normal();
+        }
+        let found = diagnosed(&real, &model(None));
+        let cause = found.diagnosis.causes.first().map(|cause| list(cause, "accel_x"));
+        let is_interval =
+            cause.as_ref().is_some_and(|own| own.iter().any(|of| of["factor"].as_f64() > Some(0.9 * factor)));
+        wrong.expect(names(&found) == ["variance_change"] && is_interval, || {
+            format!("{factor}: {:?} {cause:?}", names(&found))
+        });
+    }
+    wrong.none();
+}
+
 #[test]
 fn steps_of_a_thousand_deviations_that_rise_slowly_are_steps_alone() {
     let mut wrong = Wrong::default();

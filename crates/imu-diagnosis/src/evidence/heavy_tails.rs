@@ -126,9 +126,10 @@ pub(crate) fn error(degrees: f64, kernel: &Kernel, n: f64) -> f64 {
 struct Squares(Vec<(f64, f64)>);
 
 impl Squares {
-    /// Returns those of a series' residual. Replaced samples are normal.
+    /// Returns those of a series' residual. Replaced samples are normal, and those beside a stretch may belong to it.
     fn of_series(series: &Series<'_>) -> Self {
-        Self::of(series.there().map(|(_, value)| value))
+        let near = series.near_stretches();
+        Self::of(series.there().filter(|(place, _)| !near[*place]).map(|(_, value)| value))
     }
 
     fn of(values: impl IntoIterator<Item = f64>) -> Self {

@@ -1,7 +1,7 @@
 //! Loudness: how the residual's variance changes with time or temperature.
 
 use super::{Candidate, Kind};
-use crate::averages::sums;
+use crate::averages::{MEDIAN, median, sums};
 use crate::explanation::{LOUD, Loud, Scedasticity};
 use crate::series::Series;
 use nalgebra::{DMatrix, DVector};
@@ -19,13 +19,18 @@ const SHORTEST: usize = 6;
 /// Shortest quiet stretch, samples. It is longer because a few rounded values are easily equal.
 const SHORTEST_QUIET: usize = 128;
 
-/// Returns the means of squares over blocks, and the samples in a block. Squares are limited relative to the known
-/// variance.
+/// Returns the means of squares over blocks, and the samples in a block. Squares are limited relative to the known variance,
+/// or to that of a louder block.
 fn blocks(series: &Series<'_>) -> (Vec<f64>, usize) {
     let n = series.len();
     let size = (n / 2048).max(64).min(n);
     let residual = series.scores();
-    let mean = |block: &[f64]| block.iter().map(|e| (e * e).min(LARGEST)).sum::<f64>() / size as f64;
+    let mean = |block: &[f64]| {
+        let squares: Vec<f64> = block.iter().map(|e| e * e).collect();
+        let own = median(&mut squares.clone()) / MEDIAN;
+        let largest = LARGEST * own.max(1.0);
+        squares.iter().map(|square| square.min(largest)).sum::<f64>() / size as f64
+    };
     (residual.chunks_exact(size).map(mean).collect(), size)
 }
 
@@ -78,36 +83,41 @@ fn temperatures(series: &Series<'_>, size: usize) -> Option<Vec<f64>> {
     Some(temperature.chunks_exact(size).map(|block| block.iter().sum::<f64>() / size as f64).collect())
 }
 
-/// Returns the gain of a smooth course of ln variance, and the course at equally spaced instants.
-fn cosines(means: &[f64], size: usize, count: usize) -> Option<(f64, Vec<f64>)> {
+/// Returns the gain of a smooth course of ln variance, and the course at equally spaced instants. Cosines are level at both ends
+/// of the record; with `slopes` the course has any slope there.
+fn cosines(means: &[f64], size: usize, count: usize, slopes: bool) -> Option<(f64, Vec<f64>)> {
     let instants = 1 + 60 * count.div_ceil(2 * COSINES).max(1);
-    let wave = |order: usize, share: f64| (std::f64::consts::PI * order as f64 * share).cos();
+    let wave = |order: usize, share: f64| match order.checked_sub(count) {
+        None | Some(0) => (std::f64::consts::PI * order as f64 * share).cos(),
+        Some(power) => share.powi(power as i32),
+    };
+    let orders = || 1..=if slopes { count + 2 } else { count };
     let column = |order: usize| -> Vec<f64> {
         (0..means.len()).map(|row| wave(order, (row as f64 + 0.5) / means.len() as f64)).collect()
     };
-    let columns: Vec<Vec<f64>> = (1..=count).map(column).collect();
-    let (gain, slopes) = regression(means, &columns, size)?;
+    let columns: Vec<Vec<f64>> = orders().map(column).collect();
+    let (gain, factors) = regression(means, &columns, size)?;
     let at = |instant: usize| {
         let share = instant as f64 / (instants - 1) as f64;
-        slopes.iter().zip(1..).map(|(slope, order)| slope * wave(order, share)).sum()
+        factors.iter().zip(orders()).map(|(factor, order)| factor * wave(order, share)).sum()
     };
     Some((gain, (0..instants).map(at).collect()))
 }
 
-/// Returns the course of as many cosines as are worth their number. A course that is far from even is seen in more
+/// Returns the course of as many functions as are worth their number. A course that is far from even is seen in more
 /// detail.
 fn detailed(means: &[f64], size: usize) -> Option<Vec<f64>> {
-    /// Nats that each cosine has to gain.
+    /// Nats that each function has to gain.
     const EACH: f64 = 3.0;
-    let of = |times: usize| {
+    let of = |(times, slopes): (usize, bool)| {
         let count = times * COSINES;
         if times > 1 && 4 * count > means.len() {
             return None;
         }
-        let (gain, values) = cosines(means, size, count)?;
-        Some((gain - EACH * count as f64, values))
+        let (gain, values) = cosines(means, size, count, slopes)?;
+        Some((gain - EACH * (count + 2 * usize::from(slopes)) as f64, values))
     };
-    let all = [1, 2, 4].into_iter().filter_map(of);
+    let all = [(1, false), (1, true), (2, true), (4, true)].into_iter().filter_map(of);
     all.reduce(|a, b| if b.0 > a.0 { b } else { a }).map(|(_, values)| values)
 }
 
@@ -180,7 +190,7 @@ pub fn profile(series: &Series<'_>) -> Option<Candidate> {
         return None;
     }
     let (means, size) = blocks(series);
-    let (gain, values) = cosines(&means, size, COSINES)?;
+    let (gain, values) = cosines(&means, size, COSINES, false)?;
     let mut explanation = series.explanation.clone();
     explanation.scedasticity = Some(Scedasticity::Profile(values));
     Some(Candidate::missing(Kind::VarianceProfile, gain, explanation))
@@ -360,9 +370,10 @@ pub fn intervals(series: &Series<'_>) -> Vec<Candidate> {
     let of = |kind: Kind, long: bool| {
         let own = || found.iter().zip(&gains).filter(move |(loud, _)| loud.is_interval(n, bursts) == long);
         let stretches: Vec<Loud> = own().map(|(loud, _)| *loud).collect();
-        // If much of the record is loud, no quiet stretch represents its noise.
-        let share = stretches.iter().map(|loud| loud.to - loud.from).sum::<usize>() as f64 / n as f64;
-        let too_many = stretches.len() > 1 && share > MOST_OF_RECORD;
+        // If much of the record is loud beside the longest stretch, no quiet stretch represents its noise.
+        let lengths = || stretches.iter().map(|loud| loud.to - loud.from);
+        let others = lengths().sum::<usize>() - lengths().max().unwrap_or(0);
+        let too_many = others as f64 > MOST_OF_RECORD * n as f64;
         let gain = own().map(|(_, gain)| gain).sum::<f64>();
         let mut explanation = series.explanation.clone();
         // The noise is that of the samples that are not left out.

@@ -1,7 +1,7 @@
 //! Outliers and tails: the distribution of the residual's single samples.
 
 use super::{Candidate, Kind};
-use crate::averages::median;
+use crate::averages::{MEDIAN, median};
 use crate::explanation::{Explanation, SpikeLaw};
 use crate::series::Series;
 use statrs::distribution::{Continuous, ContinuousCDF, Normal};
@@ -30,7 +30,7 @@ impl Mixture {
         let plain = squares.iter().sum::<f64>() / n;
         let reference: f64 = squares.iter().map(|a| normal(*a, plain)).sum();
         // The start is the median, so that many outliers do not hide themselves.
-        let mut core = median(&mut squares.to_vec()) / 0.454_936;
+        let mut core = median(&mut squares.to_vec()) / MEDIAN;
         let mut share = (squares.iter().filter(|a| **a > 12.0 * core).count() as f64 / n).clamp(2.0 / n, LARGEST_SHARE);
         let mut wide = 40.0 * core;
         let mut gain = f64::NEG_INFINITY;
@@ -87,9 +87,13 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     if explanation.tails.is_some() || explanation.spikes.is_some() {
         return None;
     }
-    let mut squares: Vec<f64> = series.innovations().iter().map(|e| e * e).collect();
+    // Squares that do not count are not a number.
+    let counts = |(e, near): (&f64, bool)| if near { f64::NAN } else { e * e };
+    let mut squares: Vec<f64> = series.innovations().iter().zip(series.near_stretches()).map(counts).collect();
     let n = squares.len() as f64;
-    let mut mixture = Mixture::of(&squares);
+    let there = |squares: &[f64]| -> Vec<f64> { squares.iter().copied().filter(|square| !square.is_nan()).collect() };
+    let half = squares.len().div_ceil(2);
+    let mut mixture = Mixture::of(&Some(there(&squares)).filter(|there| there.len() >= half)?);
     let wide = |mixture: &Mixture, squares: &[f64]| -> Vec<usize> {
         squares.iter().enumerate().filter(|(_, a)| mixture.is_wide(**a)).map(|(t, _)| t).collect()
     };
@@ -103,11 +107,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         for place in flat {
             squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
         }
-        let there: Vec<f64> = squares.iter().copied().filter(|square| !square.is_nan()).collect();
-        if 2 * there.len() < squares.len() {
-            return None;
-        }
-        mixture = Mixture::of(&there);
+        mixture = Mixture::of(&Some(there(&squares)).filter(|there| there.len() >= half)?);
         flagged = wide(&mixture, &squares);
         if clustered(&flagged, n) {
             return None;
@@ -116,7 +116,7 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     let Mixture { gain, share, wide, core } = mixture;
     // A candidate that is not worth a nat is not examined more closely.
     let reach = series.reach();
-    let there = squares.iter().filter(|square| !square.is_nan()).count() as f64;
+    let there = there(&squares).len() as f64;
     let samples = reach.max(1) + spoilt.len().div_ceil(flagged.len().max(1));
     let hopeless = SpikeLaw { rate: share, size: wide.sqrt(), variance: wide, relative_error: 0.5, samples };
     let large: Vec<f64> = squares.iter().copied().filter(|a| *a > LARGE * core).collect();
