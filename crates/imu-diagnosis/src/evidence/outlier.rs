@@ -83,6 +83,8 @@ const LARGE: f64 = 5.0;
 /// If such values come in groups, a group with one value that stands out is a spike. The other groups are stretches of noise,
 /// which this function ignores.
 pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
+    /// Least number of samples that are not in or near a stretch.
+    const FEWEST: usize = 128;
     let mut explanation = series.explanation.clone();
     if explanation.tails.is_some() || explanation.spikes.is_some() {
         return None;
@@ -92,8 +94,11 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
     let mut squares: Vec<f64> = series.innovations().iter().zip(series.near_stretches()).map(counts).collect();
     let n = squares.len() as f64;
     let there = |squares: &[f64]| -> Vec<f64> { squares.iter().copied().filter(|square| !square.is_nan()).collect() };
-    let half = squares.len().div_ceil(2);
-    let mut mixture = Mixture::of(&Some(there(&squares)).filter(|there| there.len() >= half)?);
+    let counted = there(&squares);
+    if counted.len() < FEWEST {
+        return None;
+    }
+    let mut mixture = Mixture::of(&counted);
     let wide = |mixture: &Mixture, squares: &[f64]| -> Vec<usize> {
         squares.iter().enumerate().filter(|(_, a)| mixture.is_wide(**a)).map(|(t, _)| t).collect()
     };
@@ -107,7 +112,11 @@ pub fn spikes(series: &Series<'_>) -> Option<Candidate> {
         for place in flat {
             squares[place.saturating_sub(FAR)..(place + FAR).min(n as usize)].fill(f64::NAN);
         }
-        mixture = Mixture::of(&Some(there(&squares)).filter(|there| there.len() >= half)?);
+        let left = there(&squares);
+        if 2 * left.len() < counted.len() {
+            return None;
+        }
+        mixture = Mixture::of(&left);
         flagged = wide(&mixture, &squares);
         if clustered(&flagged, n) {
             return None;
