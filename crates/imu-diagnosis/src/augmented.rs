@@ -66,7 +66,10 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 let before = found.shared.iter().position(with).unwrap_or(0);
                 (0..before).for_each(|_| channel.push_effect(Arc::new(CommonMode { sigma: 0.0 }), &[]));
             }
-            channel.push_effect(one.effect.clone(), &one.ci95);
+            // A model states intervals of an effect's own parameters, not of those of the effect that comes and goes.
+            let is_own = |(name, _): &&(&str, [f64; 2])| !name.contains('.');
+            let ci95: Vec<(&str, [f64; 2])> = one.ci95.iter().filter(is_own).copied().collect();
+            channel.push_effect(one.effect.clone(), &ci95);
             if one.effect.kind() == EffectKind::CommonMode
                 && let Some(sigma) = one.effect.number("sigma")
             {

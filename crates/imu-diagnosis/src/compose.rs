@@ -232,7 +232,8 @@ fn unexplained_codes(of: &Findings, named: &[Named], real: &Recording) -> Option
     let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.kind()))
         || of.prepared.has.iter().any(|kind| MOVING.contains(kind))
         || of.prepared.limits.iter().any(Option::is_some)
-        || !of.explanation.sines.is_empty();
+        || !of.explanation.sines.is_empty()
+        || !of.explanation.gated.is_empty();
     let step = of.prepared.facts.step.filter(|_| !moves)?;
     let sent = real.sent(channel).or_else(|| real.values(channel))?;
     let there = sent.iter().enumerate().filter(|(t, value)| !real.is_missing(*t) && value.is_finite());

@@ -7,6 +7,7 @@ use super::declared::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::{Kind, heavy_tails};
 use super::explanation::{Explanation, Scedasticity};
+use super::gated::{self, Stays};
 use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
 use super::law::Fitted;
@@ -60,12 +61,13 @@ pub struct Options<'a> {
 }
 
 /// Effects with the spectrum of a band.
-const BANDS: [EffectKind; 3] = [EffectKind::Resonance, EffectKind::ModulatedBand, EffectKind::WanderingLine];
+const BANDS: [EffectKind; 4] =
+    [EffectKind::Resonance, EffectKind::ModulatedBand, EffectKind::WanderingLine, EffectKind::Intermittent];
 
 impl Options<'_> {
     /// Returns whether an effect is looked for.
     pub fn wants(&self, effect: EffectKind) -> bool {
-        // Lines at multiples of one another are found as tones. Bands whose level changes and lines that wander are found as bands.
+        // Lines at multiples of one another are found as tones. Bands whose level changes, lines that wander and bands that come and go are found as bands.
         let alike: &[EffectKind] = match effect {
             EffectKind::Tone | EffectKind::Comb => &[EffectKind::Tone, EffectKind::Comb],
             band if BANDS.contains(&band) => &BANDS,
@@ -124,6 +126,8 @@ pub(super) struct Findings {
     pub(super) nameless: Vec<(f64, f64)>,
     /// Bands whose level changes.
     pub(super) levels: Vec<Levels>,
+    /// Bands that come and go.
+    pub(super) stays: Vec<Stays>,
     /// Bands that are lines whose frequency wanders.
     pub(super) wanders: Vec<Wander>,
     /// The tiles of time and frequency in which the residual still differs from the law.
@@ -280,7 +284,9 @@ fn explain(
     };
     courses::strip(&mut prepared, &off);
     let base = |grid: &Grid, without: &BTreeSet<usize>| prepare::base_of(sim, &prepared, grid, without);
-    let setting = ready.setting(&prepared, &base);
+    let model = sim.channels.get(&prepared.channel);
+    let gates = prices.of(Kind::Intermittent).is_finite() && model.is_none_or(gated::are_known);
+    let setting = Setting { gates, ..ready.setting(&prepared, &base) };
     let known = courses::as_declared(&prepared);
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
     for (kind, evidence) in [
@@ -322,20 +328,31 @@ fn explain(
     let nameless = nameless::density(&series);
     let mut parts = omnibus::component::parts(&mut series);
     let has_bands = prepared.has.iter().any(|kind| BANDS.contains(kind));
+    let stays = if has_bands { Vec::new() } else { gated::stays(&series) };
+    parts.retain(|part| stays.iter().all(|own| own.term != part.place));
     let (levels, wanders) = match has_bands {
         true => (Vec::new(), Vec::new()),
         false => (modulated::levels(&series, &parts), wandering::lines(&parts)),
     };
     parts.retain(|part| wanders.iter().all(|wander| wander.term != part.place));
-    let after = Tiles::of(&series);
-    let model = sim.channels.get(&prepared.channel);
+    let evened = series.whitened_by_time();
+    let after = Tiles::of(evened.as_ref().unwrap_or(&series));
     let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
-    let statistics = omnibus::statistics(&mut series, prepared.facts.atom, &parts);
+    let statistics = match evened {
+        Some(mut evened) => omnibus::statistics(&mut evened, prepared.facts.atom, &parts),
+        None => omnibus::statistics(&mut series, prepared.facts.atom, &parts),
+    };
     // The model's lines keep the model's amplitudes, unless the channel has other amplitudes.
     let mut known = known;
     known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
     known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
+    // So do those that come and go, with the times and phases that the channel has.
+    if let Some(model) = model {
+        let (places, sines): (Vec<usize>, _) = gated::as_declared(&series, model, prepared.scale).into_iter().unzip();
+        known.gated = sines;
+        known.without.extend(places);
+    }
     let mut found = series.explanation.clone();
     for (course, (_, _, factor)) in found.courses.iter_mut().zip(&prepared.shifts) {
         course.1 = *factor;
@@ -349,6 +366,7 @@ fn explain(
         setting: Setting { white: known.law.levels[0], priors: series.priors, ..setting },
         known: &known,
         found: &found,
+        stays: &stays,
     };
     let scores = work.next(|| holdout::scores(whole));
     debug_assert_eq!(scores.effects.len(), BLOCKS);
@@ -372,6 +390,7 @@ fn explain(
         bands,
         nameless,
         levels,
+        stays,
         wanders,
         after,
         statistics,

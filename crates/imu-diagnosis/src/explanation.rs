@@ -25,10 +25,72 @@ impl Sine {
         let own = self.amplitude();
         self.quadratures = if own > 0.0 { self.quadratures.map(|value| value * peak / own) } else { [peak, 0.0] };
     }
+    /// Returns the factors of cosine and sine if time is counted from this sample.
+    pub(super) fn later(&self, samples: usize) -> [f64; 2] {
+        let (s, c) = (std::f64::consts::TAU * (self.cycles * samples as f64).fract()).sin_cos();
+        let [a, b] = self.quadratures;
+        [a * c + b * s, b * c - a * s]
+    }
     /// Adds `factor` times the sine to values.
     pub(super) fn add(&self, factor: f64, values: &mut [f64]) {
         let [a, b] = self.quadratures.map(|value| factor * value);
         turning(self.cycles, values.len(), |t, cosine, sine| values[t] += a * cosine + b * sine);
+    }
+}
+
+/// A sine that is present only at times.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct GatedSine {
+    /// Cycles per sample.
+    pub cycles: f64,
+    /// The ranges of samples in which it is present, in order.
+    pub stays: Vec<Stay>,
+}
+
+/// A range of samples in which a sine is present, with a phase of its own.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Stay {
+    /// First sample.
+    pub from: usize,
+    /// One past the last.
+    pub to: usize,
+    /// Factors of cosine and sine, whose phase is 0 at the first sample.
+    pub quadratures: [f64; 2],
+}
+
+impl GatedSine {
+    /// Returns the number of samples in all stays.
+    pub fn samples(&self) -> usize {
+        self.stays.iter().map(|stay| stay.to - stay.from).sum()
+    }
+    /// Returns the mean square of the peaks of the stays, each weighted by its length.
+    pub(super) fn square(&self) -> f64 {
+        let of = |stay: &Stay| (stay.to - stay.from) as f64 * stay.quadratures.iter().map(|q| q * q).sum::<f64>();
+        self.stays.iter().map(of).sum::<f64>() / self.samples().max(1) as f64
+    }
+    /// Gives all stays the same peak and keeps their phases.
+    pub(super) fn rescale(&mut self, peak: f64) {
+        for stay in &mut self.stays {
+            let mut sine = Sine { cycles: self.cycles, quadratures: stay.quadratures };
+            sine.rescale(peak);
+            stay.quadratures = sine.quadratures;
+        }
+    }
+    /// Adds `factor` times the sine to values.
+    pub(super) fn add(&self, factor: f64, values: &mut [f64]) {
+        for Stay { from, to, quadratures } in &self.stays {
+            Sine { cycles: self.cycles, quadratures: *quadratures }.add(factor, &mut values[*from..*to]);
+        }
+    }
+    /// Returns the sine in the samples from `from` to `to`, counted from `from`.
+    pub(super) fn part(&self, from: usize, to: usize) -> Self {
+        let of = |stay: &Stay| {
+            let (begin, end) = (stay.from.max(from), stay.to.min(to));
+            let sine = Sine { cycles: self.cycles, quadratures: stay.quadratures };
+            let own = |begin| Stay { from: begin - from, to: end - from, quadratures: sine.later(begin - stay.from) };
+            (begin < end).then(|| own(begin))
+        };
+        Self { cycles: self.cycles, stays: self.stays.iter().filter_map(of).collect() }
     }
 }
 
@@ -123,6 +185,8 @@ pub struct Explanation {
     pub courses: Vec<(Course, f64)>,
     /// Sines.
     pub sines: Vec<Sine>,
+    /// Sines that come and go.
+    pub gated: Vec<GatedSine>,
     /// Samples that are not noise: spikes, held or clipped values.
     pub outliers: Vec<usize>,
     /// The law of the spikes among them.
@@ -147,6 +211,7 @@ impl Explanation {
             && variance(self) == variance(other)
             && self.without == other.without
             && self.sines == other.sines
+            && self.gated == other.gated
             && self.outliers == other.outliers
             && self.scedasticity == other.scedasticity
             && (self.tails.is_some(), self.spikes.is_some()) == (other.tails.is_some(), other.spikes.is_some())
@@ -165,15 +230,20 @@ impl Explanation {
         self.outliers.dedup();
     }
 
-    /// Returns the outliers of a record of `samples`, in order, and its first and last samples as far as filters reach.
-    /// A filter begins from an unknown state, and the transform reflects samples that do not exist.
+    /// Returns the outliers of a record of `samples`, in order, and its first and last samples as far as filters reach, and those
+    /// about the ends of a gated sine's stays. A filter begins from an unknown state, and the transform reflects samples that do
+    /// not exist. A sine that begins in front of a filter has another course behind it.
     pub fn left_out(&self, samples: usize, reach: usize) -> Cow<'_, [usize]> {
         let reach = reach.min(samples);
         if reach == 0 {
             return Cow::Borrowed(&self.outliers);
         }
+        /// Possible error of the place of an end, samples.
+        const END: usize = 8;
         let mut places: Vec<usize> = (0..reach).chain(samples - reach..samples).collect();
         places.extend(&self.outliers);
+        let ends = self.gated.iter().flat_map(|sine| &sine.stays).flat_map(|stay| [stay.from, stay.to]);
+        places.extend(ends.flat_map(|end| end.saturating_sub(END)..(end + END + reach).min(samples)));
         places.sort_unstable();
         places.dedup();
         Cow::Owned(places)

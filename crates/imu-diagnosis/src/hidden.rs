@@ -2,8 +2,8 @@
 
 use super::course::Course;
 use super::evidence::Kind::{
-    self, BiasStep, Bursts, HeavyTails, LowPass, MovingAverage, Spikes, Tone, VarianceInterval, VariancePerDegree,
-    VarianceProfile,
+    self, BiasStep, Bursts, HeavyTails, Intermittent, LowPass, MovingAverage, Resonance, Spikes, Tone,
+    VarianceInterval, VariancePerDegree, VarianceProfile,
 };
 use super::evidence::{self, Candidate};
 use super::prices::Prices;
@@ -13,13 +13,15 @@ use super::series::Series;
 /// Effects that may look like other effects as long as they are not known, with the kinds that they may look like. A
 /// large step makes a few samples of the residual loud and the rest quiet in comparison. Strong lines do that to parts
 /// of the spectrum, as filters do. A few values that are far out look like tails, or behind a filter like bursts. Loud
-/// stretches look like tails.
-const HIDDEN: [(Kind, &[Kind]); 5] = [
+/// stretches look like tails. A line or a band that comes and goes looks like all of these.
+const HIDDEN: [(Kind, &[Kind]); 7] = [
     (BiasStep, &[Spikes, HeavyTails, Bursts, VarianceInterval, VarianceProfile, VariancePerDegree]),
     (Tone, &[LowPass, MovingAverage]),
+    (Intermittent, &[LowPass, MovingAverage, HeavyTails, Bursts, VarianceInterval, VarianceProfile]),
     (Spikes, &[Bursts]),
     (VarianceInterval, &[HeavyTails]),
     (Bursts, &[HeavyTails]),
+    (Resonance, &[HeavyTails, Bursts, VarianceInterval, VarianceProfile]),
 ];
 
 /// Returns the effect that takes precedence over the one that would be chosen because it removes that effect's gain.
@@ -44,6 +46,11 @@ pub(super) fn instead(
         of.of_model.is_none() && hides && !is_known && of.gain > prices.of(of.kind) + LARGE
     };
     all.into_iter().filter(may_be).find_map(|of| {
+        let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
+        // Blocks of the record show such a sine under any law.
+        if of.kind == Intermittent {
+            return Some((own, of));
+        }
         if of.kind == BiasStep && !lasts(series, &of) {
             return None;
         }
@@ -60,7 +67,6 @@ pub(super) fn instead(
         if of.kind == Tone && !is_loud(&beside, series.explanation.sines.len()) {
             return None;
         }
-        let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
         (gain_of(step.kind, &beside) < LEFT * step.gain).then_some((own, of))
     })
 }

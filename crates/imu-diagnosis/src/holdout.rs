@@ -2,6 +2,7 @@
 
 use super::course::{Course, Courses};
 use super::explanation::{Explanation, LOUD, Loud};
+use super::gated::Stays;
 use super::law::Law;
 use super::series::{Series, Setting};
 use super::transform::Cosines;
@@ -67,6 +68,8 @@ pub struct Whole<'a> {
     pub known: &'a Explanation,
     /// The complete explanation that was found.
     pub found: &'a Explanation,
+    /// Its bands that come and go.
+    pub stays: &'a [Stays],
 }
 
 /// Returns the structure of an explanation on the part of the record from `from` to `to`, with the numbers of the whole
@@ -84,12 +87,8 @@ fn part(of: &Explanation, from: usize, to: usize, whole: usize) -> Explanation {
             Course::Step(at) => (at > from && at < to).then(|| (Course::Step(at - from), *factor)),
         })
         .collect();
-    part.sines.iter_mut().for_each(|sine| {
-        let turn = std::f64::consts::TAU * (sine.cycles * from as f64).fract();
-        let (s, c) = turn.sin_cos();
-        let [a, b] = sine.quadratures;
-        sine.quadratures = [a * c + b * s, b * c - a * s];
-    });
+    part.sines.iter_mut().for_each(|sine| sine.quadratures = sine.later(from));
+    part.gated = of.gated.iter().map(|sine| sine.part(from, to)).collect();
     part.outliers = of.outliers.iter().filter(|t| (from..to).contains(*t)).map(|t| t - from).collect();
     part.loud = of
         .loud
@@ -114,6 +113,8 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
     let n = series.len() as f64;
     let mut sum = -PHASE * explanation.sines.len().saturating_sub(known.sines.len()) as f64;
     let steps = |of: &Explanation| of.courses.iter().filter(|(course, _)| matches!(course, Course::Step(_))).count();
+    let stays = |of: &Explanation| of.gated.iter().map(|sine| sine.stays.len()).sum::<usize>();
+    sum -= (2.0 * n.ln() + 3.0 + PHASE) * stays(explanation).saturating_sub(stays(known)) as f64;
     sum -= (n.ln() + 3.0) * steps(explanation).saturating_sub(steps(known)) as f64;
     let new = |of: &'_ Explanation, other: &Explanation| -> Vec<Loud> {
         let is_in = |loud: &&Loud| other.loud.iter().any(|one| (one.from, one.to) == (loud.from, loud.to));
@@ -145,6 +146,8 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
 
 /// Scores the second half.
 pub fn scores(whole: Whole<'_>) -> Scores {
+    /// Ratio of the shares of a band that is absent from the first half.
+    const ABSENT: f64 = 100.0;
     let total = whole.samples.len();
     let middle = total / 2;
     let Halves { ranges: halves, transforms, courses } = whole.halves;
@@ -153,7 +156,14 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let (first, second) = (setting(0), setting(1));
     let samples = |half: usize| whole.samples[halves[half].0..halves[half].1].to_vec();
     let known = |half: usize| part(whole.known, halves[half].0, halves[half].1, total);
-    let found = |half: usize| part(whole.found, halves[half].0, halves[half].1, total);
+    let share = |stays: &Stays, half: usize| stays.share(halves[half].0, halves[half].1);
+    let found = |half: usize| {
+        let mut found = part(whole.found, halves[half].0, halves[half].1, total);
+        for stays in whole.stays {
+            found.law.terms[stays.term].numbers[0] += (share(stays, half) / stays.share(0, total)).ln();
+        }
+        found
+    };
     let carried = known(1).outliers.len();
     let scored = |series: &Series<'_>, known: &Explanation| {
         let more = besides(series, known, &found(1), carried) / BLOCKS as f64;
@@ -164,7 +174,8 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     let numbers = 3
         + best.explanation.law.terms.iter().map(|term| term.numbers.len()).sum::<usize>()
         + best.explanation.courses.len()
-        + 3 * best.explanation.sines.len();
+        + 3 * best.explanation.sines.len()
+        + best.explanation.gated.iter().map(|sine| 1 + 4 * sine.stays.len()).sum::<usize>();
     let ceiling = scored(&best, &known(1));
     let samples_scored = total - middle;
     let full = Series::new(&first, transforms[0].clone(), samples(0), found(0));
@@ -179,7 +190,15 @@ pub fn scores(whole: Whole<'_>) -> Scores {
         return Scores { declared, effects: parameters.clone(), parameters, ceiling, numbers, samples: samples_scored };
     }
     let mut carried_over = found(1);
-    carried_over.law = full.law.clone();
+    let of_second = std::mem::replace(&mut carried_over.law, full.law.clone());
+    for stays in whole.stays {
+        let ratio = share(stays, 1) / share(stays, 0);
+        // A half without the band shows nothing of it.
+        match ratio < ABSENT {
+            true => carried_over.law.terms[stays.term].numbers[0] += ratio.ln(),
+            false => carried_over.law.terms[stays.term] = of_second.terms[stays.term].clone(),
+        }
+    }
     for (course, factor) in &mut carried_over.courses {
         let alike = |other: &Course| match (other, &*course) {
             (Course::Follows(one), Course::Follows(other)) => one == other,
@@ -197,6 +216,12 @@ pub fn scores(whole: Whole<'_>) -> Scores {
     }
     for (sine, learned) in carried_over.sines.iter_mut().zip(&full.sines) {
         sine.rescale(learned.amplitude());
+    }
+    for (sine, learned) in carried_over.gated.iter_mut().zip(&full.gated) {
+        // A half without stays shows no amplitude.
+        if !learned.stays.is_empty() {
+            sine.rescale(learned.square().sqrt());
+        }
     }
     // The white noise at times when nothing changes it is the same in both.
     carried_over.law.levels[0] -= quiet;

@@ -60,6 +60,7 @@ mod explanation;
 mod facts;
 mod field;
 mod filling;
+mod gated;
 mod grid;
 mod hidden;
 mod hints;

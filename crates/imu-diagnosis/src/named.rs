@@ -6,6 +6,7 @@ use super::declared::{self, values};
 use super::diagnose::{Findings, Found, Options};
 use super::evidence::Kind;
 use super::facts;
+use super::gated;
 use super::pairs;
 use super::prepare::Prepared;
 use super::recording::Recording;
@@ -90,10 +91,13 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
     let same = |kind: Kind| of.steps.iter().filter(move |step| is(step, kind) && step.has_term());
     let standing = declared::stands_for(&effects, &of.steps, model);
     let superfluous = declared::left_out(of, model, &standing, level);
+    let left_out = of.prepared.gated.iter().filter(|own| of.explanation.without.contains(&own.place));
+    let left_out: Vec<gated::OfModel> = left_out.copied().collect();
+    let stands_for_gated = |effect: &dyn Effect| gated::stands_for(&left_out, effect, sim.rate_hz, found.samples);
     let found_here = effects
         .iter()
         .zip(&standing)
-        .map(|(Translated { kind, effect, ci95 }, place)| {
+        .filter_map(|(Translated { kind, effect, ci95 }, place)| {
             let several = effects.iter().filter(|other| other.kind == *kind).count().max(1) as f64;
             let gain = same(*kind).map(|step| step.gain).sum::<f64>() / several;
             let margin = same(*kind)
@@ -114,8 +118,12 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
                     step.price,
                 ));
             }
+            let place = place.or_else(|| stands_for_gated(&**effect));
             let declared = place.and_then(|place| Some((place, model.effects.get(place)?.clone())));
-            Named {
+            if declared.as_ref().is_some_and(|(_, declared)| gated::is_as_declared(&**effect, ci95, &**declared)) {
+                return None;
+            }
+            Some(Named {
                 sense: if declared.is_some() { Sense::Size } else { Sense::Missing },
                 declared,
                 p_value: same(*kind).map(|step| step.chance(level)).fold(1.0, f64::min),
@@ -123,7 +131,7 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
                 evidence,
                 ci95: ci95.clone(),
                 ..Named::missing(of.prepared.channel, effect.clone(), gain)
-            }
+            })
         })
         .collect::<Vec<Named>>();
     found_here.into_iter().chain(superfluous).collect()

@@ -7,6 +7,7 @@ use super::dither;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
+use super::gated;
 use super::grid::Grid;
 use super::law::{Base, Law, Priors, Term, reach};
 use super::recording::Recording;
@@ -69,6 +70,8 @@ pub struct Prepared {
     pub wandering: Vec<Term>,
     /// The model's lines, with the model's amplitudes.
     pub sines: Vec<Sine>,
+    /// The model's lines and bands that come and go.
+    pub gated: Vec<gated::OfModel>,
     /// For each line, the place of its effect in the model's list, and its amplitude over that of the effect alone.
     pub lines: Vec<(usize, f64)>,
     /// The model's drifts and steps, each with the place of its effect and its factor.
@@ -128,6 +131,8 @@ impl Ready {
             shifts: prepared.shifts.len(),
             reach: prepared.reach,
             owner: prepared.channel as u32,
+            gated: &prepared.gated,
+            gates: false,
         }
     }
 }
@@ -394,6 +399,7 @@ fn channel_of(
         wandering: super::wandering::bands_of(model, scale),
         sines,
         lines,
+        gated: gated::of_model(model, sim.rate_hz),
         shifts,
         bursts: loud_of_bursts(model, &loud),
         loud,

@@ -2,6 +2,7 @@
 
 use super::course::Course;
 use super::explanation::{Sine, per_product, turning};
+use super::gated;
 use super::series::Series;
 
 impl Series<'_> {
@@ -68,7 +69,8 @@ impl Series<'_> {
 
     /// Fits the factors of courses and sines again, all together, at the present law, and whitens the rest.
     pub(super) fn refine_means(&mut self) {
-        if self.explanation.courses.is_empty() && self.explanation.sines.is_empty() {
+        let own = &self.explanation;
+        if own.courses.is_empty() && own.sines.is_empty() && own.gated.is_empty() {
             return self.whiten();
         }
         /// Maximum remaining movement of a step, in standard deviations of white noise: its size and the filled-in
@@ -85,6 +87,7 @@ impl Series<'_> {
                 self.whiten();
             }
             self.refine_sines();
+            gated::refine(self);
             self.fit_means();
             self.interpolate();
             self.refit(false);

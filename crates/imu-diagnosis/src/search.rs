@@ -49,11 +49,12 @@ impl Step {
 const BOXCAR: f64 = 6.0;
 
 /// Pairs of a complex kind and a simple one; the complex kind has to be better by some nats.
-const SIMPLER: [(Kind, Kind, f64); 17] = [
+const SIMPLER: [(Kind, Kind, f64); 18] = [
     (Kind::WarmUp, Kind::RateRamp, 4.0),
     (Kind::BiasStep, Kind::RateRamp, 2.0),
     (Kind::TemperatureBias, Kind::RateRamp, 0.0),
     (Kind::Resonance, Kind::Tone, 4.0),
+    (Kind::Resonance, Kind::Intermittent, 4.0),
     (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
     (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
     (Kind::HeavyTails, Kind::Spikes, 0.0),

@@ -5,6 +5,7 @@ use super::course::{Course, Courses};
 use super::equaliser::Equaliser;
 use super::explanation::{Explanation, LOUD, Loud, Sine};
 use super::filling::fill_in;
+use super::gated;
 use super::grid::{Grid, Narrow};
 use super::law::{Base, Data, Fitted, Law, Priors, Term};
 use super::phase;
@@ -43,6 +44,10 @@ pub struct Setting<'a> {
     pub reach: usize,
     /// Number of the channel whose random draws replace excluded samples.
     pub owner: u32,
+    /// The model's lines and bands that come and go.
+    pub gated: &'a [gated::OfModel],
+    /// Whether the search distinguishes sines that come and go from those that are always present.
+    pub gates: bool,
 }
 
 /// One channel, in a scale in which its white part is about 1.
@@ -403,6 +408,14 @@ impl<'a> Series<'a> {
         law.logarithms(Data { base: &base, ..self.data() })
     }
 
+    /// Returns ln of the spectrum in each bin without the model's effect at this place.
+    pub(super) fn logarithms_without_declared(&self, place: usize) -> Vec<f64> {
+        let mut without = self.explanation.without.clone();
+        without.insert(place);
+        let base = (self.setting.base)(&self.grid, &without);
+        self.explanation.law.logarithms(Data { base: &base, ..self.data() })
+    }
+
     /// Fits the law again beside the remaining effects of the model.
     pub(super) fn relaw(&mut self) {
         self.base = (self.setting.base)(&self.grid, &self.explanation.without);
@@ -439,6 +452,9 @@ impl<'a> Series<'a> {
         for sine in &explanation.sines {
             sine.add(-1.0, &mut rest);
         }
+        for sine in &explanation.gated {
+            sine.add(-1.0, &mut rest);
+        }
         for (course, factor) in &explanation.courses {
             self.setting.courses.add(*course, -factor, &mut rest);
         }
@@ -472,6 +488,11 @@ impl<'a> Series<'a> {
         self.whitened = self.coefficients.iter().zip(&self.spectrum).map(|(c, s)| c / s.sqrt()).collect();
         let mut residual = self.whitened.clone();
         self.transform.backward(&mut residual);
+        self.set_residual(residual);
+    }
+
+    /// Sets the inverse transform of the whitened values, less the known changes of the variance.
+    fn set_residual(&mut self, mut residual: Vec<f64>) {
         self.variance = self.variances();
         self.unfiltered = self.filters().map_or_else(Vec::new, |gain| {
             let mut values = residual.clone();
@@ -484,6 +505,48 @@ impl<'a> Series<'a> {
             }
         }
         self.residual = residual;
+    }
+
+    /// Returns the series with a residual that is whitened by the spectrum of its time: with the bands that are present then, and
+    /// without the others. `None` if no band comes and goes.
+    pub(super) fn whitened_by_time(&self) -> Option<Self> {
+        /// Samples that are replaced have the mean spectrum.
+        const REPLACED: u8 = 1 << 7;
+        /// Samples on either side of an end, and the largest usual value there.
+        const NEAR: usize = 16;
+        const USUAL: f64 = 2.0;
+        let gates = gated::gates(self);
+        if gates.is_empty() {
+            return None;
+        }
+        let mut states: Vec<u8> = gated::left_out(self).into_iter().map(|of| if of { REPLACED } else { 0 }).collect();
+        for (at, gate) in gates.iter().enumerate() {
+            for range in &gate.ranges {
+                let there = states[range.clone()].iter_mut().filter(|state| **state != REPLACED);
+                there.for_each(|state| *state |= 1 << at);
+            }
+        }
+        let mut residual = vec![0.0; self.len()];
+        let mut series = self.clone();
+        for state in states.iter().copied().collect::<BTreeSet<u8>>() {
+            let spectrum = match state {
+                REPLACED => self.spectrum.clone(),
+                _ => gated::spectrum_at(self, &gates, |at| state & (1 << at) != 0),
+            };
+            let mut own: Vec<f64> = self.coefficients.iter().zip(&spectrum).map(|(c, s)| c / s.sqrt()).collect();
+            series.transform.backward(&mut own);
+            let here = states.iter().enumerate().filter(|(_, own)| **own == state);
+            here.for_each(|(t, _)| residual[t] = own[t]);
+        }
+        // About the ends of a stay neither spectrum holds.
+        for end in gates.iter().flat_map(|gate| &gate.ranges).flat_map(|range| [range.start, range.end]) {
+            let near = end.saturating_sub(NEAR)..(end + NEAR).min(residual.len());
+            residual[near].iter_mut().for_each(|value| *value = value.clamp(-USUAL, USUAL));
+        }
+        series.whitened.clone_from(&residual);
+        series.transform.forward(&mut series.whitened);
+        series.set_residual(residual);
+        Some(series)
     }
 
     /// Returns the residual before the filters: each value is the input at its time.

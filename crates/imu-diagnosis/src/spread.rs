@@ -4,6 +4,7 @@ use super::course::Course;
 use super::evidence::heavy_tails::{self, Kernel};
 use super::evidence::loudness::LARGEST;
 use super::explanation::{LOUD, Loud, Scedasticity};
+use super::gated;
 use super::polish::by_time_constant;
 use super::series::Series;
 
@@ -15,6 +16,8 @@ pub struct Spread {
     pub courses: Vec<(f64, f64)>,
     /// The errors of each sine's frequency in cycles per sample and of its amplitude.
     pub sines: Vec<(f64, f64)>,
+    /// The errors of the frequency of each sine that comes and goes, and its amplitude with its error.
+    pub gated: Vec<(f64, [f64; 2])>,
     /// The errors of each term's numbers.
     pub terms: Vec<Vec<f64>>,
     /// The error of ln of the degrees of freedom.
@@ -141,6 +144,7 @@ impl Spread {
         Self {
             courses: (0..explanation.courses.len()).map(of_course).collect(),
             sines: explanation.sines.iter().map(of_sine).collect(),
+            gated: explanation.gated.iter().map(|sine| gated::errors(series, sine)).collect(),
             terms: explanation.law.terms.iter().map(|term| of_term(term.numbers.len())).collect(),
             tails: explanation.tails.map_or(0.0, |degrees| heavy_tails::error(degrees, &kernel, there)),
             fourth: kernel.share(4.0).powi(4),

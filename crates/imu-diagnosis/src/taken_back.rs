@@ -4,6 +4,7 @@ use super::course::Course;
 use super::evidence::declared::kind_of;
 use super::evidence::{self, Kind};
 use super::explanation::{Explanation, Loud};
+use super::gated;
 use super::prices::Prices;
 use super::report::Sense;
 use super::search::{Step, leave_rises_out};
@@ -95,7 +96,7 @@ fn join_across_gaps(series: &mut Series<'_>, known: usize) -> bool {
 }
 
 /// Takes back tails and bursts that are not worth their price any more: an early estimate of a variance, a step or a
-/// limit leaves both.
+/// limit leaves both. A band that comes and goes leaves a course of the variance.
 pub(super) fn tails_and_bursts_again(
     series: &mut Series<'_>,
     prices: &Prices,
@@ -111,18 +112,22 @@ pub(super) fn tails_and_bursts_again(
             BiasStep | VarianceInterval | VariancePerDegree | VarianceProfile | Kind::Bursts | Kind::Spikes
         )
     };
-    for kind in [Kind::HeavyTails, Kind::Bursts] {
+    for kind in [Kind::VarianceProfile, Kind::HeavyTails, Kind::Bursts] {
         let Some(at) = steps.iter().position(|step| step.kind == kind && step.of_model.is_none()) else { continue };
-        let beside = series.is_cut() || steps.iter().any(|step| step.kind != kind && leaves(step));
+        let beside = match kind {
+            Kind::VarianceProfile => !gated::gates(series).is_empty(),
+            _ => series.is_cut() || steps.iter().any(|step| step.kind != kind && leaves(step)),
+        };
         if !beside {
             continue;
         }
         let (samples, bursts) = (series.len(), series.setting().bursts);
         let without = series.changed(|of| match kind {
+            Kind::VarianceProfile => of.scedasticity.clone_from(&start.scedasticity),
             Kind::HeavyTails => of.tails = start.tails,
             _ => of.retain_loud(start.loud.len(), |loud| loud.is_interval(samples, bursts)),
         });
-        let again = evidence::of_samples(&without).into_iter().find(|of| of.kind == kind);
+        let again = evidence::of_squares(&without).into_iter().find(|of| of.kind == kind);
         if again.is_none_or(|of| of.gain < prices.of(kind) + CLEARLY) {
             *series = without;
             steps.remove(at);

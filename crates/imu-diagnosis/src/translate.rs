@@ -3,18 +3,21 @@
 use super::course::{Course, Follow};
 use super::diagnose::Findings;
 use super::evidence::Kind;
-use super::explanation::{Loud, Scedasticity};
+use super::explanation::{Loud, Scedasticity, Sine};
+use super::gated::Stays;
 use super::law::{Shape, Term};
 use super::modulated::Levels;
 use super::variances::Ratio;
 use super::wandering::Wander;
+use imu_model::effects::intermittent::{Gated, Times};
 use imu_model::effects::{
-    BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, LowPass, ModulatedBand, MovingAverage,
-    PowerLaw, QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone, VarianceChange,
-    WarmUp,
+    BiasStep, Bursts, Comb, Effect, EffectKind, GaussMarkov, HeavyTails, Intermittent, LowPass, ModulatedBand,
+    MovingAverage, PowerLaw, QuantizationNoise, RateRamp, Record, Resonance, Spikes, Stage, TemperatureBias, Tone,
+    VarianceChange, WarmUp,
 };
 use imu_model::simulator::{ChannelModel, SensorModel, Spectrum};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Returns the model's effects on a channel that the channel has too.
@@ -117,7 +120,7 @@ const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// Returns the effects of an explanation; effects that the model has already are left out.
 pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> Vec<Translated> {
-    let Findings { prepared, explanation, spread, average_variance, levels, wanders, .. } = of;
+    let Findings { prepared, explanation, spread, average_variance, levels, stays, wanders, .. } = of;
     let (rate_hz, samples) = (sim.rate_hz, prepared.samples.len());
     let internal_hz = sim.internal_rate_hz(rate_hz);
     let scale = prepared.scale;
@@ -179,6 +182,9 @@ pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> V
     let spectral: Vec<Spectral> = terms
         .filter_map(|(place, (term, errors))| {
             let found = spectral(term, errors, [scale, white, rate_hz, internal_hz])?;
+            if let Some(stays) = stays.iter().find(|stays| stays.term == place) {
+                return gated_band(found, stays, [samples as f64, rate_hz], delay_of_filters_s(of, sim));
+            }
             if let Some(wander) = wanders.iter().find(|wander| wander.term == place) {
                 return Some(wandering(term, found, wander, scale, rate_hz));
             }
@@ -196,25 +202,36 @@ pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> V
     let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
     let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
     let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
-    let lines: Vec<LineFound> = own
-        .iter()
-        .zip(errors)
-        .map(|(sine, (frequency, amplitude))| {
-            // The record has the line behind the filters, the model in front of them.
-            let frequency_hz = (sine.cycles * rate_hz).min(BELOW_HALF * rate_hz);
-            let gain = passed(of, sim, &filters, frequency_hz);
-            let is_known = gain > LEAST_PASSED;
-            let off = passed(of, sim, &filters_off, frequency_hz);
-            let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
-            let (scale, seen) = (scale / gain, sine.amplitude());
-            LineFound {
-                frequency_hz,
-                amplitude: scale * seen,
-                frequency_error_hz: frequency * rate_hz,
-                amplitude_error: scale * amplitude.hypot(seen * gain_error),
-            }
-        })
-        .collect();
+    // The record has a line behind the filters, the model in front of them.
+    let in_front = |cycles: f64, cycles_error: f64, [seen, seen_error]: [f64; 2]| {
+        let frequency_hz = (cycles * rate_hz).min(BELOW_HALF * rate_hz);
+        let gain = passed(of, sim, &filters, frequency_hz);
+        let is_known = gain > LEAST_PASSED;
+        let off = passed(of, sim, &filters_off, frequency_hz);
+        let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
+        let scale = scale / gain;
+        LineFound {
+            frequency_hz,
+            amplitude: scale * seen,
+            frequency_error_hz: cycles_error * rate_hz,
+            amplitude_error: scale * seen_error.hypot(seen * gain_error),
+        }
+    };
+    let sine = |(sine, (cycles, amplitude)): (&Sine, &(f64, f64))| {
+        in_front(sine.cycles, *cycles, [sine.amplitude(), *amplitude])
+    };
+    let lines: Vec<LineFound> = own.iter().zip(errors).map(sine).collect();
+    for (sine, (cycles_error, amplitude)) in explanation.gated.iter().zip(&spread.gated) {
+        let line = in_front(sine.cycles, *cycles_error, *amplitude);
+        let tone = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
+        let ci95 = vec![
+            ("of.frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
+            ("of.amplitude", about(line.amplitude, line.amplitude_error)),
+        ];
+        let ranges = sine.stays.iter().map(|stay| stay.from..stay.to);
+        let times = times_of(ranges, rate_hz, delay_of_filters_s(of, sim));
+        add(Kind::Intermittent, Arc::new(Intermittent { of: Gated::Tone(tone), times }), ci95);
+    }
     let (combs, tones) = combs(&lines, rate_hz / samples as f64);
     for (comb, error_hz) in combs {
         let ci95 = vec![("fundamental_hz", about(comb.fundamental_hz, error_hz))];
@@ -325,6 +342,44 @@ fn modulated(term: &Term, (kind, _, ci95): Spectral, levels: &Levels, scale: f64
     // Such a band is symmetric.
     let ci95 = ci95.into_iter().filter(|(name, _)| *name != "asymmetry").collect();
     (kind, Arc::new(ModulatedBand { band, level }), ci95)
+}
+
+/// Returns the times at which an effect is present in front of filters of this delay.
+fn times_of(ranges: impl Iterator<Item = Range<usize>>, rate_hz: f64, delay_s: f64) -> Times {
+    let second = |at: usize| (at as f64 / rate_hz - delay_s).max(0.0);
+    let intervals = ranges.map(|range| (second(range.start), second(range.end)));
+    Times::Intervals(intervals.filter(|(from_s, to_s)| from_s < to_s).collect())
+}
+
+/// Translates a band of noise that comes and goes. Its spectrum is that of the whole record: the variance is less by the part of
+/// the record in which it is present, and the band is wider by the width of a stay. As much less of the record determines it.
+fn gated_band(
+    (kind, band, ci95): Spectral,
+    stays: &Stays,
+    [samples, rate_hz]: [f64; 2],
+    delay_s: f64,
+) -> Option<Spectral> {
+    /// Part of the width that is the band's own at least.
+    const LEAST: f64 = 0.1;
+    let number = |name: &str| band.number(name);
+    let (frequency_hz, all_hz, all) = (number("frequency_hz")?, number("bandwidth_hz")?, number("sigma")?);
+    let wider = (samples / stays.samples() as f64).sqrt();
+    let stay_s = stays.samples() as f64 / stays.ranges.len() as f64 / rate_hz;
+    let bandwidth_hz = (all_hz - 1.0 / (std::f64::consts::PI * stay_s)).max(LEAST * all_hz);
+    let sigma = all * wider;
+    let own = |(name, ends): (&'static str, [f64; 2])| match name {
+        "sigma" => Some(("of.sigma", ends.map(|end| sigma * (end / all).powf(wider)))),
+        // The width of the stays is known.
+        "bandwidth_hz" if bandwidth_hz > LEAST * all_hz => {
+            let own_hz = |end: f64| (bandwidth_hz + all_hz * ((end / all_hz).powf(wider) - 1.0)).max(0.0);
+            Some(("of.bandwidth_hz", ends.map(own_hz)))
+        }
+        "frequency_hz" => Some(("of.frequency_hz", ends.map(|end| frequency_hz + wider * (end - frequency_hz)))),
+        _ => None,
+    };
+    let of = Gated::Resonance(Resonance::new(frequency_hz, bandwidth_hz, sigma));
+    let times = times_of(stays.ranges.iter().cloned(), rate_hz, delay_s);
+    Some((kind, Arc::new(Intermittent { of, times }), ci95.into_iter().filter_map(own).collect()))
 }
 
 /// Translates a band that is a wandering line. The record shows its frequency and amplitude; the other numbers only

@@ -2,7 +2,8 @@
 
 use super::{Candidate, Kind};
 use crate::averages::sums;
-use crate::explanation::{Sine, alternates, per_product, turning};
+use crate::explanation::{GatedSine, Sine, alternates, per_product, turning};
+use crate::gated;
 use crate::grid::Narrow;
 use crate::law::{Data, Law, Shape, Term};
 use crate::series::Series;
@@ -56,13 +57,76 @@ fn peak(samples: usize, cycles: f64, power: impl Fn(f64) -> f64) -> f64 {
     best.1
 }
 
-/// Searches for a sine: the strongest that remains.
-pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
+/// The part of the spectrum to either side of a line that comes and goes that is its foot, in cycles per sample.
+const FOOT: f64 = 0.01;
+
+/// Returns the strongest line of a residual's periodogram that is always present, and the candidates of those that are present
+/// only at times: the model's, and the strongest other. The spectrum of such a line has a foot that looks like further lines.
+fn lines(series: &Series<'_>, mut periodogram: Vec<f64>) -> (Option<(f64, f64)>, Vec<Candidate>) {
+    /// Smallest gain in nats of a line that blocks show, as a line and as one that comes and goes.
+    const SHOWN: f64 = 40.0;
+    /// Maximum number of lines that are examined.
+    const MOST: usize = 6;
+    let gates = series.setting().gates;
+    let find = |cycles: f64| gated::sine(series, cycles).map(|sine| come_and_go(series, sine));
+    let is_left = |of: &&gated::OfModel| of.width.is_none() && !series.explanation.without.contains(&of.place);
+    let declared = series.setting().gated.iter().filter(|_| gates).filter(is_left);
+    let mut found: Vec<Candidate> = declared.filter_map(|of| find(of.cycles)).collect();
+    let known = found.len();
+    for _ in 0..MOST {
+        let Some((power, cycles)) = strongest(&periodogram) else { break };
+        let is_new = !series.explanation.gated.iter().any(|own| gated::are_same(own.cycles, cycles, series.len()));
+        let gated = (gates && is_new && power > SHOWN).then(|| find(cycles)).flatten().filter(|of| of.gain > SHOWN);
+        let Some(gated) = gated else { return (Some((power, cycles)), found) };
+        if found.len() == known {
+            found.push(gated);
+        }
+        let n = (periodogram.len() - 1) as f64;
+        let [from, to] = [cycles - FOOT, cycles + FOOT].map(|end| (2.0 * n * end).clamp(0.0, n) as usize);
+        periodogram[from..to].fill(f64::MIN_POSITIVE);
+    }
+    (None, found)
+}
+
+/// Returns the candidate of a sine that comes and goes. It replaces the model's of the same frequency.
+fn come_and_go(series: &Series<'_>, sine: GatedSine) -> Candidate {
     let n = series.len();
+    let is_same = |of: &&gated::OfModel| of.width.is_none() && gated::are_same(of.cycles, sine.cycles, n);
+    let of_model = series.setting().gated.iter().find(is_same).map(|of| of.place);
+    let of_model = of_model.filter(|place| !series.explanation.without.contains(place));
+    let bare = of_model.map(|place| series.without_declared(place));
+    let own = bare.as_ref().unwrap_or(series);
+    let mut rest = series.rest.clone();
+    sine.add(-1.0, &mut rest);
+    let mut transform = series.transform.clone();
+    transform.forward(&mut rest);
+    let fitted = own.explanation.law.fit(own.data_of(&own.grid.power(&rest)));
+    // Both ends of each stay, and its phase.
+    let cost = sine.stays.len() as f64 * (2.0 * (n as f64).ln() + 7.0);
+    let gain = fitted.log_posterior - series.fitted.log_posterior - cost;
+    let mut explanation = own.explanation.clone();
+    explanation.law = fitted.law;
+    explanation.gated.push(sine);
+    Candidate::missing(Kind::Intermittent, gain, explanation)
+}
+
+/// Searches for a sine that is always present: the strongest that remains.
+pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
+    sines(series).0
+}
+
+/// Searches for sines: the strongest that is always present, and those that come and go.
+pub fn sines(series: &mut Series<'_>) -> (Option<Candidate>, Vec<Candidate>) {
     let residual = std::mem::take(&mut series.residual);
     let periodogram = series.transform.periodogram(&residual);
     series.residual = residual;
-    let (power, cycles) = strongest(&periodogram)?;
+    let (strongest, gated) = lines(series, periodogram);
+    (strongest.and_then(|line| steady(series, line)), gated)
+}
+
+/// Returns the candidate of a sine of this gain and frequency.
+fn steady(series: &mut Series<'_>, (power, cycles): (f64, f64)) -> Option<Candidate> {
+    let n = series.len();
     let mut explanation = series.explanation.clone();
     // The greatest of n values is about this large by chance.
     if power < (n as f64).ln() + 1.0 {
@@ -97,6 +161,16 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     Some(Candidate::missing(Kind::Tone, gain, explanation))
 }
 
+/// Returns whether the band that a candidate adds is the foot of a sine that comes and goes and explains about as much.
+pub fn is_foot(series: &Series<'_>, of: &Candidate, gated: &Candidate) -> bool {
+    /// Part of the band's gain that the sine has at least.
+    const AS_MUCH: f64 = 0.7;
+    let band = of.explanation.law.terms.last().filter(|term| term.shape == Shape::Resonance);
+    let both = band.zip(gated.explanation.gated.last());
+    let is_near = both.is_some_and(|(band, sine)| (band.at(1) / series.setting().rate_hz - sine.cycles).abs() < FOOT);
+    is_near && gated.gain > AS_MUCH * of.gain
+}
+
 /// Searches for a narrow band of noise.
 pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     const WIDTHS: [f64; 6] = [0.0001, 0.0004, 0.0015, 0.005, 0.015, 0.04];
@@ -109,7 +183,7 @@ pub fn resonance(series: &Series<'_>) -> Option<Candidate> {
     // The band that is most conspicuous, at several widths.
     let sums = sums(series.whitened[1..n].iter().map(|c| c * c));
     let mut best: Option<(f64, f64, f64, f64)> = None;
-    let from = ((0.004 * 2.0 * n as f64) as usize).max(8);
+    let from = ((gated::LOWEST * 2.0 * n as f64) as usize).max(8);
     for width in WIDTHS {
         let count = ((width * 2.0 * n as f64) as usize).max(8);
         let mut k = from;

@@ -31,6 +31,8 @@ with_tails! {
     BiasStep: EffectKind::BiasStep, [4.4, 5.6, 7.1], 1.0;
     /// A sine.
     Tone: EffectKind::Tone, [9.9, 12.0, 14.4], 1.05;
+    /// A sine that comes and goes.
+    Intermittent: EffectKind::Intermittent, [0.0, 0.0, 0.0], 1.0;
     /// A narrow band of noise.
     Resonance: EffectKind::Resonance, [6.2, 7.2, 8.0], 1.05;
     /// Exponentially correlated noise.
@@ -74,7 +76,7 @@ impl Kind {
 
     /// Returns whether a series may have several effects of this kind.
     pub fn repeats(self) -> bool {
-        matches!(self, Self::Tone | Self::Resonance)
+        matches!(self, Self::Tone | Self::Intermittent | Self::Resonance)
     }
 }
 
@@ -115,8 +117,10 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     found.extend(level::warm_up(series));
     found.extend(level::curve(series));
     found.extend(level::steps(series));
-    found.extend(line::tone(series));
-    found.extend(line::resonance(series));
+    let (tone, gated) = line::sines(series);
+    found.extend(tone);
+    found.extend(line::resonance(series).filter(|of| !gated.iter().any(|sine| line::is_foot(series, of, sine))));
+    found.extend(gated);
     found.extend(spectral::gauss_markov(series));
     found.extend(spectral::quantization_noise(series));
     let low_pass = spectral::low_pass(series);
@@ -132,8 +136,10 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
 }
 
 /// Collects the effects that show in the residual's squares: outliers, tails, stretches, and variance by temperature or
-/// time.
+/// time. A band that comes and goes would look like any of them.
 pub fn of_squares(series: &Series<'_>) -> Vec<Candidate> {
+    let evened = series.whitened_by_time();
+    let series = evened.as_ref().unwrap_or(series);
     samples_and_stretches(series).chain(loudness::per_degree(series)).chain(loudness::profile(series)).collect()
 }
 
@@ -144,5 +150,7 @@ fn samples_and_stretches(series: &Series<'_>) -> impl Iterator<Item = Candidate>
 
 /// Returns the effects that concern the distribution of single samples ([`Kind::is_marginal`]).
 pub fn of_samples(series: &Series<'_>) -> Vec<Candidate> {
+    let evened = series.whitened_by_time();
+    let series = evened.as_ref().unwrap_or(series);
     samples_and_stretches(series).filter(|candidate| candidate.kind.is_marginal()).collect()
 }

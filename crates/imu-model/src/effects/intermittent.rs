@@ -4,8 +4,8 @@ use super::described::described;
 use super::gauss_markov::lorentzian;
 use super::spec::{FROM_ZERO, Form, Need, Parameter, Values, above};
 use super::{
-    Bursts, Effect, EffectKind, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone, White,
-    profile, sampled,
+    Bursts, Effect, EffectKind, Extent, Line, Moments, Record, Refusal, Resonance, Sampler, Spec, Stage, Stream, Tone,
+    White, profile, sampled,
 };
 use serde_json::{Map, Value, json};
 use std::f64::consts::TAU;
@@ -74,7 +74,8 @@ const fn in_form(name: &'static str, form: Form, meaning: &'static str) -> Param
 
 described! {
     Intermittent: dyn Effect, 21, Stage::Noise;
-    "a tone, a resonance or white noise that comes and goes, at random or inside intervals";
+    "a tone, a resonance or white noise that comes and goes, at random or inside intervals"
+        => "vibration that comes and goes{more}";
     [
         Parameter::new("of", Form::Effect(GATED), "", "the effect that comes and goes"),
         in_form("on_s", above(0.0), "mean length of a stay, s"),
@@ -153,6 +154,14 @@ impl Effect for Intermittent {
     fn check_at(&self, rate_hz: f64) -> Result<(), Refusal> {
         let refused = self.of.effect().check_at(rate_hz).err();
         refused.map_or(Ok(()), |of| Err(Self::SPEC.refuse(format!("of.{}", of.parameter), of.found, of.allowed)))
+    }
+    /// Inside intervals, each of them in the effect's own band.
+    fn extents(&self) -> Vec<Extent> {
+        let own = self.of.effect().extents();
+        let Times::Intervals(intervals) = &self.times else { return own };
+        let band_hz = own.first().and_then(|own| own.band_hz);
+        let of = |(from_s, to_s): &(f64, f64)| Extent { band_hz, ..Extent::time(*from_s, *to_s, to_s - from_s) };
+        intervals.iter().map(of).collect()
     }
     /// `None` inside intervals: over a record it is the effect's own times the share of the intervals, smeared by their
     /// lengths.
