@@ -41,8 +41,17 @@ const MAY_USE: [(&str, &[&str]); 16] = [
 /// Modules that may use all others.
 const ALL: [&str; 4] = ["daemon", "cli", "lib", "main"];
 /// The crates beside the root package.
-const CRATES: [&str; 8] =
-    ["imu_core", "imu_noise", "imu_model", "imu_diagnosis", "imu_files", "imu_trial", "vn100_proto", "vn100_testkit"];
+const CRATES: [&str; 9] = [
+    "imu_core",
+    "imu_noise",
+    "imu_model",
+    "imu_diagnosis",
+    "imu_cost",
+    "imu_files",
+    "imu_trial",
+    "vn100_proto",
+    "vn100_testkit",
+];
 /// Items that a part of a crate may not use, although the crate may.
 const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-core/units", &["crate::sample", "crate::ros_messages"]),
@@ -60,11 +69,12 @@ const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-diagnosis", &["crate::model_fit"]),
 ];
 /// Modules and crates that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 10] = [
+const PURE: [&str; 11] = [
     "imu-core",
     "imu-noise",
     "imu-model",
     "imu-diagnosis",
+    "imu-cost",
     "imu-trial",
     "vn100-proto",
     "page",

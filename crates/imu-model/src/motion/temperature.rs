@@ -50,6 +50,11 @@ impl Temperatures {
         Self { rows: vec![(0.0, temperature_c)] }
     }
 
+    /// Returns whether the temperature is the same at all times.
+    pub fn is_constant(&self) -> bool {
+        self.rows.windows(2).all(|pair| pair[0].1 == pair[1].1)
+    }
+
     /// Returns the temperature at a time, °C.
     pub fn at(&self, time_s: f64) -> f64 {
         let next = self.rows.partition_point(|(at_s, _)| *at_s <= time_s);

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// An effect, and its index among several of its kind.
-pub(super) type Numbered = (Arc<dyn Effect>, u16);
+pub type Numbered = (Arc<dyn Effect>, u16);
 
 /// The subject of a simulation.
 #[derive(Debug, Clone, Copy)]
@@ -71,8 +71,9 @@ pub(super) fn in_order(effects: &[Arc<dyn Effect>]) -> Vec<Numbered> {
     numbered
 }
 
-/// Returns all effects that act on `channel`: its own, and those that another channel names for the whole triad.
-pub(super) fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered> {
+/// Returns all effects that act on `channel`, in the chain's order: its own, and those that another channel names for the
+/// whole triad.
+pub fn effects_on(model: &SensorModel, channel: Channel) -> Vec<Numbered> {
     let own = model.channels.get(&channel).map(|parameters| in_order(&parameters.effects)).unwrap_or_default();
     let of_triad =
         |other: &Channel| *other == channel || (channel.triad().is_some() && other.triad() == channel.triad());

@@ -27,6 +27,7 @@ pub mod spectrum;
 #[cfg(test)]
 mod whole;
 
+pub use chain::{Numbered, effects_on};
 pub use default_model::default_model;
 pub use model::{ChannelModel, Fault, ModelError, Sampling, SensorModel, TriadModel};
 pub use reference::{Motion, Reference, TemperatureCourse};
