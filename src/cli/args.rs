@@ -12,9 +12,11 @@ use imu_noise::datasheet::{Datasheet, DatasheetError};
 use std::path::PathBuf;
 use std::time::Duration;
 
+mod cost;
 mod pictures;
 mod recordings;
 
+pub use cost::{CostArgs, Tolerances};
 pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
 
@@ -43,8 +45,8 @@ Examples:
   vn100d noise latest                   its noise parameters, once recorded
   curl localhost:8100/v1/captures/latest/noise
 
-Exit codes: 0 done, 1 failed, 2 usage, 3 finished but data was rejected or lost, 69 daemon not reachable,
-73 database cannot be created or locked, 74 input/output error, 78 bad configuration or newer database";
+Exit codes: 0 done, 1 failed, 2 usage, 3 finished but data was rejected or lost, 4 a given limit is missed,
+69 daemon not reachable, 73 database cannot be created or locked, 74 input/output error, 78 bad configuration or newer database";
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -91,6 +93,9 @@ pub enum Command {
     /// Report where a recording and a simulator differ, which effect the simulator lacks, and how far the gap shrinks
     /// with it
     Diagnose(DiagnoseArgs),
+    /// Report what a sensor model's errors cost: growth of attitude, velocity and position errors of unaided integration
+    /// at rest, by cause, and against limits
+    Cost(CostArgs),
     /// Check the diagnosis blindly: sealed cases, diagnosed without their key, then scored with it
     Trial(TrialArgs),
     /// Run one part of a trial in a separate process

@@ -9,6 +9,7 @@ mod captures;
 mod check;
 mod client;
 mod connection;
+mod cost;
 mod demo;
 mod diagnose;
 mod emulate;
@@ -60,6 +61,8 @@ pub enum Outcome {
     Done,
     /// Done, but data was rejected or lost, or a check found something.
     WithLoss,
+    /// Done, but a given limit is missed.
+    LimitMissed,
 }
 
 /// Kinds of failure that a script can distinguish by the exit code.
@@ -250,6 +253,7 @@ pub fn main() -> ExitCode {
     match run(cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
         Ok(Outcome::WithLoss) => ExitCode::from(3),
+        Ok(Outcome::LimitMissed) => ExitCode::from(4),
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             // Standard error may be a terminal that was closed; the exit code still reports the failure.
@@ -310,6 +314,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Worker(args) => worker::run(&args),
         Command::Model(args) => model::run(&context, &args),
         Command::Diagnose(args) => diagnose::run(&context, &args),
+        Command::Cost(args) => cost::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),
         Command::Check { database } => check::run(&context, database),
         Command::Recover(args) => recover::run(&context, args),

@@ -227,7 +227,7 @@ impl Given {
 }
 
 /// Returns a temperature in °C, or a file with its course.
-fn temperature(named: &str) -> anyhow::Result<Temperatures> {
+pub(super) fn temperature(named: &str) -> anyhow::Result<Temperatures> {
     if let Ok(constant) = named.parse::<f64>() {
         if !(-273.15..=1000.0).contains(&constant) {
             return Err(usage(format!("--temperature {named}: expected °C from -273.15 to 1000, or a file")));

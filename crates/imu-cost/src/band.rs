@@ -226,7 +226,7 @@ mod tests {
         let span = Span { align: 20.0, horizon: 100.0 };
         let probability = 0.02_f64;
         for order in 1..=3 {
-            let weights = crate::weights::tests::listed(order, span);
+            let weights = crate::weights::listed(order, span);
             let variance = weights.iter().map(|w| w * w).sum::<f64>() * probability * 9.0 * 13.0 / 12.0;
             let spikes =
                 Spiky { begins: probability, goes_on: 0.0, amplitude: 3.0, averaged: 1.0, span, order, variance };

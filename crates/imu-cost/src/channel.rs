@@ -45,8 +45,10 @@ pub(crate) enum Shape {
     Spikes { begins: f64, goes_on: f64, amplitude: f64, averaged: f64 },
     /// Noise that is there for a share of the time, in stays that end at `changes_hz` together.
     Sometimes { share: f64, changes_hz: f64, is_sine: bool },
-    /// A line that is a sine as long as it keeps its phase: phase² gathered in one correlation time, and that time, s.
-    Wanders { beta: f64, tc_s: f64 },
+    /// A line of the frequency as it is sent and of mean square `power`, U², that is a sine as long as it keeps its phase:
+    /// phase² gathered in one correlation time, and that time, s. Its amplitude wanders too: a sine of the part `steady` of
+    /// its mean square and normal noise for the rest have the same fourth moment.
+    Wanders { sent_hz: f64, power: f64, steady: f64, beta: f64, tc_s: f64 },
 }
 
 impl Shape {
@@ -66,8 +68,15 @@ impl Shape {
                 Self::Sometimes { share: on_s / (on_s + off_s), changes_hz: 1.0 / on_s + 1.0 / off_s, is_sine }
             }
             EffectKind::WanderingLine => {
-                let tc_s = number("frequency_tc_s");
-                Self::Wanders { beta: (TAU * number("frequency_sigma_hz") * tc_s).powi(2), tc_s }
+                let (tc_s, within) = (number("frequency_tc_s"), number("frequency_hz").rem_euclid(setting.rate_hz));
+                Self::Wanders {
+                    sent_hz: within.min(setting.rate_hz - within),
+                    power: 0.5 * number("amplitude").powi(2),
+                    // E A⁴ over (E A²)² is e^(4s²).
+                    steady: (2.0 - (4.0 * number("amplitude_sigma").powi(2)).exp()).max(0.0).sqrt(),
+                    beta: (TAU * number("frequency_sigma_hz") * tc_s).powi(2),
+                    tc_s,
+                }
             }
             _ => Self::Plain,
         }

@@ -7,9 +7,10 @@ use crate::document::{Cause, Growth, Method};
 use crate::monte_carlo;
 use crate::quadrature::scale;
 use crate::request::{CostError, Quantity, Setting, Share};
-use crate::weights::{Span, WhiteSums};
+use crate::weights::{Span, WhiteSums, factorial};
 use imu_core::sample::Channel;
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 /// A quantity's growth and its causes, for the horizons of a setting.
 #[derive(Debug)]
@@ -59,12 +60,29 @@ impl Piece<'_> {
                 let probability = Sometimes::probability(share, changes_hz * horizon / setting.rate_hz);
                 distribution.sometimes.push(Sometimes { probability, variance, is_sine });
             }
-            Shape::Wanders { beta, tc_s } => {
-                let x = horizon / setting.rate_hz / tc_s;
-                let kept = (-2.0 * beta * (x + (-x).exp_m1())).exp();
-                distribution.sines.push((2.0 * kept * variance).sqrt());
-            }
+            Shape::Wanders { .. } => distribution.sines.extend(self.wandering(setting, horizon, variance)),
         }
+    }
+
+    /// Returns the peaks of the sines that a wandering line is, over a horizon in samples; the rest of its variance is normal.
+    fn wandering(&self, setting: &Setting<'_>, horizon: f64, variance: f64) -> Vec<f64> {
+        let Shape::Wanders { sent_hz, power, steady, beta, tc_s } = self.of.shape else { return Vec::new() };
+        let (horizon_s, align_s) = (horizon / setting.rate_hz, setting.align as f64 / setting.rate_hz);
+        let x = horizon_s.min(align_s) / tc_s;
+        let kept = (-2.0 * beta * (x + (-x).exp_m1())).exp();
+        let order = self.share.order;
+        if order == 1 || kept > 0.5 || sent_hz * horizon_s < 1.0 {
+            return vec![(2.0 * steady * kept * variance).sqrt()];
+        }
+        // A line that is fast compared with the horizon counts where the weights jump: at the alignment's begin and at its
+        // end. At each it is a sine of its own phase, whatever it does in between.
+        let level = horizon_s.powi(order as i32) / factorial(order) / align_s;
+        let begins = horizon_s.powi(order as i32 - 1) / factorial(order - 1);
+        let turn = 2.0 * setting.rate_hz * (PI * sent_hz / setting.rate_hz).sin();
+        let peaks = [level, level + begins].map(|jump| (2.0 * power).sqrt() * jump / turn * self.share.factor.abs());
+        let all: f64 = peaks.iter().map(|peak| 0.5 * peak * peak).sum();
+        let scale = (steady * (variance / all).min(1.0)).sqrt();
+        peaks.iter().map(|peak| scale * peak).filter(|peak| *peak > 0.0).collect()
     }
 }
 

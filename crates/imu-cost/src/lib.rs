@@ -67,6 +67,9 @@ use std::collections::BTreeMap;
 /// The channels that the integration uses: vertical acceleration moves nothing of first order.
 const USED: [Channel; 5] = [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY];
 
+/// Up to this angle, rad, its sine is the angle to 2 %.
+const SMALL_RAD: f64 = 0.3;
+
 /// Returns the cost of a model, which the document calls `name`.
 ///
 /// Numbers are in rad, m/s and m, one per horizon of the request. A quantity is there if the model has its own channel
@@ -102,6 +105,8 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
         }
     }
     let extrapolated = record_s(model).map(|record_s| request.horizons_s.iter().map(|of| *of > record_s).collect());
+    let mut notes = notes(model, &quantities);
+    notes.extend(composed.iter().find_map(|(quantity, of)| large_angle(*quantity, &of.growth, request)));
     let mut cost = Cost {
         format: FORMAT,
         model: name.to_owned(),
@@ -112,7 +117,7 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
         causes: composed.values_mut().flat_map(|of| std::mem::take(&mut of.causes)).collect(),
         quantities: composed.into_iter().map(|(quantity, of)| (quantity, of.growth)).collect(),
         tolerances,
-        notes: notes(model, &quantities),
+        notes,
     };
     add_upper(&mut cost, model, request)?;
     Ok(cost)
@@ -160,6 +165,17 @@ fn notes(model: &SensorModel, quantities: &[Quantity]) -> Vec<String> {
         format!("the model has no {channel}: no {}{without}", list(&left))
     };
     missing.map(note).collect()
+}
+
+/// Returns a note if an angle is too large for the formulas of velocity and position.
+fn large_angle(quantity: Quantity, growth: &Growth, request: &Request) -> Option<String> {
+    let tilts = matches!(quantity, Quantity::AttitudeX | Quantity::AttitudeY);
+    let place = growth.band95.iter().position(|band| tilts && *band > SMALL_RAD)?;
+    let horizon_s = request.horizons_s.get(place)?;
+    Some(format!(
+        "{quantity} exceeds {SMALL_RAD} rad after {horizon_s} s: the formulas for small angles no longer hold there for velocity \
+         and position"
+    ))
 }
 
 /// Returns the verdict on a limit.

@@ -206,7 +206,7 @@ pub(crate) fn envelope(hz: f64, rate_hz: f64, horizon: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::weights::tests::listed;
+    use crate::weights::listed;
 
     /// Returns Σ Σ w_j w_k R(j − k), term by term.
     fn direct(order: usize, span: Span, covariance: impl Fn(usize) -> f64) -> f64 {

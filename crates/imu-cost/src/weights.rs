@@ -248,18 +248,19 @@ impl Squares {
     }
 }
 
+/// Returns the weights of an order one by one, without dt^q: what the closed forms are tested with.
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
+pub(crate) fn listed(order: usize, span: Span) -> Vec<f64> {
+    let power = |m: f64| m.powi(order as i32) / factorial(order);
+    let (align, count) = (span.align as usize, span.horizon as usize);
+    let level = -power(span.horizon) / span.align;
+    let of = |k: usize| power((count - k) as f64) - power((count - k) as f64 - 1.0);
+    std::iter::repeat_n(level, align).chain((0..count).map(of)).collect()
+}
 
-    /// Returns the weights one by one.
-    pub(crate) fn listed(order: usize, span: Span) -> Vec<f64> {
-        let power = |m: f64| m.powi(order as i32) / factorial(order);
-        let (align, count) = (span.align as usize, span.horizon as usize);
-        let level = -power(span.horizon) / span.align;
-        let of = |k: usize| power((count - k) as f64) - power((count - k) as f64 - 1.0);
-        std::iter::repeat_n(level, align).chain((0..count).map(of)).collect()
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
     #[test]
     fn transforms_are_those_of_the_listed_weights() {

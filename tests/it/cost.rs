@@ -1,0 +1,124 @@
+//! `vn100d cost`: the table, the document, limits with exit code 4, and what is refused.
+
+use crate::world::vn100d;
+use serde_json::{Value, json};
+use std::path::Path;
+
+fn model(folder: &Path, name: &str, channels: &Value) -> String {
+    let model = json!({"format": "vn100d-sensor-model-1", "name": "test", "rate_hz": 40, "channels": channels});
+    let path = folder.join(name);
+    std::fs::write(&path, model.to_string()).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+fn done(arguments: &[&str], code: i32) -> String {
+    let ended = vn100d(arguments);
+    assert_eq!(ended.status.code(), Some(code), "{arguments:?}: {}", String::from_utf8_lossy(&ended.stderr));
+    String::from_utf8(ended.stdout).unwrap()
+}
+
+fn six_axes(gyro: &Value, accel: &Value) -> Value {
+    let axis = |triad: &str, of: &Value| ["x", "y", "z"].map(|axis| (format!("{triad}_{axis}"), of.clone()));
+    axis("gyro", gyro).into_iter().chain(axis("accel", accel)).collect::<serde_json::Map<_, _>>().into()
+}
+
+#[test]
+fn the_document_has_what_the_contract_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let warm = json!({"N": 1e-4, "bias": 0.01, "effects": [{"effect": "warm_up", "amplitude": 1e-3, "tau_s": 300}]});
+    let file = model(folder.path(), "unit.json", &six_axes(&warm, &json!({"N": 2e-3, "bias": 0.1})));
+    let arguments = ["--json", "cost", "--model", &file, "--horizons", "1s,10s,1min", "--align", "20s"];
+    let found: Value = serde_json::from_str(&done(&arguments, 0)).unwrap();
+    assert_eq!((found["format"].as_str(), found["align_s"].as_f64()), (Some("vn100d-cost-1"), Some(20.0)));
+    assert_eq!(found["horizons_s"], json!([1.0, 10.0, 60.0]));
+    for (quantity, unit) in [
+        ("attitude_x", "rad"),
+        ("attitude_y", "rad"),
+        ("heading", "rad"),
+        ("velocity_x", "m/s"),
+        ("velocity_y", "m/s"),
+        ("position_x", "m"),
+        ("position_y", "m"),
+    ] {
+        let of = &found["quantities"][quantity];
+        assert_eq!((of["unit"].as_str(), of["method"].as_str()), (Some(unit), Some("closed form")), "{quantity}");
+        for key in ["mean", "sd", "band95"] {
+            assert_eq!(of[key].as_array().map(Vec::len), Some(3), "{quantity} {key}");
+        }
+    }
+    // N √(t + t²/align).
+    let sd = found["quantities"]["attitude_x"]["sd"][2].as_f64().unwrap();
+    assert!((sd / (1e-4 * (60.0_f64 + 180.0).sqrt()) - 1.0).abs() < 1e-6, "{sd}");
+    let causes = found["causes"].as_array().unwrap();
+    let has = |cause: &str, channel: &str, quantity: &str| {
+        causes.iter().any(|of| of["cause"] == cause && of["channel"] == channel && of["quantity"] == quantity)
+    };
+    assert!(
+        has("warm_up", "gyro_z", "heading") && has("N", "gyro_y", "position_x") && !has("N", "gyro_z", "position_x")
+    );
+    let table = done(&["cost", "--model", &file], 0);
+    let first = table.lines().next().unwrap();
+    assert!(first.contains("° of ") && first.contains(" km of position_") && first.ends_with("after 1h."), "{first}");
+    assert!(first.contains("warm_up on gyro_"), "{first}");
+}
+
+#[test]
+fn a_missed_limit_is_exit_code_four_and_names_the_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = model(folder.path(), "unit.json", &six_axes(&json!({"N": 1e-4}), &json!({"N": 2e-3})));
+    let with = |limit: &str, code: i32, more: &[&str]| {
+        done(&[&["cost", "--model", &file, "--horizons", "10s", "--tolerance", limit], more].concat(), code)
+    };
+    assert!(with("heading=1deg/1min", 0, &["--check"]).contains("pass: heading after 1m is "));
+    let missed = with("heading=1deg/1min,position=1mm/10s", 4, &["--check"]);
+    assert!(missed.contains("FAIL: position_x after 10s is ") && missed.contains("N on gyro_y decides"), "{missed}");
+    // Without --check a verdict is a result like any other.
+    let verdicts: Value = serde_json::from_str(&with("position=1mm/10s", 0, &["--json"])).unwrap();
+    let verdict = &verdicts["tolerances"][0];
+    assert_eq!((verdict["pass"].as_bool(), verdict["deciding"].as_str()), (Some(false), Some("N on gyro_y")));
+    assert_eq!((verdict["limit"].as_f64(), verdict["horizon_s"].as_f64()), (Some(1e-3), Some(10.0)));
+}
+
+#[test]
+fn a_comparison_prints_both_and_the_ratio() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = model(folder.path(), "one.json", &six_axes(&json!({"N": 3e-4}), &json!({"N": 2e-3})));
+    let other = model(folder.path(), "other.json", &json!({"gyro_x": {}, "gyro_z": {"N": 1e-4}}));
+    let arguments = ["cost", "--model", &one, "--against", &other, "--horizons", "10s"];
+    let table = done(&arguments, 0);
+    assert!(table.contains("one.json costs up to") && table.contains("other.json costs up to"), "{table}");
+    assert!(table.contains("other.json:") && table.contains("attitude only"), "{table}");
+    let found: Value = serde_json::from_str(&done(&[&arguments[..], &["--json"]].concat(), 0)).unwrap();
+    let ratio = found["ratio"]["heading"][0].as_f64().unwrap();
+    assert!((ratio - 3.0).abs() < 1e-6, "{ratio}");
+    assert_eq!(found["ratio"]["attitude_x"], json!([null]));
+    assert_eq!(found["against"]["format"], "vn100d-cost-1");
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_what_is_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = model(folder.path(), "unit.json", &json!({"gyro_z": {"N": 1e-4}}));
+    let mag = model(folder.path(), "mag.json", &json!({"mag_x": {"N": 1e-4}}));
+    for (more, code, words) in [
+        (&["--model", &*file, "--horizons", "0s"][..], 2, ["a horizon of 0 s", "above 0"]),
+        (&["--model", &*file, "--horizons", "-1s"], 2, ["-1s", "30s or 500ms"]),
+        (&["--model", &*file, "--horizons", "10s,1s"], 2, ["1 s after one of 10 s", "increasing"]),
+        (&["--model", &*file, "--align", "0s"], 2, ["alignment", "such as 30s"]),
+        (&["--model", &*file, "--tolerance", "yaw=1deg/1s"], 2, ["yaw", "attitude_x"]),
+        (&["--model", &*file, "--tolerance", "heading=1m/1s"], 2, ["heading=1m/1s", "deg, rad or mrad"]),
+        (&["--model", &*file, "--tolerance", "position=1m/1s"], 2, ["position_x", "one of heading"]),
+        (&["--model", &*file, "--check"], 2, ["--tolerance", "--check"]),
+        (&["--model", &*mag], 1, ["mag.json", "gyro_x"]),
+        (&["--model", "absent.json"], 74, ["absent.json", "cannot be read"]),
+        (&["--model", &*file, "--temperature", "absent.csv"], 74, ["absent.csv", "neither °C nor a file"]),
+    ] {
+        let ended = vn100d(&[&["cost"], more].concat());
+        let text = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert_eq!(ended.status.code(), Some(code), "{more:?}: {text}");
+        assert!(ended.stdout.is_empty(), "{more:?}");
+        for word in words {
+            assert!(text.contains(word), "{more:?}: {word} is not in {text}");
+        }
+    }
+}
