@@ -2,7 +2,7 @@
 //!
 //! The error is a mean plus a normal part, sines of random phase, and spikes. With the normal part alone the equation
 //! is solved directly. Otherwise the symmetric part's characteristic function is the product of those of its parts:
-//! e^(−σ²s²/2), J0(a s) per sine of peak a, 1 − p + p·(its own) for noise that is there with probability p, and for spikes the exponential of Σ ln(1 + p(ψ(w_k s) − 1)), with ψ the
+//! e^(−σ²s²/2), J0(a s) per sine of peak a, and for spikes the exponential of Σ ln(1 + p(ψ(w_k s) − 1)), with ψ the
 //! characteristic function of one cluster's spikes. It is inverted by the sum of Gil-Pelaez (Biometrika 38, 1951).
 //!
 //! Validation: `sines_have_the_quantiles_of_the_arcsine_law`, `bands_hold_as_much_as_they_promise` (Monte Carlo).
@@ -22,6 +22,8 @@ const MATERIAL: f64 = 1e-3;
 const LEAST: f64 = 4e-3;
 /// Beyond this many standard deviations of the normal part, a characteristic function is 0.
 const REACH: f64 = 5.5;
+/// A smaller standard deviation counts as 0.
+const TINY: f64 = 1e-140;
 /// Standard deviations of a mean beyond which only one side of the distribution counts.
 const FAR: f64 = 8.0;
 
@@ -67,33 +69,6 @@ impl Spiky {
     }
 }
 
-/// Noise that comes and goes: it is there with a probability, and nothing is there otherwise.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sometimes {
-    pub probability: f64,
-    /// Variance in the integral, over both states.
-    pub variance: f64,
-    /// Whether it is a sine of random phase, or normal.
-    pub is_sine: bool,
-}
-
-impl Sometimes {
-    /// Returns the probability of noise with stays of share `share` that forgets its state by `forgotten` e-folds over
-    /// the horizon. The part of the horizon in which it is there has the mean `share` and the variance
-    /// share(1 − share)·2(x − 1 + e^−x)/x²; a part that is either 0 or one value has both.
-    pub(crate) fn probability(share: f64, forgotten: f64) -> f64 {
-        let x = forgotten;
-        let kept = if x < 1e-3 { 1.0 - x / 3.0 } else { 2.0 * (x + (-x).exp_m1()) / (x * x) };
-        1.0 / (1.0 + (1.0 - share) / share * kept)
-    }
-
-    fn characteristic(&self, s: f64) -> f64 {
-        let there = self.variance / self.probability;
-        let own = if self.is_sine { libm::j0((2.0 * there).sqrt() * s) } else { (-0.5 * there * s * s).exp() };
-        1.0 - self.probability + self.probability * own
-    }
-}
-
 /// The distribution of an error.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Distribution {
@@ -103,7 +78,6 @@ pub(crate) struct Distribution {
     /// Peaks of sines.
     pub sines: Vec<f64>,
     pub spikes: Vec<Spiky>,
-    pub sometimes: Vec<Sometimes>,
 }
 
 impl Distribution {
@@ -115,14 +89,14 @@ impl Distribution {
     /// Returns the variance of the parts that are not normal.
     fn others(&self) -> f64 {
         let sines: f64 = self.sines.iter().map(|peak| 0.5 * peak * peak).sum();
-        let sometimes: f64 = self.sometimes.iter().map(|of| of.variance).sum();
-        sines + sometimes + self.spikes.iter().map(|of| of.variance).sum::<f64>()
+        sines + self.spikes.iter().map(|of| of.variance).sum::<f64>()
     }
 
     /// Returns the size that the error does not exceed with a probability of 95 %.
     pub(crate) fn band95(&self) -> f64 {
         let sigma = self.variance().max(0.0).sqrt();
-        if sigma == 0.0 {
+        // Squares of such numbers are below the smallest one.
+        if sigma < TINY {
             return self.mean.abs();
         }
         if self.others() <= MATERIAL * sigma * sigma {
@@ -144,8 +118,7 @@ impl Distribution {
                 let s = (k as f64 + 0.5) * step;
                 let sines: f64 = self.sines.iter().map(|peak| libm::j0(peak * s)).product();
                 let spikes: f64 = self.spikes.iter().map(|of| of.log(s)).sum();
-                let sometimes: f64 = self.sometimes.iter().map(|of| of.characteristic(s)).product();
-                let characteristic = sines * sometimes * (spikes - 0.5 * normal * s * s).exp();
+                let characteristic = sines * (spikes - 0.5 * normal * s * s).exp();
                 (s, characteristic * (mean * s).cos() / (k as f64 + 0.5))
             })
             .collect();
@@ -236,7 +209,6 @@ mod tests {
                 normal: 0.05 * variance,
                 sines: vec![sine],
                 spikes: vec![spikes],
-                sometimes: Vec::new(),
             };
             let band = of.band95();
             let mut stream = Stream::new(order as u64, StreamId { owner: 0, effect: 1, instance: 0 });

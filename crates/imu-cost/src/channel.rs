@@ -43,8 +43,6 @@ pub(crate) enum Shape {
     Plain,
     /// Spikes of typical size `amplitude`, U; the other terms as in [`crate::band::Spiky`].
     Spikes { begins: f64, goes_on: f64, amplitude: f64, averaged: f64 },
-    /// Noise that is there for a share of the time, in stays that end at `changes_hz` together.
-    Sometimes { share: f64, changes_hz: f64, is_sine: bool },
     /// A line of the frequency as it is sent and of mean square `power`, U², that is a sine as long as it keeps its phase:
     /// phase² gathered in one correlation time, and that time, s. Its amplitude wanders too: a sine of the part `steady` of
     /// its mean square and normal noise for the rest have the same fourth moment.
@@ -61,11 +59,6 @@ impl Shape {
                 let begins = share * (1.0 - goes_on) / (1.0 - share * goes_on);
                 let averaged = setting.window().min(setting.ratio() as u64) as f64;
                 Self::Spikes { begins, goes_on, amplitude: number("amplitude"), averaged }
-            }
-            EffectKind::Intermittent if effect.pairs("intervals").is_empty() => {
-                let (on_s, off_s) = (number("on_s"), number("off_s"));
-                let is_sine = effect.parameter("of").is_some_and(|of| of.get("amplitude").is_some());
-                Self::Sometimes { share: on_s / (on_s + off_s), changes_hz: 1.0 / on_s + 1.0 / off_s, is_sine }
             }
             EffectKind::WanderingLine => {
                 let (tc_s, within) = (number("frequency_tc_s"), number("frequency_hz").rem_euclid(setting.rate_hz));
@@ -131,6 +124,7 @@ impl ChannelErrors {
                     own.add_sine(gated(setting, of, *frequency_hz, *amplitude, intervals));
                 }
                 Law::Simulated => {
+                    setting.check_work(source.cause, of.channel)?;
                     own.variance = simulated(setting, of, source)?;
                     own.is_simulated = true;
                 }
@@ -139,12 +133,22 @@ impl ChannelErrors {
         }
         contributions.extend(held(setting, of, spectra, unsettled));
         let mut nonlinear = Vec::new();
+        // What is there at random times is neither normal nor a sine.
+        if of.sources.iter().any(|source| comes_and_goes(&*source.effect)) {
+            nonlinear.push(EffectKind::Intermittent.name());
+        }
+        // How often a sample is repeated does not depend on its noise, but what that adds does.
+        let changes = |law: &Law| !matches!(law, Law::Stationary | Law::Course);
+        if of.held > 0.0 && of.sources.iter().any(|source| changes(&source.law)) {
+            nonlinear.push(EffectKind::HeldSamples.name());
+        }
         if of.step.is_some_and(|step| local < (DITHERED * step).powi(2)) {
             nonlinear.push(EffectKind::Resolution.name());
         }
         if of.limits.is_some_and(|limits| reaches(setting, of, limits, courses)) {
             nonlinear.push(EffectKind::Saturation.name());
         }
+        nonlinear.iter().try_for_each(|effect| setting.check_work(effect, of.channel))?;
         Ok(Self { channel: of.channel, contributions, nonlinear })
     }
 }
@@ -218,6 +222,11 @@ fn held(setting: &Setting<'_>, of: &ChannelSources, spectra: &Spectra, unsettled
             is_simulated: false,
         }
     })
+}
+
+/// Returns whether an effect is there at random times.
+fn comes_and_goes(effect: &dyn Effect) -> bool {
+    effect.kind() == EffectKind::Intermittent && effect.pairs("intervals").is_empty()
 }
 
 /// Returns whether the sensor's own samples come near a limit: by their level, courses, and standard deviation over the

@@ -1,6 +1,6 @@
 //! Composition: from the channels' contributions to quantities, causes and verdicts.
 
-use crate::band::{Distribution, Sometimes, Spiky, empirical};
+use crate::band::{Distribution, Spiky, empirical};
 use crate::channel::{ChannelErrors, Contribution, Shape};
 use crate::courses::squares;
 use crate::document::{Cause, Growth, Method};
@@ -56,10 +56,6 @@ impl Piece<'_> {
                 order: self.share.order,
                 variance,
             }),
-            Shape::Sometimes { share, changes_hz, is_sine } => {
-                let probability = Sometimes::probability(share, changes_hz * horizon / setting.rate_hz);
-                distribution.sometimes.push(Sometimes { probability, variance, is_sine });
-            }
             Shape::Wanders { .. } => distribution.sines.extend(self.wandering(setting, horizon, variance)),
         }
     }
@@ -217,15 +213,17 @@ fn composed(
         }
         for cause in causes.iter_mut().take(nonlinear.len()) {
             cause.share.push(if square > 0.0 { (1.0 - explained) / nonlinear.len() as f64 } else { 0.0 });
-            cause.share_band95.push(less(linear_band));
-            cause.band95_without.push(linear_band);
         }
         growth.mean.push(mean);
         growth.sd.push(sd);
         growth.band95.push(band);
     }
-    let last = |cause: &Cause| cause.share.last().copied().unwrap_or_default();
-    causes.sort_by(|one, other| last(other).total_cmp(&last(one)));
+    if !nonlinear.is_empty() {
+        // What is left without another cause would have to be simulated for each.
+        for cause in &mut causes {
+            (cause.share_band95, cause.band95_without) = (Vec::new(), Vec::new());
+        }
+    }
     Composed { growth, causes }
 }
 

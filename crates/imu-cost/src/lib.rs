@@ -97,12 +97,15 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
     let mut composed = composed(&setting, &quantities)?;
     let tolerances = request.tolerances.iter().filter_map(|limit| verdict(limit, &setting, &composed)).collect();
     let places: Vec<usize> = request.horizons_s.iter().map(|horizon_s| setting.place(*horizon_s)).collect();
-    let chosen = |values: &mut Vec<f64>| *values = places.iter().map(|place| values[*place]).collect();
+    let chosen =
+        |values: &mut Vec<f64>| *values = places.iter().filter_map(|place| values.get(*place)).copied().collect();
     for Composed { growth, causes } in composed.values_mut() {
         [&mut growth.mean, &mut growth.sd, &mut growth.band95].into_iter().for_each(chosen);
-        for cause in causes {
+        for cause in causes.iter_mut() {
             [&mut cause.share, &mut cause.share_band95, &mut cause.band95_without].into_iter().for_each(chosen);
         }
+        let last = |cause: &Cause| cause.share.last().copied().unwrap_or_default();
+        causes.sort_by(|one, other| last(other).total_cmp(&last(one)));
     }
     let extrapolated = record_s(model).map(|record_s| request.horizons_s.iter().map(|of| *of > record_s).collect());
     let mut notes = notes(model, &quantities);

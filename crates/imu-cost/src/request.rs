@@ -15,6 +15,8 @@ use strum::VariantArray as _;
 
 /// The longest alignment and horizon together, in samples: 14 days at 800 Hz.
 const SAMPLES_MAX: f64 = 1e9;
+/// The most samples of one channel in all runs of a simulation: about ten minutes.
+const WORK_MAX: f64 = 1e10;
 /// Runs of a Monte Carlo estimate: its standard deviation has a standard error of 3 %.
 const RUNS: usize = 500;
 
@@ -192,6 +194,20 @@ pub enum CostError {
         /// The channels.
         expected: String,
     },
+    /// What has to be simulated takes too long.
+    #[error(
+        "{effect} has no closed form, and {runs} simulations of {found_s} s are too many: expected at most {most_s} s"
+    )]
+    Work {
+        /// The effect and its channel.
+        effect: String,
+        /// The number of runs.
+        runs: usize,
+        /// Alignment and longest horizon, s.
+        found_s: f64,
+        /// The longest time for alignment and horizon, s.
+        most_s: f64,
+    },
     /// The model cannot be simulated.
     #[error(transparent)]
     Model(#[from] SimulatorError),
@@ -343,6 +359,24 @@ impl<'a> Setting<'a> {
     /// Returns the samples of alignment and longest horizon.
     pub(crate) fn samples(&self) -> u64 {
         self.align + self.horizons.last().copied().unwrap_or(1)
+    }
+
+    /// Checks whether an effect on a channel can be simulated in a bearable time.
+    ///
+    /// # Errors
+    /// [`CostError::Work`] with the longest time that can.
+    pub(crate) fn check_work(&self, effect: &str, channel: Channel) -> Result<(), CostError> {
+        let samples = self.samples() as f64 * self.ratio() as f64 * self.runs as f64;
+        if samples <= WORK_MAX {
+            return Ok(());
+        }
+        let (found_s, runs) = (self.record_s(), self.runs);
+        Err(CostError::Work {
+            effect: format!("{effect} on {channel}"),
+            runs,
+            found_s,
+            most_s: (found_s * WORK_MAX / samples).floor(),
+        })
     }
 
     /// Returns the time of alignment and longest horizon, s.
