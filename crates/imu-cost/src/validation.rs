@@ -203,7 +203,7 @@ fn senseless_requests_are_refused_with_what_is_allowed() {
     assert!(matches!(refusal(request(&[])), CostError::NoHorizon));
     assert!(matches!(refusal(request(&[1e-3])), CostError::Short { .. }));
     assert!(matches!(refusal(request(&[1e9])), CostError::Long { .. }));
-    let limited = with(r#"{"effect": "saturation", "low": -1e-3, "high": 2e-4}"#, "gyro_z");
+    let limited = model(r#""gyro_z": {"N": 1e-4, "effects": [{"effect": "saturation", "low": -1e-3, "high": 2e-4}]}"#);
     assert!(cost(&limited, "t", &Request { runs: 3, ..request(&[1e5]) }).is_ok());
     let long = cost(&limited, "t", &request(&[1e6])).unwrap_err();
     assert!(matches!(long, CostError::Work { most_s: 500_000.0, .. }), "{long}");
