@@ -363,8 +363,9 @@ fn a_plain_model_of_the_desk_recording_lacks_its_lines_knocks_creep_and_resoluti
         let lines = noise["disturbances"][channel]["lines"].as_array().unwrap();
         lines.iter().map(|line| line["frequency_hz"].as_f64().unwrap()).collect()
     };
+    // The vibration is there for 150 s of 754 s; a weak band beside it, of which the line of all segments is, throughout.
     assert!(
-        lines(&rich_noise, "gyro_x").iter().any(|at| (at - 13.38).abs() < 0.02),
+        lines(&rich_noise, "gyro_x").iter().any(|at| (at - 13.38).abs() < 0.05),
         "{:?}",
         lines(&rich_noise, "gyro_x")
     );

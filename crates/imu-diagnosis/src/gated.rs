@@ -540,13 +540,15 @@ fn refined(
         (from * unit)..end
     };
     let mut found: Vec<Range<usize>> = Vec::new();
-    for range in ranges.iter().map(of).filter(|range| range.len() >= size) {
+    for range in ranges.iter().map(of).filter(|range| !range.is_empty()) {
         match found.last_mut() {
             // A pause shorter than a block is a fade.
             Some(last) if range.start < last.end + size => last.end = last.end.max(range.end),
             _ => found.push(range),
         }
     }
+    // A stay that is shorter is another event.
+    found.retain(|range| range.len() >= size);
     found
 }
 
