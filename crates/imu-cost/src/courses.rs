@@ -11,7 +11,7 @@ use crate::request::{CostError, Setting};
 use crate::sources::{ChannelSources, Factor, Source};
 use crate::weights::{ORDERS, Squares, Strapdown, WhiteSums};
 use imu_model::effects::moving_average::RunningMean;
-use imu_model::effects::{Effect, Stream, StreamId, Temperature, sampled};
+use imu_model::effects::{Bursts, Effect, Stream, StreamId, Temperature};
 use imu_model::simulator::{SensorModel, Simulator};
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -92,14 +92,8 @@ pub(crate) fn modulation(setting: &Setting<'_>, factor: &Factor) -> Integrals {
     };
     match factor {
         Factor::Intervals(intervals) => {
-            let index = |time_s: &f64| sampled::index_at(*time_s, setting.rate_hz);
-            let ranges: Vec<[u64; 2]> = intervals.iter().map(|(from, to)| [index(from), index(to)]).collect();
-            let mut sample = 0;
-            ratio(squares(setting, || {
-                let is_inside = ranges.iter().any(|[from, to]| (*from..*to).contains(&sample));
-                sample += 1;
-                f64::from(u8::from(is_inside))
-            }))
+            let mut is_inside = inside(intervals, setting.rate_hz);
+            ratio(squares(setting, || f64::from(u8::from(is_inside()))))
         }
         Factor::Changes(changes) => {
             let all = ratio(squares(setting, powers(setting, changes)));
@@ -136,6 +130,19 @@ fn powers(setting: &Setting<'_>, changes: &[Arc<dyn Effect>]) -> impl FnMut() ->
     }
 }
 
+/// Returns, from one sample to the next, whether it is inside intervals.
+fn inside(intervals: &[(f64, f64)], rate_hz: f64) -> impl FnMut() -> bool + use<> {
+    let ranges = Bursts { intervals: intervals.to_vec(), sigma: 1.0 }.ranges(rate_hz);
+    let (mut sample, mut at) = (0, 0);
+    move || {
+        while ranges.get(at).is_some_and(|(_, to)| *to <= sample) {
+            at += 1;
+        }
+        sample += 1;
+        ranges.get(at).is_some_and(|(from, _)| *from < sample)
+    }
+}
+
 /// Returns the peaks, per horizon and order, that a sine inside intervals has in the integrals.
 pub(crate) fn gated(
     setting: &Setting<'_>,
@@ -146,16 +153,14 @@ pub(crate) fn gated(
 ) -> Integrals {
     let filtered: f64 = of.filters.iter().map(|filter| filter.power_gain(frequency_hz, setting.internal_hz)).product();
     let peak = amplitude * filtered.sqrt();
-    let index = |time_s: &f64| sampled::index_at(*time_s, setting.internal_hz);
-    let ranges: Vec<[u64; 2]> = intervals.iter().map(|(from, to)| [index(from), index(to)]).collect();
     let step = frequency_hz / setting.internal_hz;
     let quadrature = |wave: fn(f64) -> f64| {
         let (mut sample, mut boxcar) = (0_u64, RunningMean::new(setting.window()));
+        let mut is_inside = inside(intervals, setting.internal_hz);
         let mut own = || {
-            let is_inside = ranges.iter().any(|[from, to]| (*from..*to).contains(&sample));
             let phase = (step * sample as f64).fract();
             sample += 1;
-            boxcar.next(if is_inside { peak * wave(TAU * phase) } else { 0.0 })
+            boxcar.next(if is_inside() { peak * wave(TAU * phase) } else { 0.0 })
         };
         integrals(setting, || {
             // A sample is sent at the first of the sensor's own samples of its period.

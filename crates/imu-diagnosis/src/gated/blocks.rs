@@ -78,6 +78,9 @@ impl TwoLevels {
         const QUIET: f64 = 0.15;
         /// Between these parts of the upper level are only blocks in which a stay begins or ends, and a few others.
         const BETWEEN: Range<f64> = 0.1..0.5;
+        /// Such blocks per beginning and end, and per block inside stays, since the power in stays scatters.
+        const PER_CHANGE: f64 = 0.8;
+        const PER_FULL: f64 = 0.0625;
         let counted: Vec<f64> = powers.iter().copied().filter(|power| power.is_finite()).collect();
         if counted.len() < FEWEST {
             return None;
@@ -114,7 +117,7 @@ impl TwoLevels {
             && 20 * loud <= empty.len()
             && deviation * deviation < (scatter * upper).powi(2) + 2.0 * upper * lower.max(0.0)
             && LENGTH * (changes + 1) <= counted.len()
-            && between <= 1 + changes * 4 / 5 + full.len() / 16;
+            && between as f64 <= 1.0 + PER_CHANGE * changes as f64 + PER_FULL * full.len() as f64;
         let mut inside = vec![None; powers.len()];
         inner.iter().for_each(|at| inside[*at] = Some(is_on[*at]));
         are_two.then_some(Self { upper, lower, is_on, inside })

@@ -36,8 +36,13 @@ impl Stays {
 
     /// Returns the number of samples at which it is present.
     pub(crate) fn samples(&self) -> usize {
-        self.ranges.iter().map(Range::len).sum()
+        present(&self.ranges)
     }
+}
+
+/// Returns the number of samples in ranges.
+fn present(ranges: &[Range<usize>]) -> usize {
+    ranges.iter().map(Range::len).sum()
 }
 
 /// Returns, for each sample, whether it carries no information about lines: it is replaced.
@@ -63,6 +68,11 @@ pub(crate) struct Gate {
 /// Returns the bands of the law and of the model that are present only at times.
 pub(crate) fn gates(series: &Series<'_>) -> Vec<Gate> {
     let setting = series.setting();
+    let has_bands = series.explanation.law.terms.iter().any(|term| term.shape == Shape::Resonance);
+    // Most records have none of either.
+    if !has_bands && setting.gated.iter().all(|of| of.width.is_none()) {
+        return Vec::new();
+    }
     let is_left_out = left_out(series);
     // The variance of the white noise in a range over its mean.
     let is_uneven = series.equaliser.is_none() && !series.variance.is_empty();
@@ -99,7 +109,7 @@ pub(crate) fn spectrum_at(series: &Series<'_>, gates: &[Gate], is_present: impl 
     const LEAST: f64 = 1e-6;
     let mut spectrum = series.spectrum.clone();
     for (at, gate) in gates.iter().enumerate() {
-        let share = gate.ranges.iter().map(Range::len).sum::<usize>() as f64 / series.len() as f64;
+        let share = present(&gate.ranges) as f64 / series.len() as f64;
         let more = if is_present(at) { 1.0 / share - 1.0 } else { -1.0 };
         spectrum.iter_mut().zip(&gate.power).for_each(|(all, own)| *all += more * own);
     }

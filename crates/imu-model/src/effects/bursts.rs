@@ -19,7 +19,7 @@ effect! {
 
 impl Bursts {
     /// Returns the samples inside as ranges that neither overlap nor touch, in order.
-    pub(super) fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
+    pub fn ranges(&self, rate_hz: f64) -> Vec<(u64, u64)> {
         let index = |time_s| sampled::index_at(time_s, rate_hz);
         let mut ranges: Vec<_> = self.intervals.iter().map(|(from, to)| (index(*from), index(*to))).collect();
         ranges.sort_unstable();
