@@ -132,21 +132,10 @@ impl ChannelErrors {
             contributions.push(own);
         }
         contributions.extend(held(setting, of, spectra, unsettled));
-        let mut nonlinear = Vec::new();
+        let mut nonlinear = nonlinear(setting, of, local, courses);
         // What is there at random times is neither normal nor a sine.
         if of.sources.iter().any(|source| comes_and_goes(&*source.effect)) {
-            nonlinear.push(EffectKind::Intermittent.name());
-        }
-        // How often a sample is repeated does not depend on its noise, but what that adds does.
-        let changes = |law: &Law| !matches!(law, Law::Stationary | Law::Course);
-        if of.held > 0.0 && of.sources.iter().any(|source| changes(&source.law)) {
-            nonlinear.push(EffectKind::HeldSamples.name());
-        }
-        if of.step.is_some_and(|step| local < (DITHERED * step).powi(2)) {
-            nonlinear.push(EffectKind::Resolution.name());
-        }
-        if of.limits.is_some_and(|limits| reaches(setting, of, limits, courses)) {
-            nonlinear.push(EffectKind::Saturation.name());
+            nonlinear.insert(0, EffectKind::Intermittent.name());
         }
         nonlinear.iter().try_for_each(|effect| setting.check_work(effect, of.channel))?;
         Ok(Self { channel: of.channel, contributions, nonlinear })
@@ -205,6 +194,29 @@ impl Contribution {
             }
         }
     }
+}
+
+/// Returns the effects that make the sum of the variances of a channel's contributions wrong. `local` is half the mean square of the
+/// difference from one sample to the next, U², `courses` the range of the courses, U.
+pub(crate) fn nonlinear(
+    setting: &Setting<'_>,
+    of: &ChannelSources,
+    local: f64,
+    courses: [f64; 2],
+) -> Vec<&'static str> {
+    let mut nonlinear = Vec::new();
+    // How often a sample is repeated does not depend on its noise, but what that adds does.
+    let changes = |law: &Law| !matches!(law, Law::Stationary | Law::Course);
+    if of.held > 0.0 && of.sources.iter().any(|source| changes(&source.law)) {
+        nonlinear.push(EffectKind::HeldSamples.name());
+    }
+    if of.step.is_some_and(|step| local < (DITHERED * step).powi(2)) {
+        nonlinear.push(EffectKind::Resolution.name());
+    }
+    if of.limits.is_some_and(|limits| reaches(setting, of, limits, courses)) {
+        nonlinear.push(EffectKind::Saturation.name());
+    }
+    nonlinear
 }
 
 /// Returns what repeating samples adds: noise of the mean square that it leaves out of the input.

@@ -10,6 +10,7 @@ use crate::quadrature::scale;
 use crate::request::{CostError, Setting};
 use crate::sources::{ChannelSources, Factor, Source};
 use crate::weights::{ORDERS, Squares, Strapdown, WhiteSums};
+use imu_core::sample::Channel;
 use imu_model::effects::moving_average::RunningMean;
 use imu_model::effects::{Bursts, Effect, Stream, StreamId, Temperature};
 use imu_model::simulator::{SensorModel, Simulator};
@@ -49,20 +50,27 @@ pub(crate) fn simulator(setting: &Setting<'_>, model: &SensorModel, seed: u64) -
     Ok(simulator.with_temperature(move |time_s: f64| course.at(time_s)))
 }
 
-/// Returns the course of a source without randomness.
-pub(crate) fn course(setting: &Setting<'_>, of: &ChannelSources, source: &Source) -> Result<Course, CostError> {
-    let mut simulator = simulator(setting, &of.alone(setting.model, &source.effect), 0)?;
-    let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+/// Returns the samples of a channel, one at a time; 0 when the simulation has ended.
+pub(crate) fn samples(mut simulator: Simulator, channel: Channel) -> impl FnMut() -> f64 {
     let (mut block, mut place) = (Vec::new(), 0);
-    let means = integrals(setting, || {
+    move || {
         if place == block.len() {
             block.clear();
-            block
-                .extend_from_slice(simulator.next_block().and_then(|next| next.values(of.channel)).unwrap_or_default());
+            block.extend_from_slice(simulator.next_block().and_then(|next| next.values(channel)).unwrap_or_default());
             place = 0;
         }
         let value = block.get(place).copied().unwrap_or_default();
         place += 1;
+        value
+    }
+}
+
+/// Returns the course of a source without randomness.
+pub(crate) fn course(setting: &Setting<'_>, of: &ChannelSources, source: &Source) -> Result<Course, CostError> {
+    let mut next = samples(simulator(setting, &of.alone(setting.model, &source.effect), 0)?, of.channel);
+    let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+    let means = integrals(setting, || {
+        let value = next();
         range = [range[0].min(value), range[1].max(value)];
         value
     });
@@ -108,7 +116,7 @@ pub(crate) fn modulation(setting: &Setting<'_>, factor: &Factor) -> Integrals {
 }
 
 /// Returns the square of the factor of all changes, sample by sample.
-fn powers(setting: &Setting<'_>, changes: &[Arc<dyn Effect>]) -> impl FnMut() -> f64 + use<> {
+pub(crate) fn powers(setting: &Setting<'_>, changes: &[Arc<dyn Effect>]) -> impl FnMut() -> f64 + use<> {
     let (rate_hz, temperature) = (setting.rate_hz, setting.temperature.clone());
     // A change of variance draws nothing.
     let stream = || Stream::new(0, StreamId { owner: 0, effect: 0, instance: 0 });
@@ -131,7 +139,7 @@ fn powers(setting: &Setting<'_>, changes: &[Arc<dyn Effect>]) -> impl FnMut() ->
 }
 
 /// Returns, from one sample to the next, whether it is inside intervals.
-fn inside(intervals: &[(f64, f64)], rate_hz: f64) -> impl FnMut() -> bool + use<> {
+pub(crate) fn inside(intervals: &[(f64, f64)], rate_hz: f64) -> impl FnMut() -> bool + use<> {
     let ranges = Bursts { intervals: intervals.to_vec(), sigma: 1.0 }.ranges(rate_hz);
     let (mut sample, mut at) = (0, 0);
     move || {
@@ -151,26 +159,35 @@ pub(crate) fn gated(
     amplitude: f64,
     intervals: &[(f64, f64)],
 ) -> Integrals {
-    let filtered: f64 = of.filters.iter().map(|filter| filter.power_gain(frequency_hz, setting.internal_hz)).product();
-    let peak = amplitude * filtered.sqrt();
-    let step = frequency_hz / setting.internal_hz;
-    let quadrature = |wave: fn(f64) -> f64| {
-        let (mut sample, mut boxcar) = (0_u64, RunningMean::new(setting.window()));
-        let mut is_inside = inside(intervals, setting.internal_hz);
-        let mut own = || {
-            let phase = (step * sample as f64).fract();
-            sample += 1;
-            boxcar.next(if is_inside() { peak * wave(TAU * phase) } else { 0.0 })
-        };
-        integrals(setting, || {
-            // A sample is sent at the first of the sensor's own samples of its period.
-            let sent = own();
-            for _ in 1..setting.ratio() {
-                own();
-            }
-            sent
-        })
-    };
+    let quadrature = |wave| integrals(setting, gated_wave(setting, of, frequency_hz, amplitude, intervals, wave));
     let both = |(cosine, sine): ([f64; ORDERS], [f64; ORDERS])| [0, 1, 2].map(|k| f64::hypot(cosine[k], sine[k]));
     quadrature(f64::cos).into_iter().zip(quadrature(f64::sin)).map(both).collect()
+}
+
+/// Returns the sent samples of a wave inside intervals, one at a time; `wave` is the sine or the cosine.
+pub(crate) fn gated_wave(
+    setting: &Setting<'_>,
+    of: &ChannelSources,
+    frequency_hz: f64,
+    amplitude: f64,
+    intervals: &[(f64, f64)],
+    wave: fn(f64) -> f64,
+) -> impl FnMut() -> f64 + use<> {
+    let filtered: f64 = of.filters.iter().map(|filter| filter.power_gain(frequency_hz, setting.internal_hz)).product();
+    let (peak, step) = (amplitude * filtered.sqrt(), frequency_hz / setting.internal_hz);
+    let (mut sample, mut boxcar, ratio) = (0_u64, RunningMean::new(setting.window()), setting.ratio());
+    let mut is_inside = inside(intervals, setting.internal_hz);
+    let mut own = move || {
+        let phase = (step * sample as f64).fract();
+        sample += 1;
+        boxcar.next(if is_inside() { peak * wave(TAU * phase) } else { 0.0 })
+    };
+    move || {
+        // A sample is sent at the first of the sensor's own samples of its period.
+        let sent = own();
+        for _ in 1..ratio {
+            own();
+        }
+        sent
+    }
 }

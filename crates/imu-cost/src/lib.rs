@@ -42,6 +42,7 @@ mod channel;
 mod compose;
 mod courses;
 mod document;
+mod filter_parameters;
 mod monte_carlo;
 mod quadrature;
 mod request;
@@ -52,6 +53,10 @@ mod validation;
 mod weights;
 
 pub use document::{Cause, Cost, FORMAT, Growth, Method, Verdict};
+pub use filter_parameters::{
+    ChannelParameters, FILTER_FORMAT, FilterError, FilterParameters, FilterRequest, Inflation, InflationCause, Over,
+    Pairs, Prediction, RecordFrom, filter_parameters,
+};
 pub use request::{CostError, Quantity, Request, Tolerance};
 
 use channel::ChannelErrors;

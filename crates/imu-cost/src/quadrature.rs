@@ -78,7 +78,7 @@ impl Rule {
     }
 
     /// Returns the weights of a panel for a function times e^(−iωδ), with `delay` δ in samples.
-    fn oscillating(&self, panel: Panel, rate_hz: f64, delay: f64) -> [Complex<f64>; NODES] {
+    pub(crate) fn oscillating(&self, panel: Panel, rate_hz: f64, delay: f64) -> [Complex<f64>; NODES] {
         let half = 0.5 * (panel.to - panel.from);
         let turn = TAU * delay / rate_hz;
         let theta = turn * half;

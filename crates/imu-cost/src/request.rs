@@ -366,11 +366,19 @@ impl<'a> Setting<'a> {
     /// # Errors
     /// [`CostError::Work`] with the longest time that can.
     pub(crate) fn check_work(&self, effect: &str, channel: Channel) -> Result<(), CostError> {
-        let samples = self.samples() as f64 * self.ratio() as f64 * self.runs as f64;
+        self.check_runs(effect, channel, self.runs)
+    }
+
+    /// Checks whether an effect on a channel can be simulated that often in a bearable time.
+    ///
+    /// # Errors
+    /// [`CostError::Work`] with the longest time that can.
+    pub(crate) fn check_runs(&self, effect: &str, channel: Channel, runs: usize) -> Result<(), CostError> {
+        let samples = self.samples() as f64 * self.ratio() as f64 * runs as f64;
         if samples <= WORK_MAX {
             return Ok(());
         }
-        let (found_s, runs) = (self.record_s(), self.runs);
+        let found_s = self.record_s();
         Err(CostError::Work {
             effect: format!("{effect} on {channel}"),
             runs,

@@ -25,21 +25,29 @@ const PANELS_MAX: usize = 4000;
 /// The densities of all spectral sources at the nodes of all panels, with the weights that make variances of them.
 #[derive(Debug)]
 pub(crate) struct Spectra {
+    /// The stretches on which every density is smooth.
+    pub panels: Vec<Panel>,
     /// Hz.
     nodes: Vec<f64>,
     /// Hz per node.
     plain: Vec<f64>,
     /// By source: channel by channel, in order, spectral sources alone.
     densities: Vec<Vec<f64>>,
-    /// By horizon and order.
+    /// By horizon and order; empty if only the densities were asked for.
     weights: Vec<[Vec<f64>; ORDERS]>,
     rate_hz: f64,
 }
 
 impl Spectra {
-    /// Computes the spectra of all channels' spectral sources.
+    /// Computes the spectra of all channels' spectral sources, and the weights that make variances of them.
     pub(crate) fn new(setting: &Setting<'_>, channels: &[ChannelSources]) -> Self {
         let rule = Rule::new();
+        let all = Self::unweighted(setting, channels, &rule);
+        Self { weights: variances(&rule, &all.panels, setting.rate_hz, &setting.spans()), ..all }
+    }
+
+    /// Computes the spectra of all channels' spectral sources, on panels that suit the setting's horizons.
+    pub(crate) fn unweighted(setting: &Setting<'_>, channels: &[ChannelSources], rule: &Rule) -> Self {
         let rate_hz = setting.rate_hz;
         let fold = |hz: f64| {
             let within = hz.rem_euclid(rate_hz);
@@ -48,7 +56,7 @@ impl Spectra {
         let cuts: Vec<f64> = channels.iter().flat_map(ChannelSources::features).map(fold).collect();
         let panels = octaves(rate_hz, setting.samples() as f64, &cuts);
         let evaluate = |panel: Panel| (panel, densities(setting, channels, &rule.nodes(panel)));
-        let evaluated = refined(panels.into_iter().map(evaluate).collect(), &rule, setting, evaluate);
+        let evaluated = refined(panels.into_iter().map(evaluate).collect(), rule, setting, evaluate);
         let panels: Vec<Panel> = evaluated.iter().map(|(panel, _)| *panel).collect();
         let sources = evaluated.first().map_or(0, |(_, values)| values.len());
         let of = |source: usize| evaluated.iter().flat_map(|(_, values)| values[source]).collect();
@@ -56,7 +64,8 @@ impl Spectra {
             nodes: panels.iter().flat_map(|panel| rule.nodes(*panel)).collect(),
             plain: panels.iter().flat_map(|panel| rule.plain(*panel)).collect(),
             densities: (0..sources).map(of).collect(),
-            weights: variances(&rule, &panels, rate_hz, &setting.spans()),
+            weights: Vec::new(),
+            panels,
             rate_hz,
         }
     }
@@ -80,6 +89,16 @@ impl Spectra {
         nodes.map(|(hz, weight)| weight * law.white_gain(*hz, self.rate_hz) / self.rate_hz).sum::<f64>().max(0.0)
     }
 
+    /// Returns the frequencies, Hz, of the nodes of all panels, one panel after the other.
+    pub(crate) fn nodes(&self) -> &[f64] {
+        &self.nodes
+    }
+
+    /// Returns the two-sided density, U²/Hz, of the spectral source at `index`, by node.
+    pub(crate) fn density(&self, index: usize) -> &[f64] {
+        &self.densities[index]
+    }
+
     /// Returns the mean square, in U², of a source times a gain of the frequency.
     pub(crate) fn mean_square(&self, index: usize, gain: impl Fn(f64) -> f64) -> f64 {
         let nodes = self.nodes.iter().zip(&self.plain).zip(&self.densities[index]);
@@ -101,7 +120,7 @@ impl Spectra {
 }
 
 /// Returns |H|² of the mean of a sample that is with probability `held` the one before it again.
-fn kept(held: f64, hz: f64, rate_hz: f64) -> f64 {
+pub(crate) fn kept(held: f64, hz: f64, rate_hz: f64) -> f64 {
     (1.0 - held).powi(2) / (1.0 + held * held - 2.0 * held * (TAU * hz / rate_hz).cos())
 }
 
