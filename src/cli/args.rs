@@ -8,15 +8,16 @@ use imu_diagnosis::model_fit::effects_named;
 use imu_files::export::Target;
 use imu_model::EffectKind;
 use imu_noise::allan::{Estimator, TauSpacing};
-use imu_noise::datasheet::{Datasheet, DatasheetError};
 use std::path::PathBuf;
 use std::time::Duration;
 
 mod cost;
+mod noise;
 mod pictures;
 mod recordings;
 
 pub use cost::{CostArgs, Tolerances};
+pub use noise::{ConsistentPair, NoiseArgs, SheetChoice};
 pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
 
@@ -315,29 +316,6 @@ pub struct AllanArgs {
     pub format: Format,
 }
 
-/// Arguments of `noise`.
-#[derive(Debug, Args)]
-pub struct NoiseArgs {
-    /// Id, name, `latest`, or the path of a recording; several of one sensor give one result
-    #[arg(required = true, value_name = "CAPTURE")]
-    pub captures: Vec<String>,
-    /// Rate of recordings without stamps in Hz
-    #[arg(long, value_name = "HZ", value_parser = rate)]
-    pub rate: Option<f64>,
-    /// Form of the output
-    #[arg(long, value_parser = noise_format(), default_value = "table")]
-    pub format: NoiseFormat,
-    /// The sampling of the sensor
-    #[command(flatten)]
-    pub sampling: SamplingArgs,
-    /// Write parameters even if they contradict the record, with a comment
-    #[arg(long)]
-    pub force: bool,
-    /// Compare with this datasheet: vn-100, or a file that ends with .toml
-    #[arg(long, value_name = "NAME|FILE.toml", value_parser = SheetChoice::parse)]
-    pub datasheet: Option<SheetChoice>,
-}
-
 /// The sampling of gyroscope and accelerometer, for all commands that fit noise parameters.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct SamplingArgs {
@@ -353,23 +331,6 @@ impl SamplingArgs {
     /// Returns the statement of the options, if they are given.
     pub fn stated(self) -> Option<StatedSampling> {
         Some(StatedSampling { filter_window: self.filter_window?, internal_rate_hz: self.internal_rate })
-    }
-}
-
-/// A datasheet by its name, or its file.
-#[derive(Debug, Clone)]
-#[expect(missing_docs, reason = "the names say it")]
-pub enum SheetChoice {
-    Named(Box<Datasheet>),
-    File(PathBuf),
-}
-
-impl SheetChoice {
-    fn parse(text: &str) -> Result<Self, DatasheetError> {
-        if text.ends_with(".toml") {
-            return Ok(Self::File(text.into()));
-        }
-        Ok(Self::Named(Box::new(Datasheet::named(text)?)))
     }
 }
 

@@ -14,6 +14,7 @@ mod demo;
 mod diagnose;
 mod emulate;
 mod export;
+mod filter_parameters;
 mod generate;
 mod hangup;
 mod import;

@@ -14,6 +14,9 @@ use std::io::Write as _;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
+    if let Some(pair) = args.consistent {
+        return super::filter_parameters::run(context, args, pair);
+    }
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
     together.sampled(args.sampling.stated())?;

@@ -10,6 +10,7 @@ mod diagnosis;
 mod docs;
 mod export;
 mod export_line;
+mod filter_parameters;
 mod gap;
 mod imports;
 mod night;

@@ -330,7 +330,7 @@ fn real_errors_are_those_of_the_simulator() {
         ("tone", TONE.to_owned(), 6),
         ("warm_up", WARM_UP.to_owned(), 6),
         ("gauss_markov", PROCESS.to_owned(), 30),
-        ("bursts", r#"{"effect": "bursts", "intervals": [[100, 160], [400, 410]], "sigma": 2e-2}"#.to_owned(), 40),
+        ("bursts", r#"{"effect": "bursts", "intervals": [[100, 160], [400, 410]], "sigma": 2e-2}"#.to_owned(), 300),
         ("tone inside intervals", format!(r#"{gated}, "intervals": [[100, 400]]}}"#), 20),
         ("tone at random times (simulated)", format!(r#"{gated}, "on_s": 20, "off_s": 40}}"#), 30),
     ] {

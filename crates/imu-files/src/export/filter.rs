@@ -214,11 +214,16 @@ pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
 pub(super) fn write(noise: &ImuNoise, layout: &Layout) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
     text += &super::comment("# ", layout.convention);
-    text += &super::comment("# ", INFLATED);
+    text += &super::comment("# ", noise.note());
+    let left = match &noise.enlarged {
+        None => "Not expressible: bias instability B, a Gauss-Markov process.",
+        Some(_) => "Bias instability B and other effects are in these numbers.",
+    };
     text += &super::comment(
         "# ",
-        "One number for three axes: the largest. `<`: not identified in this record, the 95 % upper limit stands. Not \
-         expressible: bias instability B, a Gauss-Markov process.",
+        &format!(
+            "One number for three axes: the largest. `<`: not identified in this record, the 95 % upper limit stands. {left}"
+        ),
     );
     // Writing to a text cannot fail.
     if !layout.head.is_empty() {

@@ -5,7 +5,7 @@
 //! random walk of the bias (m/s³/√Hz, rad/s²/√Hz, which is our K in U/√s), one number for all three axes, discretised by
 //! the reader as σ/√Δt.
 
-use super::filter::{INFLATED, Layout, OPENVINS, form, sensor};
+use super::filter::{Layout, OPENVINS, form, sensor};
 use super::{ImuNoise, each, largest};
 use imu_core::sample::Triad;
 use std::fmt::Write as _;
@@ -21,7 +21,7 @@ pub(super) fn write(noise: &ImuNoise) -> String {
          # `<`: not identified in this record, 95 % upper limit; where it is the largest it stands as the number, which is\n\
          # conservative. Not expressible here: bias instability B, Gauss-Markov, one value per axis.\n",
     );
-    text += &super::comment("# ", INFLATED);
+    text += &super::comment("# ", noise.note());
     let entries = form(noise, &LAYOUT).entries;
     for (triad, axes, unit) in [(Triad::Accel, &noise.accel, "m/s"), (Triad::Gyro, &noise.gyro, "rad/s")] {
         let Some(axes) = axes else { continue };

@@ -8,6 +8,7 @@
 //! simulator then gets no walk: a number for a simulator is never larger than the measured one, except N, without which
 //! there would be no noise at all. Units are those of each target's public documentation or code, named in its file.
 
+mod consistent;
 mod filter;
 mod form;
 mod gazebo;
@@ -22,6 +23,7 @@ pub mod samples;
 #[cfg(test)]
 mod tests;
 
+pub use consistent::FilterKind;
 pub use form::Noise;
 
 use form::Form;
@@ -119,7 +121,7 @@ impl Target {
 
     /// Returns the text of a report's parameters; a comment names those that are not usable.
     pub fn write_report(self, report: &NoiseReport) -> String {
-        self.write(&ImuNoise { caution: self.refusal(report), ..ImuNoise::of(report) })
+        self.write(&ImuNoise::of_report(report, self.refusal(report)))
     }
 
     /// Returns the text with the parameters.
@@ -284,6 +286,9 @@ pub struct ImuNoise {
     /// Channels behind a filter that shapes white noise, with a description of the filter: one sample of these deviates
     /// less than N√rate.
     pub behind: BTreeMap<Channel, String>,
+    /// The reason why N and K are larger than the sensor's own, if they were replaced by consistent ones
+    /// ([`ImuNoise::consistent`]).
+    pub enlarged: Option<String>,
     /// The parts that no target can express, each by its name and its channel or triad.
     pub others: Vec<(String, String)>,
     /// Rate of the samples, Hz.
@@ -299,6 +304,12 @@ pub struct ImuNoise {
 }
 
 impl ImuNoise {
+    /// Returns the parameters of a report, with the reason why they should not be used, if there is one
+    /// ([`Target::refusal`]).
+    pub fn of_report(report: &NoiseReport, caution: Option<String>) -> Self {
+        Self { caution, ..Self::of(report) }
+    }
+
     /// Returns the parameters of a report, without a statement whether they may be used ([`Target::write_report`]).
     fn of(report: &NoiseReport) -> Self {
         let axes = |triad: Triad| {
@@ -315,6 +326,7 @@ impl ImuNoise {
                 .iter()
                 .filter_map(|(own, of)| Some((*own, of.bandwidth.as_ref()?.words())))
                 .collect(),
+            enlarged: None,
             others: Vec::new(),
             rate_hz: report.rate_hz,
             duration_s: report.duration_s,
@@ -409,7 +421,8 @@ impl ImuNoise {
         let [accel, gyro, mag] = triads;
         // Without a record: a day, over which its walks would be visible.
         let duration_s = stated_s.unwrap_or(86_400.0);
-        Self { origin, caution, behind, others, rate_hz: model.rate_hz, duration_s, accel, gyro, mag }
+        let (enlarged, rate_hz) = (None, model.rate_hz);
+        Self { origin, caution, behind, enlarged, others, rate_hz, duration_s, accel, gyro, mag }
     }
 
     /// Returns the channels behind filters, as the end of a sentence; empty if there are none.

@@ -50,6 +50,9 @@ pub(super) fn write(noise: &ImuNoise) -> String {
         noise.of_one_sample(&[Triad::Accel, Triad::Gyro, Triad::Mag])
     );
     text += &super::comment("# ", &note);
+    if let Some(why) = &noise.enlarged {
+        text += &super::comment("# ", why);
+    }
     matrices(&mut text, form(noise));
     for (sensor, axes, unit) in [("accel", &noise.accel, "m/s^3"), ("gyro", &noise.gyro, "rad/s^2")] {
         if let Some(axes) = axes {

@@ -11,6 +11,7 @@ fn noise() -> ImuNoise {
     ImuNoise {
         origin: "Capture night: 18000 s at 40 Hz".into(),
         caution: None,
+        enlarged: None,
         behind: BTreeMap::new(),
         others: Vec::new(),
         rate_hz: 40.0,
