@@ -237,6 +237,7 @@ fn name(source: &Source) -> String {
     let inner = || source.effect.parameter("of").and_then(|of| of.get("frequency_hz")?.as_f64());
     let own = source.effect.number("frequency_hz").or_else(|| source.effect.number("fundamental_hz"));
     match own.or_else(inner) {
+        Some(hz) if hz < 0.01 => format!("{} at {hz:.2e} Hz", source.cause),
         Some(hz) => format!("{} at {} Hz", source.cause, (hz * 1e4).round() / 1e4),
         None => source.cause.to_owned(),
     }
