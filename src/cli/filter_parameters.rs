@@ -156,7 +156,7 @@ fn reason(found: &FilterParameters, kind: FilterKind, pair: ConsistentPair) -> S
     };
     let what = match kind {
         FilterKind::WhiteAndWalk => "N and K",
-        FilterKind::White => "White noise (this program estimates no bias)",
+        FilterKind::White => "White noise (for a filter that estimates no bias)",
     };
     let opposite = if pair == ConsistentPair::Fit { ConsistentPair::Cover } else { ConsistentPair::Fit };
     let numbers = found.channels.iter().map(|(channel, of)| match (kind, chosen(of, kind, opposite)) {
@@ -176,8 +176,8 @@ fn reason(found: &FilterParameters, kind: FilterKind, pair: ConsistentPair) -> S
     };
     let extrapolated = if found.extrapolated { ", an extrapolation beyond the record" } else { "" };
     format!(
-        "Consistent, larger than the sensor's at rest and never smaller: {what} with which the predicted errors over {from} to {to} after {} of alignment{extrapolated} \
-         {own}.{causes} The pair that {other} ({name}), as densities: {numbers}.",
+        "Consistent, at least the sensor's own at rest: {what} with which the predicted errors over {from} to {to} after {} of alignment{extrapolated} \
+         {own}.{causes} The pair that {other} ({name}), as densities, before the sensor's own replace smaller ones: {numbers}.",
         time(found.align_s)
     )
 }

@@ -146,8 +146,10 @@ pub(crate) fn of_line(line: Line, rate_hz: f64, align: u64, grid: &Grid) -> Mome
 pub(crate) struct Windows {
     align: u64,
     starts: Vec<u64>,
-    /// The places in the record, in samples, up to which sums are needed; increasing.
+    /// The places in the record, in samples, up to which sums are needed; increasing. Empty if all are.
     places: Vec<u64>,
+    /// The samples that all windows need.
+    samples: u64,
 }
 
 impl Windows {
@@ -162,20 +164,36 @@ impl Windows {
         let mut places: Vec<u64> = starts.iter().flat_map(|start| offsets.iter().map(move |of| start + of)).collect();
         places.sort_unstable();
         places.dedup();
-        Self { align, starts, places }
+        let samples = places.last().copied().unwrap_or(0);
+        Self { align, starts, places, samples }
+    }
+
+    /// Creates windows of a record of `samples` that begin at most `stride` samples apart. What lasts for a short time is then
+    /// in as many of them as in the record's.
+    pub(crate) fn dense(samples: u64, align: u64, grid: &Grid, stride: u64) -> Self {
+        let longest = align + grid.horizons.last().copied().unwrap_or(1);
+        let last = samples.saturating_sub(longest);
+        if last / stride.max(1) < WINDOWS_MAX {
+            return Self::new(samples, align, grid);
+        }
+        let starts = (0..=last).step_by(stride.max(1) as usize).collect();
+        Self { align, starts, places: Vec::new(), samples: last + longest }
     }
 
     /// Returns the samples that all windows need.
     pub(crate) fn samples(&self) -> u64 {
-        self.places.last().copied().unwrap_or(0)
+        self.samples
     }
 
     /// Returns the mean over the windows of the products of integrals of a record's samples.
     pub(crate) fn moments(&self, rate_hz: f64, grid: &Grid, mut next: impl FnMut() -> f64) -> Moments {
+        let all_places = 0..=self.samples;
+        let is_dense = self.places.is_empty();
+        let places = self.places.iter().copied().chain(all_places.take_while(|_| is_dense));
         let mut sums = Vec::with_capacity(self.places.len());
         let (mut sum, mut taken, mut first) = (0.0, 0_u64, None);
-        for place in &self.places {
-            while taken < *place {
+        for place in places {
+            while taken < place {
                 let value = next();
                 // Relative to the first sample, so that a constant cancels exactly.
                 sum += value - *first.get_or_insert(value);
@@ -183,7 +201,8 @@ impl Windows {
             }
             sums.push(sum);
         }
-        let at = |place: u64| self.places.binary_search(&place).ok().and_then(|index| sums.get(index)).copied();
+        let index = |place: u64| if is_dense { Some(place as usize) } else { self.places.binary_search(&place).ok() };
+        let at = |place: u64| index(place).and_then(|index| sums.get(index)).copied();
         let mut all = vec![0.0; grid.pairs.len()];
         let mut integrals = vec![0.0; grid.horizons.len()];
         let (weight, align) = (1.0 / (self.starts.len() as f64 * rate_hz * rate_hz), self.align);

@@ -156,9 +156,13 @@ impl OfChannel<'_> {
                     }
                 }
                 Law::Gated { frequency_hz, amplitude, intervals } => {
+                    // A quarter of the shortest interval or horizon.
+                    let shortest = intervals.iter().map(|(from, to)| to - from).fold(f64::INFINITY, f64::min);
+                    let shortest = (shortest * setting.rate_hz).min(grid.horizons.first().map_or(1.0, |of| *of as f64));
+                    let stride = (0.25 * shortest).max(1.0) as u64;
                     for wave in [f64::cos, f64::sin] {
                         let next = gated_wave(record, of, *frequency_hz, *amplitude, intervals, wave);
-                        let windows = Windows::new(record.samples(), setting.align, grid);
+                        let windows = Windows::dense(record.samples(), setting.align, grid, stride);
                         // The mean over all phases.
                         add(&mut moments, 0.5, &windows.moments(setting.rate_hz, grid, next));
                     }

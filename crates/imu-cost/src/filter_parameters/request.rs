@@ -236,6 +236,10 @@ impl<'a> Asked<'a> {
         let first_s = USUAL_S[0].max(1.0 / model.rate_hz);
         let over = request.over.unwrap_or(Over { from_s: first_s, to_s: USUAL_S[1].max(10.0 * first_s) });
         over.check()?;
+        if over.to_s * model.rate_hz < 1.0 {
+            let (rate_hz, least_s) = (model.rate_hz, 1.0 / model.rate_hz);
+            return Err(FilterError::Short { found_s: over.from_s, rate_hz, least_s });
+        }
         if let Some(found_s) = request.record_s.filter(|record_s| !(record_s.is_finite() && *record_s > 0.0)) {
             return Err(FilterError::Record { found_s });
         }

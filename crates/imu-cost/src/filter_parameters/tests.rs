@@ -320,6 +320,24 @@ fn a_record_has_the_moments_of_its_windows() {
     }
 }
 
+/// A line of a third of a second in eight hours has the same part wherever it lies. White noise that covers it alone has an N of
+/// 4.6e-4, by sums over all windows (numpy).
+#[test]
+fn a_short_line_has_the_same_part_wherever_it_lies() {
+    let covers = [10_000.0, 10_003.0, 10_005.0].map(|from: f64| {
+        let to = from + 0.3;
+        let gated = format!(
+            r#"{{"effect": "intermittent", "of": {{"effect": "tone", "frequency_hz": 5.3, "amplitude": 1.0}}, "intervals": [[{from}, {to}]]}}"#
+        );
+        let sensor = model_at(40.0, &format!(r#"{{"N": 1e-4, "K": 1e-6, "effects": [{gated}]}}"#));
+        let of = found(&sensor, &FilterRequest { record_s: Some(28_800.0), ..request() }).channels[&Channel::GyroZ].clone();
+        of.white.cover.n
+    });
+    for n in covers {
+        assert!((n / covers[0] - 1.0).abs() < 0.02 && (n / 4.61e-4 - 1.0).abs() < 0.03, "{covers:?}");
+    }
+}
+
 /// The root mean square of windows at any time of simulated records, at fourteen horizons. The figures of docs/filters.md:
 /// `cargo test -p imu-cost -- --nocapture real_errors_are`.
 #[test]

@@ -19,8 +19,13 @@ pub(super) fn write(noise: &ImuNoise) -> String {
     text.push_str(
         "# Continuous-time, SI. One number per sensor: the largest axis; each axis in the comment (x, y, z).\n\
          # `<`: not identified in this record, 95 % upper limit; where it is the largest it stands as the number, which is\n\
-         # conservative. Not expressible here: bias instability B, Gauss-Markov, one value per axis.\n",
+         # conservative. ",
     );
+    text.push_str(if noise.enlarged.is_some() {
+        "Bias instability B and other effects are in these numbers; add nothing for them.\n"
+    } else {
+        "Not expressible here: bias instability B, Gauss-Markov, one value per axis.\n"
+    });
     text += &super::comment("# ", noise.note());
     let entries = form(noise, &LAYOUT).entries;
     for (triad, axes, unit) in [(Triad::Accel, &noise.accel, "m/s"), (Triad::Gyro, &noise.gyro, "rad/s")] {

@@ -44,16 +44,23 @@ fn covariance(triad: Triad, key: &'static str, unit: &str, axes: &[Axis; 3], fac
 
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
-    let note = format!(
-        "Variances {}, N^2 rate, SI. A covariance holds white noise only: bias instability B, rate random walk K and Gauss-Markov \
-         cannot be expressed here and belong into the filter's process noise.",
-        noise.of_one_sample(&[Triad::Accel, Triad::Gyro, Triad::Mag])
-    );
+    let others = if noise.enlarged.is_some() {
+        "Bias instability B, rate random walk K and other effects are in these numbers, for a filter that estimates no bias. Add no \
+         process noise for them."
+    } else {
+        "A covariance holds white noise only: bias instability B, rate random walk K and Gauss-Markov cannot be expressed here \
+         and belong into the filter's process noise."
+    };
+    let note =
+        format!("Variances {}, N^2 rate, SI. {others}", noise.of_one_sample(&[Triad::Accel, Triad::Gyro, Triad::Mag]));
     text += &super::comment("# ", &note);
     if let Some(why) = &noise.enlarged {
         text += &super::comment("# ", why);
     }
     matrices(&mut text, form(noise));
+    if noise.enlarged.is_some() {
+        return text;
+    }
     for (sensor, axes, unit) in [("accel", &noise.accel, "m/s^3"), ("gyro", &noise.gyro, "rad/s^2")] {
         if let Some(axes) = axes {
             let walks = super::each(axes.map(|axis| axis.k));
