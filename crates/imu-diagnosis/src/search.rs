@@ -165,6 +165,9 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
             Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
             _ => {}
         }
+        if !kind.is_marginal() && kind != Kind::VarianceProfile {
+            stretch_instead(series, prices, &mut steps, &start);
+        }
         more_spikes(series);
     }
     other_filter(series, prices, &mut steps);
@@ -502,6 +505,8 @@ fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
     }
 }
 
+/// Adds the other tones that are clearly worth their price. A tone that hardly exceeds its surroundings is left to the
+/// comparison with noise of their spectrum.
 pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
     const MOST: usize = 24;
     /// Nats beyond the price: an effect that is hardly worth its price is compared with the other effects again.
@@ -509,12 +514,41 @@ pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
     for _ in 0..MOST {
         let Some(tone) = evidence::line::tone(series) else { break };
         let price = prices.of(Kind::Tone);
-        if tone.gain < price + CLEAR {
+        let found = tone.explanation.sines.last().map(|sine| sine.cycles);
+        let Some(cycles) = found.filter(|_| tone.gain > price + CLEAR) else { break };
+        if tone.gain / evidence::line::surroundings(series, cycles) < price + CLEAR {
             break;
         }
         series.adopt(tone.explanation);
         steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new(), of_model: None });
     }
+}
+
+/// Replaces a smooth course of the variance by a stretch of another variance if the stretch explains more. Steps of the level
+/// and lines that were not known when the course was found can hide where the stretch begins and ends.
+fn stretch_instead(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
+    let is_own = |step: &Step, kind: Kind| step.kind == kind && step.of_model.is_none();
+    let Some(at) = steps.iter().position(|step| is_own(step, Kind::VarianceProfile)) else { return };
+    // Beside bursts that are known first, the course is measured as it is.
+    if steps[..at].iter().any(|step| is_own(step, Kind::Bursts)) {
+        return;
+    }
+    let mut bare = series.changed(|of| {
+        of.scedasticity = None;
+        of.tails = start.tails;
+        of.retain_loud(start.loud.len(), |_| false);
+    });
+    let worth = |of: &Candidate| of.gain - prices.of(of.kind);
+    let course = evidence::loudness::profile(&bare);
+    let stretches = evidence::loudness::intervals(&bare);
+    let stretch = stretches.into_iter().find(|of| of.kind == Kind::VarianceInterval);
+    let least = course.as_ref().map_or(0.0, worth).max(0.0);
+    let Some(stretch) = stretch.filter(|of| worth(of) > least) else { return };
+    let (kind, gain) = (stretch.kind, stretch.gain);
+    bare.adopt(stretch.explanation);
+    *series = bare;
+    steps[at] = Step { kind, gain, price: prices.of(kind), others: Vec::new(), of_model: None };
+    steps.retain(|step| !is_own(step, Kind::HeavyTails) && !is_own(step, Kind::Bursts));
 }
 
 /// Nats by which an effect that the model lacks has to exceed another reading of the model's own effects.

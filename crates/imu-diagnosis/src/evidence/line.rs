@@ -110,6 +110,34 @@ fn come_and_go(series: &Series<'_>, sine: GatedSine) -> Candidate {
     Candidate::missing(Kind::Intermittent, gain, explanation)
 }
 
+/// Returns the periodogram of the residual, with the mean 1 at the present law.
+fn periodogram(series: &mut Series<'_>) -> Vec<f64> {
+    series.transform.periodogram(&series.residual)
+}
+
+/// Returns the mean power of the residual about a line relative to the law, 1 or more. Near the line it is estimated from
+/// medians, which other lines do not raise: of the greatest of three widths.
+pub fn surroundings(series: &mut Series<'_>, cycles: f64) -> f64 {
+    /// Half widths, and the half width of the line, in values of the periodogram.
+    const WIDTHS: [usize; 3] = [20, 64, 256];
+    const LINE: usize = 4;
+    let periodogram = periodogram(series);
+    let last = periodogram.len() - 1;
+    let at = ((2.0 * last as f64 * cycles) as usize).min(last);
+    let mean = |width: usize| {
+        let below = at.saturating_sub(width).max(1)..at.saturating_sub(LINE).max(1);
+        let above = (at + LINE + 1).min(last)..(at + width).min(last);
+        let mut near: Vec<f64> = periodogram[below].iter().chain(&periodogram[above]).copied().collect();
+        let middle = near.len() / 2;
+        if near.is_empty() {
+            return 1.0;
+        }
+        // Powers are distributed exponentially.
+        *near.select_nth_unstable_by(middle, f64::total_cmp).1 / std::f64::consts::LN_2
+    };
+    WIDTHS.map(mean).into_iter().fold(1.0, f64::max)
+}
+
 /// Searches for a sine that is always present: the strongest that remains.
 pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
     sines(series).0
@@ -117,9 +145,7 @@ pub fn tone(series: &mut Series<'_>) -> Option<Candidate> {
 
 /// Searches for sines: the strongest that is always present, and those that come and go.
 pub fn sines(series: &mut Series<'_>) -> (Option<Candidate>, Vec<Candidate>) {
-    let residual = std::mem::take(&mut series.residual);
-    let periodogram = series.transform.periodogram(&residual);
-    series.residual = residual;
+    let periodogram = periodogram(series);
     let (strongest, gated) = lines(series, periodogram);
     (strongest.and_then(|line| steady(series, line)), gated)
 }
