@@ -2,6 +2,7 @@
 
 use super::dot::dot;
 use super::filling::stream;
+use super::phase;
 use super::series::Series;
 use super::transform::Cosines;
 
@@ -11,17 +12,24 @@ const DRAWN: u16 = 7;
 /// A record x is the sum of white noise w, whose variance v changes with time, and the rest s, of spectrum S. Given x,
 /// both are drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380). With draws s' and w'
 /// from their laws, s is s' + C(C + V)⁻¹(x − s' − w'); C is the covariance of S and V that of w. Then s + w/√v has the
-/// spectrum S + 1, exactly. Every method that requires the same noise throughout may therefore be applied to it. A
-/// filter that acts behind the white noise cannot be undone in this way, and is left as it is.
+/// spectrum S + 1, exactly. Every method that requires the same noise throughout may therefore be applied to it.
+///
+/// Behind filters the record is s + Fw, and noise that enters behind them is part of s: F·V·Fᵀ takes the place of V, and
+/// s + F(w/√v) has the spectrum S + |F|². The filters' phase is removed first ([`phase::undo`]) and restored afterwards, so that
+/// |F| takes the place of F.
 #[derive(Debug, Clone)]
 pub(super) struct Equaliser {
-    /// Standard deviation of the white noise at each sample; [`Equaliser::UNKNOWN`] times the largest for samples without
-    /// information.
+    /// Standard deviation of the white noise at each sample; without filters, [`Equaliser::UNKNOWN`] times the largest for
+    /// samples without information.
     deviation: Vec<f64>,
     /// The standard deviation of the white noise at variance 1.
     white: f64,
     /// Power of the rest in each coefficient.
     rest: Vec<f64>,
+    /// The filters' gain of the white noise in each coefficient; empty without filters.
+    gain: Vec<f64>,
+    /// The squares of the gain.
+    squares: Vec<f64>,
     /// (C + V)⁻¹(x − s' − w') for the record.
     solution: Vec<f64>,
 }
@@ -33,8 +41,17 @@ impl Equaliser {
     /// Returns the values of the record with even white noise; `white` is its standard deviation as a multiple of the
     /// noise's own. `None` if the solver found no solution.
     pub(super) fn apply(&self, transform: &mut Cosines, values: &[f64]) -> Option<Vec<f64>> {
-        let solution = self.solve(transform, values, None)?;
-        Some(self.even(transform, values, &solution))
+        let mut values = values.to_vec();
+        phase::undo(&mut values, &self.squares);
+        let solution = self.solve(transform, &values, None)?;
+        let mut even = self.even(transform, &values, &solution);
+        phase::redo(&mut even, &self.squares);
+        Some(even)
+    }
+
+    /// Returns the power gain of the white noise in a coefficient.
+    fn passed(&self, place: usize) -> f64 {
+        self.squares.get(place).copied().unwrap_or(1.0)
     }
 
     /// Returns the part of the information about the white noise's variance at a place that the rest of the noise
@@ -42,8 +59,9 @@ impl Equaliser {
     pub(super) fn left(&self, place: usize) -> (f64, f64) {
         let white = self.deviation[place] * self.deviation[place];
         let (mut squares, mut products) = (0.0, 0.0);
-        for rest in &self.rest {
-            let share = white / (white + rest);
+        for (at, rest) in self.rest.iter().enumerate() {
+            let white = white * self.passed(at);
+            let share = white / (white + rest).max(f64::MIN_POSITIVE);
             squares += share * share;
             products += share * (1.0 - share);
         }
@@ -52,15 +70,28 @@ impl Equaliser {
 
     /// Returns the result of [`Self::apply`], given (C + V)⁻¹ times the values: the most probable rest is C times that.
     fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
-        let mut slow = self.filtered(transform, solution, &|s| s);
-        let places = slow.iter_mut().zip(values).zip(&self.deviation);
-        places.for_each(|((slow, x), own)| *slow += self.white * (x - *slow) / own);
-        slow
+        let mut even = self.filtered(transform, solution, &|s| s);
+        if self.gain.is_empty() {
+            let places = even.iter_mut().zip(values).zip(&self.deviation);
+            places.for_each(|((slow, x), own)| *slow += self.white * (x - *slow) / own);
+            return even;
+        }
+        // The most probable w/√v is √v·Fᵀ times the solution.
+        let mut fast = self.behind(transform, solution.to_vec());
+        fast.iter_mut().zip(&self.deviation).for_each(|(fast, own)| *fast *= self.white * own);
+        let fast = self.behind(transform, fast);
+        even.iter_mut().zip(fast).for_each(|(even, fast)| *even += fast);
+        even
     }
 
-    /// Returns values over the white noise's deviation.
-    fn whitened(&self, values: &[f64]) -> Vec<f64> {
-        values.iter().zip(&self.deviation).map(|(x, own)| x / own).collect()
+    /// Returns values behind the filters.
+    fn behind(&self, transform: &mut Cosines, mut values: Vec<f64>) -> Vec<f64> {
+        if !self.gain.is_empty() {
+            transform.forward(&mut values);
+            values.iter_mut().zip(&self.gain).for_each(|(c, gain)| *c *= gain);
+            transform.backward(&mut values);
+        }
+        values
     }
 
     /// Returns values whose coefficients are multiplied by a function of the rest's power.
@@ -72,67 +103,129 @@ impl Equaliser {
         c
     }
 
-    /// Returns (1 + V^−½·C·V^−½) times values.
-    fn image(&self, transform: &mut Cosines, values: &[f64]) -> Vec<f64> {
-        let mut image = self.whitened(&self.filtered(transform, &self.whitened(values), &|s| s));
-        image.iter_mut().zip(values).for_each(|(i, x)| *i += x);
-        image
+    /// Returns values over the white noise's deviation.
+    fn whitened(&self, values: &[f64]) -> Vec<f64> {
+        values.iter().zip(&self.deviation).map(|(x, own)| x / own).collect()
     }
 
     /// Returns (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
     /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
     fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
-        const ROUNDS: usize = 100;
-        /// The number of samples that all rounds together may transform.
-        const WORK: usize = 60_000_000;
-        /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest
-        /// acceptable one.
-        const ENOUGH: f64 = 1e-8;
-        const MOST: f64 = 1e-4;
-        let n = values.len();
-        let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / n as f64).exp();
-        let nearly = |s: f64| 1.0 / (1.0 + s / usual);
-        let mut residual = self.whitened(values);
-        let all = dot(&residual, &self.filtered(transform, &residual, &nearly));
-        let mut solution = match near {
-            Some(near) => near.iter().zip(&self.deviation).map(|(x, own)| x * own).collect(),
-            None => vec![0.0; n],
+        let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / values.len() as f64).exp();
+        if !self.gain.is_empty() {
+            return self.solve_behind(transform, values, near, usual);
+        }
+        let nearly =
+            |transform: &mut Cosines, values: &[f64]| self.filtered(transform, values, &|s| 1.0 / (1.0 + s / usual));
+        let image = |transform: &mut Cosines, values: &[f64]| {
+            let mut image = self.whitened(&self.filtered(transform, &self.whitened(values), &|s| s));
+            image.iter_mut().zip(values).for_each(|(i, x)| *i += x);
+            image
         };
-        if near.is_some() {
-            let image = self.image(transform, &solution);
-            residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= i);
-        }
-        let mut direction = self.filtered(transform, &residual, &nearly);
-        let mut square = dot(&residual, &direction);
-        for _ in 0..ROUNDS.min(WORK / n.max(1)) {
-            if square <= ENOUGH * all || square.is_nan() {
-                break;
-            }
-            let image = self.image(transform, &direction);
-            let step = square / dot(&direction, &image);
-            solution.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
-            residual.iter_mut().zip(&image).for_each(|(r, i)| *r -= step * i);
-            let nearer = self.filtered(transform, &residual, &nearly);
-            let next = dot(&residual, &nearer);
-            let ratio = next / square;
-            direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
-            square = next;
-        }
-        (square <= MOST * all).then(|| self.whitened(&solution))
+        let near = near.map(|near| near.iter().zip(&self.deviation).map(|(x, own)| x * own).collect());
+        let solution = conjugate_gradients(transform, self.whitened(values), near, &image, &nearly, PRECISE)?;
+        Some(self.whitened(&solution))
     }
 
-    /// Returns the factor by which a slow change of a sine's amplitude is multiplied at each sample. `power` is the
-    /// rest's power at the sine's frequency.
-    pub(super) fn factors(&self, power: f64) -> impl Iterator<Item = f64> {
-        let white = self.white;
-        self.deviation.iter().map(move |own| (power + own * white) / (power + own * own))
+    /// Returns the result of [`Self::solve`] behind filters. `usual` is v̄.
+    ///
+    /// Uses conjugate gradients on the coefficients' matrix S + |F|·V·|F|, which the inverse of S + v̄·|F|² brings near to 1.
+    fn solve_behind(
+        &self,
+        transform: &mut Cosines,
+        values: &[f64],
+        near: Option<&[f64]>,
+        usual: f64,
+    ) -> Option<Vec<f64>> {
+        let places = self.rest.iter().zip(&self.squares);
+        let about: Vec<f64> = places.map(|(s, passed)| (s + usual * passed).max(f64::MIN_POSITIVE)).collect();
+        let nearly =
+            |_: &mut Cosines, c: &[f64]| -> Vec<f64> { c.iter().zip(&about).map(|(c, about)| c / about).collect() };
+        let image = |transform: &mut Cosines, c: &[f64]| -> Vec<f64> {
+            let mut white: Vec<f64> = c.iter().zip(&self.gain).map(|(c, gain)| c * gain).collect();
+            transform.backward(&mut white);
+            white.iter_mut().zip(&self.deviation).for_each(|(w, own)| *w *= own * own);
+            transform.forward(&mut white);
+            let places = white.iter().zip(&self.gain).zip(c.iter().zip(&self.rest));
+            places.map(|((white, gain), (c, s))| white * gain + c * s).collect()
+        };
+        let coefficients = |transform: &mut Cosines, values: &[f64]| {
+            let mut c = values.to_vec();
+            transform.forward(&mut c);
+            c
+        };
+        let near = near.map(|near| coefficients(transform, near));
+        let values = coefficients(transform, values);
+        let mut solution = conjugate_gradients(transform, values, near, &image, &nearly, PRECISE_BEHIND)?;
+        transform.backward(&mut solution);
+        Some(solution)
     }
 
-    /// Returns the power of the rest in a coefficient.
-    pub(super) fn power(&self, place: usize) -> f64 {
-        self.rest.get(place).copied().unwrap_or_default()
+    /// Returns the factor by which a slow change of a sine's amplitude is multiplied at each sample, for a sine at the
+    /// frequency of this coefficient.
+    pub(super) fn factors(&self, place: usize) -> impl Iterator<Item = f64> {
+        let power = self.rest.get(place).copied().unwrap_or_default();
+        let (white, passed) = (self.white, self.passed(place));
+        let sum = move |white: f64| power + white * passed;
+        self.deviation.iter().map(move |own| sum(own * white) / sum(own * own).max(f64::MIN_POSITIVE))
     }
+}
+
+/// When conjugate gradients end.
+struct Precision {
+    rounds: usize,
+    /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest
+    /// acceptable one.
+    enough: f64,
+    most: f64,
+}
+
+const PRECISE: Precision = Precision { rounds: 100, enough: 1e-8, most: 1e-4 };
+/// Behind filters the residual is relative to the usual noise, and at quiet times the noise is much smaller.
+const PRECISE_BEHIND: Precision = Precision { rounds: 200, enough: 1e-10, most: 1e-6 };
+
+/// A linear function of a record or of its coefficients.
+type Linear<'a> = &'a dyn Fn(&mut Cosines, &[f64]) -> Vec<f64>;
+
+/// Solves a symmetric positive equation by conjugate gradients, from a starting point near the solution if one is known.
+/// `image` multiplies by the matrix, and `nearly` about by its inverse. `None` if the rounds end far from the solution.
+fn conjugate_gradients(
+    transform: &mut Cosines,
+    values: Vec<f64>,
+    near: Option<Vec<f64>>,
+    image: Linear<'_>,
+    nearly: Linear<'_>,
+    precision: Precision,
+) -> Option<Vec<f64>> {
+    /// The number of samples that all rounds together may transform.
+    const WORK: usize = 60_000_000;
+    let n = values.len();
+    let mut residual = values;
+    let all = dot(&residual, &nearly(transform, &residual));
+    let mut solution = vec![0.0; n];
+    if let Some(near) = near {
+        solution = near;
+        let there = image(transform, &solution);
+        residual.iter_mut().zip(&there).for_each(|(r, i)| *r -= i);
+    }
+    let mut direction = nearly(transform, &residual);
+    let mut square = dot(&residual, &direction);
+    for _ in 0..precision.rounds.min(WORK / n.max(1)) {
+        if square <= precision.enough * all || square.is_nan() {
+            break;
+        }
+        let there = image(transform, &direction);
+        let step = square / dot(&direction, &there);
+        solution.iter_mut().zip(&direction).for_each(|(x, d)| *x += step * d);
+        residual.iter_mut().zip(&there).for_each(|(r, i)| *r -= step * i);
+        let nearer = nearly(transform, &residual);
+        let next = dot(&residual, &nearer);
+        let ratio = next / square;
+        direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
+        square = next;
+    }
+    (square <= precision.most * all).then_some(solution)
 }
 
 impl Series<'_> {
@@ -165,21 +258,34 @@ impl Series<'_> {
     pub(super) fn equalise(&mut self) {
         /// Variances that differ by at least this ratio are uneven.
         const UNEVEN: f64 = 2.0;
+        /// The largest ratio behind filters, where conjugate gradients take about its root as many rounds.
+        const UNEVEN_BEHIND: f64 = 1000.0;
         let n = self.len();
         let before = self.equaliser.take();
         let variance = self.variances();
         let (least, most) = variance.iter().fold((f64::MAX, 0.0f64), |(l, m), v| (l.min(*v), m.max(*v)));
         let is_uneven = most > UNEVEN * least && least > 0.0 && most.is_finite();
-        if !is_uneven || self.spectrum.len() != n || !self.censored.is_empty() || self.filters().is_some() {
+        if !is_uneven || self.spectrum.len() != n || !self.censored.is_empty() {
             return;
         }
-        if !self.law_is_even() {
+        let mut squares = self.filters().unwrap_or_default();
+        if !self.law_is_even() || (!squares.is_empty() && most > UNEVEN_BEHIND * least) {
             return;
         }
         let white = self.white();
         let mut deviation: Vec<f64> = variance.iter().map(|v| white * v.sqrt()).collect();
-        for place in self.excluded() {
-            deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
+        // Excluded samples carry no information. Behind filters, draws from the law that agree with the samples about them
+        // take their place.
+        if squares.is_empty() {
+            for place in self.excluded() {
+                deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
+            }
+        } else {
+            self.interpolate();
+        }
+        // The gain of a constant is not known.
+        if let [first, second, ..] = squares.as_mut_slice() {
+            *first = *second;
         }
         // A constant is not noise and is not divided.
         let weights = deviation.iter().map(|own| 1.0 / (own * own));
@@ -187,22 +293,30 @@ impl Series<'_> {
         let mean = sum / all;
         self.mean += mean;
         self.rest.iter_mut().for_each(|value| *value -= mean);
-        let mut rest: Vec<f64> = self.spectrum.iter().map(|s| (s - white * white).max(0.0)).collect();
+        let passed = |at: usize| squares.get(at).copied().unwrap_or(1.0);
+        let other = |(at, s): (usize, &f64)| (s - white * white * passed(at)).max(0.0);
+        let mut rest: Vec<f64> = self.spectrum.iter().enumerate().map(other).collect();
         // The mean is unknown.
         rest[0] = rest[1];
-        let mut equaliser = Equaliser { deviation, white, rest, solution: Vec::new() };
+        let gain: Vec<f64> = squares.iter().map(|square| square.sqrt()).collect();
+        let mut equaliser = Equaliser { deviation, white, rest, gain, squares, solution: Vec::new() };
         let mut stream = stream(n, self.setting().owner, DRAWN);
         let mut slow: Vec<f64> = equaliser.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
         slow[0] = 0.0;
         self.transform.backward(&mut slow);
         let fast: Vec<f64> = (0..n).map(|_| stream.normal()).collect();
-        let drawn = slow.iter().zip(&fast).zip(&equaliser.deviation).map(|((slow, fast), own)| slow + own * fast);
-        let difference: Vec<f64> = self.rest.iter().zip(drawn).map(|(x, drawn)| x - drawn).collect();
+        let own = fast.iter().zip(&equaliser.deviation).map(|(fast, own)| own * fast).collect();
+        let mut drawn = equaliser.behind(&mut self.transform, own);
+        drawn.iter_mut().zip(&slow).for_each(|(drawn, slow)| *drawn += slow);
+        phase::redo(&mut drawn, &equaliser.squares);
+        let mut difference: Vec<f64> = self.rest.iter().zip(drawn).map(|(x, drawn)| x - drawn).collect();
+        phase::undo(&mut difference, &equaliser.squares);
         let near = before.as_ref().map(|before| before.solution.as_slice());
         let Some(solution) = equaliser.solve(&mut self.transform, &difference, near) else { return };
         let known = equaliser.even(&mut self.transform, &difference, &solution);
-        self.rest =
-            known.iter().zip(&slow).zip(&fast).map(|((known, slow), fast)| known + slow + white * fast).collect();
+        let fast = equaliser.behind(&mut self.transform, fast.iter().map(|fast| white * fast).collect());
+        self.rest = known.iter().zip(&slow).zip(&fast).map(|((known, slow), fast)| known + slow + fast).collect();
+        phase::redo(&mut self.rest, &equaliser.squares);
         equaliser.solution = solution;
         self.equaliser = Some(equaliser);
     }

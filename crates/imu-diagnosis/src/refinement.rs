@@ -51,8 +51,7 @@ impl Series<'_> {
             }
             let mut sums = [0.0; 2];
             let at = ((2.0 * n as f64 * cycles) as usize).clamp(1, n - 1);
-            let factors: Option<Vec<f64>> =
-                self.equaliser.as_ref().map(|equaliser| equaliser.factors(equaliser.power(at)).collect());
+            let factors: Option<Vec<f64>> = self.equaliser.as_ref().map(|equaliser| equaliser.factors(at).collect());
             let factor = |t: usize| factors.as_ref().map_or(1.0, |factors| factors[t]);
             turning(cycles, n, |t, cosine, sine| {
                 let there = factor(t) * self.residual[t];

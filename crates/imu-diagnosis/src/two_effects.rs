@@ -1,6 +1,6 @@
 //! Two effects on one channel: both are found, and the interval of each holds the truth whatever the other is.
 
-use super::cliffs::{WHITE, Wrong, diagnosed, names};
+use super::cliffs::{WHITE, Wrong, diagnosed, list, names};
 use super::round_trip::{model, recording};
 use super::strong_effects::SAMPLES;
 use imu_core::sample::Channel;
@@ -138,4 +138,77 @@ fn a_ramp_beside_a_warm_up_is_found() {
         expect_both(&mut wrong, [&ramp, &warm_up], seed);
     }
     wrong.none();
+}
+
+/// Noise that enters behind a filter stays as loud as it is while the noise in front of it changes.
+#[test]
+fn behind_a_filter_a_change_of_variance_is_no_tails_and_no_bursts() {
+    let profile: Vec<[f64; 2]> =
+        (0..=40).map(|k| f64::from(k) * 25.0).map(|at| [at, (1.4 * (at / 110.0).sin()).exp()]).collect();
+    let course = json!({"effect": "variance_change", "profile": profile});
+    let mut wrong = Wrong::default();
+    for (order, cutoff_hz, behind, seed) in [(1, 7.5, 1e-4, 1), (2, 7.0, 4e-5, 2), (1, 4.0, 2e-4, 3)] {
+        let filter = json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": order, "white_behind": behind});
+        let found = diagnosed(&recording(&with_both([&course, &filter]), seed, SAMPLES), &model(None));
+        let mut named = names(&found);
+        named.sort_unstable();
+        let remains = found.diagnosis.remainder.as_ref().map_or(0.0, |of| of.nats);
+        wrong.expect(named == ["low_pass", "variance_change"] && remains < 2e-3, || {
+            format!("order {order} at {cutoff_hz} Hz, seed {seed}: {named:?}, {remains} nats remain")
+        });
+    }
+    wrong.none();
+}
+
+/// Steps of the level hide where a louder stretch begins, so that it looks like a course of the variance at first.
+#[test]
+fn a_louder_stretch_beside_large_steps_is_one_stretch() {
+    let mut wrong = Wrong::default();
+    for (factor, size, seed) in [(4.3, 90.0, 1), (2.5, 40.0, 2), (7.0, 200.0, 3)] {
+        let louder = json!({"effect": "variance_change", "from_s": 640.0, "to_s": 960.0, "factor": factor});
+        let mut real = recording(
+            &with_both([&louder, &json!({"effect": "moving_average", "window": 4, "white_behind": 5e-5})]),
+            seed,
+            SAMPLES,
+        );
+        let values = &mut real.channels[0].1;
+        for at in [3_513, 15_654] {
+            values[at..].iter_mut().for_each(|value| *value += size * WHITE);
+        }
+        let found = diagnosed(&real, &model(None));
+        let mut named = names(&found);
+        named.sort_unstable();
+        let cause = found.diagnosis.causes.iter().find(|cause| cause.effect.name() == "variance_change");
+        let is_stretch = cause.is_some_and(|cause| list(cause, "accel_x").iter().any(|of| of["from_s"].is_number()));
+        wrong.expect(named == ["bias_step", "moving_average", "variance_change"] && is_stretch, || {
+            format!("{factor} {size} seed {seed}: {named:?}")
+        });
+    }
+    wrong.none();
+}
+
+/// A strong line is searched first, and then further lines. The many peaks of a band or of slow noise are none.
+#[test]
+fn beside_lines_a_band_or_slow_noise_is_no_further_lines() {
+    let comb = json!({"effect": "comb", "fundamental_hz": 3.1, "amplitudes": [0.9 * WHITE, 0.8 * WHITE, 1.1 * WHITE]});
+    let mut wrong = Wrong::default();
+    for (other, seed) in [
+        (json!({"effect": "resonance", "frequency_hz": 10.7, "bandwidth_hz": 0.35, "sigma": 0.6 * WHITE}), 1),
+        (json!({"effect": "resonance", "frequency_hz": 5.3, "bandwidth_hz": 0.08, "sigma": 0.3 * WHITE}), 2),
+        (json!({"effect": "gauss_markov", "sigma": 1.6 * WHITE, "tc_s": 5.0}), 3),
+    ] {
+        for times in [1.0, 6.0] {
+            let comb = scaled(&comb, times);
+            expect_both(&mut wrong, [&comb, &other], seed);
+        }
+    }
+    wrong.none();
+}
+
+/// Returns a comb with other amplitudes.
+fn scaled(comb: &Value, times: f64) -> Value {
+    let mut scaled = comb.clone();
+    let amplitudes = scaled["amplitudes"].as_array_mut().unwrap();
+    amplitudes.iter_mut().for_each(|of| *of = json!(times * of.as_f64().unwrap()));
+    scaled
 }
