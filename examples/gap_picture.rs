@@ -4,19 +4,15 @@
 //! cargo run --release --example gap_picture -- accel_y 40 real=desk.txt.gz "N, B, K=plain.csv" corrected=better.csv > docs/gap-desk.svg
 //! ```
 
+mod axes;
+
+use axes::{Axes, BOTTOM, COLOURS, HEIGHT, LEFT, RIGHT, TOP, WIDTH, ends};
 use imu_core::sample::Channel;
 use imu_files::recording::{Options, load_columns};
 use realfft::RealFftPlanner;
 use std::fmt::Write as _;
 use std::path::Path;
 
-const WIDTH: f64 = 760.0;
-const HEIGHT: f64 = 400.0;
-const LEFT: f64 = 80.0;
-const RIGHT: f64 = 20.0;
-const TOP: f64 = 40.0;
-const BOTTOM: f64 = 60.0;
-const COLOURS: [&str; 4] = ["#222222", "#c4531d", "#0b6e99", "#4a7c2c"];
 /// Number of samples of a transform.
 const LENGTH: usize = 8192;
 /// Number of points of a curve.
@@ -82,50 +78,16 @@ fn main() {
         })
         .collect();
     let all = || curves.iter().flat_map(|(_, points)| points.iter());
-    let range = |of: fn(&(f64, f64)) -> f64| {
-        all().map(of).fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), value| (low.min(value), high.max(value)))
-    };
-    let (frequency, density) = (range(|p| p.0), range(|p| p.1.sqrt()));
-    let density = (density.0 / 1.5, density.1 * 1.5);
-    let x = |hz: f64| LEFT + (WIDTH - LEFT - RIGHT) * (hz / frequency.0).ln() / (frequency.1 / frequency.0).ln();
-    let y = |of: f64| HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (of / density.0).ln() / (density.1 / density.0).ln();
-    let mut svg = format!(
-        r##"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" font-size="12" role="img"><title>Spectra of {channel}</title><rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>"##
-    );
-    let decades = |(low, high): (f64, f64)| (low.log10().ceil() as i32)..=(high.log10().floor() as i32);
-    let power =
-        |decade: i32| format!(r##"10<tspan dy="-5" font-size="9">{}</tspan>"##, decade.to_string().replace('-', "−"));
-    for decade in decades(frequency) {
-        let _ = write!(
-            svg,
-            r##"<path d="M{0:.1} {TOP}V{1}" stroke="#dddddd"/><text x="{0:.1}" y="{2}" text-anchor="middle">{3}</text>"##,
-            x(10f64.powi(decade)),
-            HEIGHT - BOTTOM,
-            HEIGHT - BOTTOM + 18.0,
-            power(decade)
-        );
-    }
-    for decade in decades(density) {
-        let at = y(10f64.powi(decade));
-        let _ = write!(
-            svg,
-            r##"<path d="M{LEFT} {at:.1}H{}" stroke="#dddddd"/><text x="{}" y="{:.1}" text-anchor="end">{}</text>"##,
-            WIDTH - RIGHT,
-            LEFT - 8.0,
-            at + 4.0,
-            power(decade)
-        );
-    }
+    let density = ends(all().map(|point| point.1.sqrt()));
+    let axes = Axes { x: ends(all().map(|point| point.0)), y: (density.0 / 1.5, density.1 * 1.5) };
+    let mut svg = axes.begin(&format!("Spectra of {channel}"));
     for (row, ((label, points), colour)) in curves.iter().zip(COLOURS).enumerate() {
-        let line = points.iter().fold(String::new(), |mut line, (hz, of)| {
-            let _ = write!(line, "{:.1},{:.1} ", x(*hz), y(of.sqrt()));
-            line
-        });
+        let line = axes.line(points.iter().map(|(hz, of)| (*hz, of.sqrt())));
         let at = LEFT + 20.0 + 170.0 * row as f64;
         let _ = write!(
             svg,
             r##"<polyline points="{}" fill="none" stroke="{colour}" stroke-width="1.2"/><path d="M{at} {}h22" stroke="{colour}" stroke-width="3"/><text x="{}" y="{}">{label}</text>"##,
-            line.trim_end(),
+            line,
             TOP + 10.0,
             at + 28.0,
             TOP + 14.0
