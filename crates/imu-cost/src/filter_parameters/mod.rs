@@ -47,11 +47,12 @@ pub use document::{
 };
 pub use request::{FilterError, FilterRequest, Over, RecordFrom};
 
-use crate::sources::ChannelSources;
+use crate::sources::{ChannelSources, Law};
 use fit::{Family, Seen, Variances};
 use gauss_markov::Processes;
 use imu_core::sample::{Channel, Triad};
 use imu_model::simulator::{SensorModel, Simulator};
+use moments::{DENSE_MAX, WINDOWS_MAX};
 use real::{Known, Real};
 use request::{Asked, Grid};
 use std::collections::BTreeMap;
@@ -106,7 +107,7 @@ pub fn filter_parameters(
         record_from: asked.record_from,
         extrapolated: asked.extrapolated,
         horizons_s: grid.joint.iter().map(|place| grid.horizons[*place] as f64 / model.rate_hz).collect(),
-        notes: notes(&asked, &found),
+        notes: notes(&asked, &sources, &found),
         channels: found,
     })
 }
@@ -138,13 +139,27 @@ fn phases(features: &[f64], horizon: u64) -> Vec<u64> {
 }
 
 /// Returns what a reader has to know.
-fn notes(asked: &Asked<'_>, channels: &BTreeMap<Channel, ChannelParameters>) -> Vec<String> {
+fn notes(
+    asked: &Asked<'_>,
+    sources: &[ChannelSources],
+    channels: &BTreeMap<Channel, ChannelParameters>,
+) -> Vec<String> {
     let mut notes = Vec::new();
     if asked.extrapolated {
         notes.push(format!(
             "extrapolation: {} s of alignment and horizon are longer than the record of the model",
             asked.setting.record_s()
         ));
+    }
+    let comes_and_goes = |of: &&ChannelSources| of.sources.iter().any(|source| matches!(source.law, Law::Gated { .. }));
+    if asked.record.samples() > DENSE_MAX {
+        for of in sources.iter().filter(comes_and_goes) {
+            notes.push(format!(
+                "{}: lines that are present for less than {:.0} s may be missed in so long a record; --record shortens it",
+                of.channel,
+                asked.record_s / WINDOWS_MAX as f64
+            ));
+        }
     }
     for (channel, of) in channels.iter().filter(|(_, of)| !of.simulated.is_empty()) {
         notes.push(format!("{channel}: Monte Carlo, because of {}", of.simulated.join(", ")));

@@ -18,7 +18,10 @@ use std::f64::consts::{PI, TAU};
 pub(crate) type Moments = Vec<f64>;
 
 /// The most windows of a record that a mean is taken over.
-const WINDOWS_MAX: u64 = 4000;
+pub(crate) const WINDOWS_MAX: u64 = 4000;
+
+/// The most samples of a record over which windows are dense: their sums take 8 bytes each.
+pub(crate) const DENSE_MAX: u64 = 1 << 24;
 
 /// Adds `factor` times moments to others.
 pub(crate) fn add(sum: &mut [f64], factor: f64, other: &[f64]) {
@@ -168,12 +171,12 @@ impl Windows {
         Self { align, starts, places, samples }
     }
 
-    /// Creates windows of a record of `samples` that begin at most `stride` samples apart. What lasts for a short time is then
-    /// in as many of them as in the record's.
+    /// Creates windows of a record of `samples` that begin at most `stride` samples apart, so that what lasts for a short time is
+    /// in as many of them as in the record's. A record of more than [`DENSE_MAX`] samples gets those of [`Self::new`].
     pub(crate) fn dense(samples: u64, align: u64, grid: &Grid, stride: u64) -> Self {
         let longest = align + grid.horizons.last().copied().unwrap_or(1);
         let last = samples.saturating_sub(longest);
-        if last / stride.max(1) < WINDOWS_MAX {
+        if samples.max(longest) > DENSE_MAX || last / stride.max(1) < WINDOWS_MAX {
             return Self::new(samples, align, grid);
         }
         let starts = (0..=last).step_by(stride.max(1) as usize).collect();

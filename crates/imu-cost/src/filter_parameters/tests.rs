@@ -338,6 +338,22 @@ fn a_short_line_has_the_same_part_wherever_it_lies() {
     }
 }
 
+/// Memory does not grow with the record's length.
+#[test]
+fn a_record_of_months_gets_windows_that_are_apart_and_a_note() {
+    let gated = r#"{"effect": "intermittent", "of": {"effect": "tone", "frequency_hz": 0.4, "amplitude": 1e-3}, "intervals": [[100, 5000]]}"#;
+    let of = |record_s: f64| {
+        let over = Some(Over { from_s: 1.0, to_s: 10.0 });
+        found(
+            &model_at(40.0, &format!(r#"{{"N": {N}, "effects": [{gated}]}}"#)),
+            &FilterRequest { record_s: Some(record_s), over, ..request() },
+        )
+    };
+    assert!(of(86_400.0).notes.is_empty());
+    let notes = of(600_000.0).notes;
+    assert!(notes.iter().any(|note| note.contains("gyro_z") && note.contains("150 s")), "{notes:?}");
+}
+
 /// The root mean square of windows at any time of simulated records, at fourteen horizons. The figures of docs/filters.md:
 /// `cargo test -p imu-cost -- --nocapture real_errors_are`.
 #[test]

@@ -45,7 +45,7 @@ fn covariance(triad: Triad, key: &'static str, unit: &str, axes: &[Axis; 3], fac
 pub(super) fn write(noise: &ImuNoise) -> String {
     let mut text = super::comment("# ", &noise.origin_for(&[]));
     let others = if noise.enlarged.is_some() {
-        "Bias instability B, rate random walk K and other effects are in these numbers, for a filter that estimates no bias. Add no \
+        "For rates and accelerations, B, K and other effects are in these numbers, for a filter that estimates no bias. Add no \
          process noise for them."
     } else {
         "A covariance holds white noise only: bias instability B, rate random walk K and Gauss-Markov cannot be expressed here \
