@@ -192,7 +192,7 @@ struct Written<'a> {
 /// interruption.
 const KEPT_MAX: usize = 4 << 20;
 /// Version of the checkpoint. One of another version is not used.
-const VERSION: u8 = 4;
+const VERSION: u8 = 5;
 
 /// The progress of the work.
 struct Progress<'a> {

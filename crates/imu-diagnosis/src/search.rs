@@ -181,6 +181,8 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
     weak_steps(series, &mut steps, start.courses.len());
     believe_again(series);
     polish(series, &start);
+    // Beside lines and bands in their final form.
+    take_back(series, prices, &mut steps);
     weak_stretches(series, &mut steps, start.loud.len());
     tails_and_bursts_again(series, prices, &mut steps, &start);
     evidence::heavy_tails::fit_again(series);

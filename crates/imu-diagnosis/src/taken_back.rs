@@ -5,6 +5,7 @@ use super::evidence::declared::kind_of;
 use super::evidence::{self, Kind};
 use super::explanation::{Explanation, Loud};
 use super::gated;
+use super::law::{Fitted, Shape, Term};
 use super::prices::Prices;
 use super::report::Sense;
 use super::search::{Step, leave_rises_out};
@@ -172,27 +173,74 @@ pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Ve
     loop {
         let whole = series.fitted.log_posterior;
         let terms = &series.explanation.law.terms;
-        let losses = (0..terms.len()).filter_map(|at| {
-            let kind = kind_of(terms[at].shape);
-            // If the model has the term itself, no effect was named.
-            steps.iter().any(|step| step.kind == kind && step.has_term()).then_some(())?;
-            let mut law = series.explanation.law.clone();
-            law.terms.remove(at);
-            let loss = whole - law.fit(series.data()).log_posterior;
-            (loss < prices.of(kind)).then_some((loss, at, kind))
+        // If the model has the term itself, no effect was named.
+        let is_named = |shape: Shape| steps.iter().any(|step| step.kind == kind_of(shape) && step.has_term());
+        let own: Vec<usize> = (0..terms.len()).filter(|at| is_named(terms[*at].shape)).collect();
+        let filters: Vec<usize> = own.iter().copied().filter(|at| terms[*at].is_filter()).collect();
+        let mut sets: Vec<Vec<usize>> = own.iter().map(|at| vec![*at]).collect();
+        // Of two filters each may stand for what the other does.
+        sets.extend((filters.len() > 1).then_some(filters));
+        let losses = sets.into_iter().filter_map(|set| {
+            let price: f64 = set.iter().map(|at| prices.of(kind_of(terms[*at].shape))).sum();
+            let law = without_terms(series, &set, price);
+            let loss = whole - law.log_posterior;
+            (loss < price).then_some((loss - price, set, law))
         });
-        let Some((_, at, kind)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
-        series.explanation.law.terms.remove(at);
-        let weakest = |of: &(usize, &Step)| of.1.kind == kind && of.1.has_term();
-        let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
-        if let Some(step) = step.map(|(step, _)| step) {
-            match &mut steps[step].of_model {
-                Some((_, sense)) => *sense = Sense::Superfluous,
-                None => drop(steps.remove(step)),
+        let Some((_, set, without)) = losses.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
+        for kind in set.into_iter().map(|at| kind_of(terms[at].shape)) {
+            let weakest = |of: &(usize, &Step)| of.1.kind == kind && of.1.has_term();
+            let step = steps.iter().enumerate().filter(weakest).min_by(|a, b| a.1.gain.total_cmp(&b.1.gain));
+            if let Some(step) = step.map(|(step, _)| step) {
+                match &mut steps[step].of_model {
+                    Some((_, sense)) => *sense = Sense::Superfluous,
+                    None => drop(steps.remove(step)),
+                }
             }
         }
+        series.explanation.law = without.law;
         series.rebuild(false);
     }
+}
+
+/// Fits the law without some of its terms.
+///
+/// A filter that was named first stands for the skirts of bands as well, and the noise in front of it is far louder than the
+/// model's. The fit without it therefore also starts from the model's N, with bands that may lean. A line was fitted beside a
+/// band at its frequency: without the band it is fitted again, if the band would otherwise stay.
+fn without_terms(series: &Series<'_>, set: &[usize], price: f64) -> Fitted {
+    /// Widths of a band within which a line is beside it.
+    const WIDTHS: f64 = 2.0;
+    let whole = series.fitted.log_posterior;
+    let better = |a: Fitted, b: Fitted| if b.log_posterior > a.log_posterior { b } else { a };
+    let terms = &series.explanation.law.terms;
+    let mut law = series.explanation.law.clone();
+    law.terms = terms.iter().enumerate().filter(|(at, _)| !set.contains(at)).map(|(_, term)| term.clone()).collect();
+    let near = law.fit(series.data());
+    let is_band = |term: &Term| term.shape == Shape::Resonance;
+    let is_beside = |term: &Term, cycles: f64| {
+        let off_hz = (cycles * series.setting().rate_hz - term.numbers[1]).abs();
+        off_hz < WIDTHS * term.numbers[2].exp()
+    };
+    let sines = &series.explanation.sines;
+    let has_line = |term: &Term| is_band(term) && sines.iter().any(|sine| is_beside(term, sine.cycles));
+    if set.iter().any(|at| terms[*at].is_filter()) && law.terms.iter().any(is_band) {
+        law.levels[0] = series.setting().white;
+        let mut doubt = 0.0;
+        for term in law.terms.iter_mut().filter(|term| is_band(term)) {
+            if term.numbers.len() == Shape::SYMMETRIC {
+                term.numbers.push(0.0);
+                doubt += Shape::LEANING;
+            }
+        }
+        let mut other = law.fit(series.data());
+        other.log_posterior -= doubt;
+        return better(near, other);
+    }
+    if whole - near.log_posterior >= price && set.iter().any(|at| has_line(&terms[*at])) {
+        let again = series.changed(|of| of.law = near.law.clone());
+        return better(near, again.fitted);
+    }
+    near
 }
 
 /// Takes back tones that were chance under a law without a filter that is now known. The first `known` tones are the

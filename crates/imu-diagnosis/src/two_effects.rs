@@ -212,3 +212,38 @@ fn scaled(comb: &Value, times: f64) -> Value {
     amplitudes.iter_mut().for_each(|of| *of = json!(times * of.as_f64().unwrap()));
     scaled
 }
+
+/// A filter that is found before the skirts of a strong band are known would stand for them, and a second filter for what the
+/// first leaves.
+#[test]
+fn a_strong_leaning_band_beside_a_comb_is_no_filter() {
+    let mut wrong = Wrong::default();
+    for (frequency_hz, sigma, seed) in [(2.7, 3.3, 1), (4.6, 5.0, 2), (3.1, 2.0, 3)] {
+        let band = json!({"effect": "resonance", "frequency_hz": frequency_hz, "bandwidth_hz": 0.24,
+            "sigma": sigma * WHITE, "asymmetry": 0.95});
+        let amplitudes = [4.0, 7.4, 3.5].map(|times| times * WHITE);
+        let comb = json!({"effect": "comb", "fundamental_hz": 0.93 * frequency_hz, "amplitudes": amplitudes});
+        expect_both(&mut wrong, [&band, &comb], seed);
+    }
+    wrong.none();
+}
+
+/// An error in the form of a very strong effect gains as much as a weak effect does. What gains less than a thousandth of the
+/// largest effect of its channel is an alternative with the reason, and stays in the corrected model.
+#[test]
+fn what_gains_a_thousandth_of_another_effect_is_an_alternative() {
+    let filter = json!({"effect": "low_pass", "cutoff_hz": 9.0, "order": 4});
+    let mut wrong = Wrong::default();
+    for (sigma, is_cause) in [(0.2, false), (1.5, true)] {
+        let process = json!({"effect": "gauss_markov", "sigma": sigma * WHITE, "tc_s": 20.0});
+        let found = diagnosed(&recording(&with_both([&filter, &process]), 3, 2 * SAMPLES), &model(None));
+        let cause = names(&found).contains(&"gauss_markov");
+        let alternatives = &found.diagnosis.alternatives;
+        let alternative = alternatives.iter().find(|of| of.effect.name() == "gauss_markov");
+        let reason = alternative.map_or("", |of| &of.why_not);
+        let modelled = found.augmented.channels[&Channel::AccelX].effects.iter().any(|of| of.name() == "gauss_markov");
+        let is_right = if is_cause { cause } else { !cause && reason.contains("of low_pass") && modelled };
+        wrong.expect(is_right, || format!("sigma {sigma}: {:?}, {reason:?}, {modelled}", names(&found)));
+    }
+    wrong.none();
+}
