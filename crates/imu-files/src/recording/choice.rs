@@ -252,3 +252,14 @@ pub(super) fn choose(rows: &mut dyn Rows) -> Result<Chosen, RecordingError> {
     let falls = Falls::of(&stamps, &columns[column].values);
     Ok(Chosen { count, column: Some(column), unix, regular, pairs, falls, ..Chosen::default() })
 }
+
+/// Selects the stamps of a table. Its columns determine how many stamps rows have; of several the first rows determine the
+/// one that is used, and in any case its clock.
+pub(super) fn choose_of_columns(rows: &mut dyn Rows, count: usize) -> Result<Chosen, RecordingError> {
+    let of_several = choose(rows)?;
+    if count > 1 && of_several.count == count && of_several.column.is_some() {
+        return Ok(of_several);
+    }
+    let Chosen { unix, falls, .. } = of_several;
+    Ok(Chosen { count, column: (count > 0).then_some(0), unix, falls, ..Chosen::default() })
+}

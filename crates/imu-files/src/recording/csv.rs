@@ -1,7 +1,8 @@
 //! CSV: a header line that names channels and units, rows of numbers (docs/formats.md).
 //!
-//! Columns may stand in any order and be separated by comma, semicolon or tab ([`super::header`]); values are converted
-//! to the channel's unit once, here. Other columns are ignored and reported by name. A blank cell or NaN leaves its
+//! Columns may stand in any order and be separated by comma, semicolon, tab or space ([`super::header`]); values are
+//! converted to the channel's unit once, here. Where the comma does not separate columns it may be the decimal sign: the
+//! first number with a sign decides, and a row with the other sign is rejected. Other columns are ignored and reported by name. A blank cell or NaN leaves its
 //! channel absent. A row is rejected if it has another number of cells, or a cell that is no number or no stamp. A line
 //! that ends within quotation marks is also rejected: a cell does not run over a line's end, or an open mark would
 //! consume the rows behind it. A rejected row's stamp still shows its time.
@@ -9,15 +10,14 @@
 //! Rows of plain numbers are read in place; only those with quotation marks are copied. Memory is bounded by the
 //! longest row, 64 KiB.
 
-use super::choice::{Chosen, choose};
 use super::detect::read_error;
 use super::error::RecordingError;
-use super::header::{Column, Header, Split, rate_of_comment};
+use super::header::{Column, Header, SPACE, Split, rate_of_comment};
 use super::info::Decimals;
 use super::input::Input;
-use super::number::parse_plain;
+use super::number::{Plain, parse_plain};
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::{RowStamps, parse_stamp};
+use super::stamps::{RowStamps, STAMPS_MAX, parse_date, parse_stamp};
 use imu_core::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
 use std::ops::Range;
@@ -125,6 +125,24 @@ impl Lines {
         self.bytes.get(self.current.clone()).unwrap_or_default()
     }
 
+    /// Reduces the space between cells to one character, and takes away that around the line.
+    fn squeeze(&mut self) {
+        let mut to = self.current.start;
+        let mut after_space = true;
+        for from in self.current.clone() {
+            let Some(byte) = self.bytes.get(from).copied() else { break };
+            let is_space = byte.is_ascii_whitespace();
+            if !(is_space && after_space)
+                && let Some(place) = self.bytes.get_mut(to)
+            {
+                *place = if is_space { SPACE } else { byte };
+                to += 1;
+            }
+            after_space = is_space;
+        }
+        self.current.end = if after_space { to.saturating_sub(1).max(self.current.start) } else { to };
+    }
+
     /// Ends the line at its first carriage return, if it has one inside: old files have no other line end.
     fn cut(&mut self) -> bool {
         let Some(place) = self.current().iter().position(|byte| *byte == b'\r') else { return false };
@@ -140,7 +158,7 @@ fn is_end(byte: u8) -> bool {
 
 /// The result of examining a row.
 enum Found {
-    Sample(Option<i64>, Sample),
+    Sample(RowStamps, Sample),
     /// It has quotation marks.
     Quoted,
     Bad,
@@ -156,8 +174,32 @@ pub(super) struct CsvRows {
     split: Split,
     /// Whether the current line is the first row already.
     waiting: bool,
-    /// Whether no row has become a sample yet.
-    unproven: bool,
+    sign: Sign,
+}
+
+/// The rows behind the header that are looked at to determine the unit of times, or to propose columns.
+const FIRST_ROWS: usize = 64;
+
+/// The decimal sign of a table whose cells are not separated by commas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Sign {
+    /// No number with a sign was read.
+    Unknown,
+    Point,
+    Comma,
+}
+
+/// Returns the lines that follow the first `after` ones.
+fn first_rows(input: &Input, after: u64) -> Vec<String> {
+    let Ok(mut lines) = Lines::new(input) else { return Vec::new() };
+    let mut rows = Vec::new();
+    while rows.len() < FIRST_ROWS && lines.advance().unwrap_or(false) {
+        lines.by_return = lines.cut() || lines.by_return;
+        if lines.number > after {
+            rows.push(String::from_utf8_lossy(lines.current()).into_owned());
+        }
+    }
+    rows
 }
 
 impl CsvRows {
@@ -168,16 +210,18 @@ impl CsvRows {
         let header = loop {
             if !lines.advance()? {
                 // The file contains only comments.
-                break Header::understand("", map, file)?;
+                break Header::understand("", map, file, &Vec::new)?;
             }
             lines.by_return = lines.cut() || lines.by_return;
             let line = String::from_utf8_lossy(lines.current()).into_owned();
             if !Header::is_comment(&line, map) {
-                break Header::understand(&line, map, file)?;
+                let number = lines.number;
+                break Header::understand(&line, map, file, &|| first_rows(input, number))?;
             }
             commented_rate_hz = commented_rate_hz.or_else(|| rate_of_comment(&line));
         };
         let waiting = header.is_row;
+        let header_comma = header.delimiter == b',';
         Ok(Self {
             lines,
             header,
@@ -185,25 +229,16 @@ impl CsvRows {
             decimals: Decimals::default(),
             split: Split::default(),
             waiting,
-            unproven: true,
+            sign: if header_comma { Sign::Point } else { Sign::Unknown },
         })
     }
 
-    /// Returns the choice of stamps. The header determines whether rows have a stamp; the first rows determine its
-    /// clock.
-    pub(super) fn chosen(mut self) -> Result<Chosen, RecordingError> {
-        let column = self.header.stamp.is_some().then_some(0);
-        let Chosen { unix, falls, .. } = choose(&mut self)?;
-        Ok(Chosen { count: usize::from(column.is_some()), column, unix, falls, ..Chosen::default() })
-    }
-
-    /// Returns the current line's stamp and values, if it consists of numbers and delimiters.
+    /// Returns the current line's stamps and values, if it consists of numbers and delimiters.
     fn plain(&mut self) -> Found {
-        let mut sample = Sample::at(0, 0);
-        let mut stamp_ns = None;
+        let mut taken = Taken::new(self.header.columns.stamps.len());
         let line = self.lines.bytes.get(self.lines.current.clone()).unwrap_or_default();
         let mut rest = Some(line);
-        for column in &self.header.columns {
+        for column in &self.header.columns.list {
             let Some(text) = rest else { return self.bad() };
             let end = text.iter().position(|byte| *byte == self.header.delimiter);
             let (cell, behind) = match end {
@@ -211,15 +246,15 @@ impl CsvRows {
                 None => (text, None),
             };
             rest = behind;
-            let taken = match column {
+            let fits = match column {
                 Column::Ignored if cell.contains(&b'"') => return Found::Quoted,
-                column => take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals),
+                column => taken.take(*column, cell, &mut self.sign, &mut self.decimals),
             };
-            if taken.is_none() {
+            if fits.is_none() {
                 return self.bad();
             }
         }
-        if rest.is_some() || sample.channels().is_empty() { self.bad() } else { Found::Sample(stamp_ns, sample) }
+        if rest.is_some() || taken.sample.channels().is_empty() { self.bad() } else { taken.found() }
     }
 
     fn bad(&self) -> Found {
@@ -235,87 +270,119 @@ impl CsvRows {
         }
         self.split.finish();
         let cells = self.split.cells();
-        let mut sample = Sample::at(0, 0);
-        let mut stamp_ns = None;
-        if cells.len() != self.header.columns.len() {
+        let columns = &self.header.columns;
+        let mut taken = Taken::new(columns.stamps.len());
+        if cells.len() != columns.list.len() {
             return Found::Bad;
         }
-        for (cell, column) in cells.zip(&self.header.columns) {
-            if take(*column, cell, &mut sample, &mut stamp_ns, &mut self.decimals).is_none() {
+        for (cell, column) in cells.zip(&columns.list) {
+            if taken.take(*column, cell, &mut self.sign, &mut self.decimals).is_none() {
                 return Found::Bad;
             }
         }
-        if sample.channels().is_empty() { Found::Bad } else { Found::Sample(stamp_ns, sample) }
+        if taken.sample.channels().is_empty() { Found::Bad } else { taken.found() }
     }
 
     /// Returns the stamp of a line that is no row: its own if it has all its cells, else the one in its first cell if
     /// that is complete.
     fn stamp_of_rejected(&self) -> RowStamps {
         let cells = || self.lines.current().split(|byte| *byte == self.header.delimiter);
-        let place = self.header.columns.iter().position(|column| matches!(column, Column::Stamp { .. }));
-        let stamp_ns = place.and_then(|place| {
-            let Column::Stamp { places } = *self.header.columns.get(place)? else { return None };
+        let columns = &self.header.columns;
+        let place = columns.list.iter().position(|column| matches!(column, Column::Stamp { .. }));
+        let stamp_ns = place.filter(|_| columns.stamps.len() == 1).and_then(|place| {
+            let Column::Stamp { places, .. } = *columns.list.get(place)? else { return None };
             let count = cells().count();
-            let is_its_own = count == self.header.columns.len() || (place == 0 && count > 1);
-            parse_stamp(cells().nth(place).filter(|_| is_its_own)?.trim_ascii(), places)
+            let is_its_own = count == columns.list.len() || (place == 0 && count > 1);
+            stamp(cells().nth(place).filter(|_| is_its_own)?, places)
         });
         stamp_ns.map(RowStamps::one).unwrap_or_default()
     }
-
-    /// Fails if the numbers of the first row have decimal commas, because all others then have them too.
-    fn decimal_commas(&self) -> Result<(), RecordingError> {
-        if !self.unproven || self.header.delimiter == b',' {
-            return Ok(());
-        }
-        let line = String::from_utf8_lossy(self.lines.current());
-        let is_one = |cell: &str| {
-            let parts = cell.trim().trim_start_matches(['-', '+']).split_once(',');
-            let digits = |part: &str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
-            parts.is_some_and(|(whole, fraction)| digits(whole) && digits(fraction))
-        };
-        match line.split(char::from(self.header.delimiter)).find(|cell| is_one(cell)) {
-            Some(cell) => Err(RecordingError::DecimalComma {
-                file: self.lines.file.clone(),
-                line: self.lines.number,
-                cell: cell.trim().to_owned(),
-            }),
-            None => Ok(()),
-        }
-    }
 }
 
-/// Takes a cell; `None` if its content does not fit its column.
-fn take(
-    column: Column,
-    cell: &[u8],
-    sample: &mut Sample,
-    stamp_ns: &mut Option<i64>,
-    decimals: &mut Decimals,
-) -> Option<()> {
-    match column {
-        Column::Ignored => {}
-        Column::Stamp { places } => *stamp_ns = Some(parse_stamp(cell.trim_ascii(), places)?),
-        Column::Value { channel, factor } => {
-            let value = match parse_plain(cell) {
-                Some(plain) => {
-                    decimals.note_count(channel, Some(plain.decimals));
-                    plain.value
-                }
-                None => {
-                    let text = std::str::from_utf8(cell).ok()?.trim();
-                    if text.is_empty() || text.eq_ignore_ascii_case("nan") {
-                        return Some(());
-                    }
-                    let value: f64 = text.parse().ok().filter(|value: &f64| value.is_finite())?;
-                    decimals.note(channel, text);
-                    value
-                }
-            };
-            // A factor of 1 must leave the value as it was written.
-            sample.set(channel, if factor == 1.0 { value } else { value * factor });
+fn stamp(cell: &[u8], places: usize) -> Option<i64> {
+    let cell = cell.trim_ascii();
+    parse_stamp(cell, places).or_else(|| parse_date(cell))
+}
+
+/// The longest number with a decimal comma.
+const COMMA_BYTES: usize = 40;
+
+/// Reads a number of a table with decimal commas, or of one whose sign is not known yet.
+fn parse_signed(cell: &[u8], sign: &mut Sign) -> Option<Plain> {
+    let comma = cell.iter().position(|byte| *byte == b',').filter(|_| cell.len() <= COMMA_BYTES);
+    let Some(place) = comma else {
+        let plain = parse_plain(cell)?;
+        if plain.decimals > 0 && *sign == Sign::Unknown {
+            *sign = Sign::Point;
         }
+        return Some(plain);
+    };
+    let mut copy = [0; COMMA_BYTES];
+    copy[..cell.len()].copy_from_slice(cell);
+    copy[place] = b'.';
+    let plain = parse_plain(&copy[..cell.len()])?;
+    *sign = Sign::Comma;
+    Some(plain)
+}
+
+/// What was taken from a row's cells so far.
+struct Taken {
+    sample: Sample,
+    stamps: [i64; STAMPS_MAX],
+    count: usize,
+}
+
+impl Taken {
+    fn new(count: usize) -> Self {
+        Self { sample: Sample::at(0, 0), stamps: [0; STAMPS_MAX], count }
     }
-    Some(())
+
+    fn found(self) -> Found {
+        let mut stamps = RowStamps::default();
+        self.stamps.iter().take(self.count).for_each(|nanos| stamps.push(*nanos));
+        Found::Sample(stamps, self.sample)
+    }
+
+    /// Takes a cell; `None` if its content does not fit its column.
+    fn take(&mut self, column: Column, cell: &[u8], sign: &mut Sign, decimals: &mut Decimals) -> Option<()> {
+        match column {
+            Column::Ignored => {}
+            Column::Stamp { places, slot } => {
+                let nanos = stamp(cell, places).or_else(|| {
+                    let text = std::str::from_utf8(cell).ok().filter(|_| *sign != Sign::Point)?;
+                    parse_stamp(text.trim().replacen(',', ".", 1).as_bytes(), places)
+                })?;
+                let sum = self.stamps.get_mut(slot)?;
+                *sum = sum.checked_add(nanos)?;
+            }
+            Column::Value { channel, factor } => {
+                if *sign == Sign::Comma && cell.contains(&b'.') {
+                    return None;
+                }
+                let plain = if *sign == Sign::Point { parse_plain(cell) } else { parse_signed(cell, sign) };
+                let value = match plain {
+                    Some(plain) => {
+                        decimals.note_count(channel, Some(plain.decimals));
+                        plain.value
+                    }
+                    None => {
+                        let text = std::str::from_utf8(cell).ok()?.trim();
+                        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+                            return Some(());
+                        }
+                        let comma = *sign != Sign::Point && text.contains(',');
+                        let text = if comma { text.replacen(',', ".", 1) } else { text.to_owned() };
+                        let value: f64 = text.parse().ok().filter(|value: &f64| value.is_finite())?;
+                        decimals.note(channel, &text);
+                        value
+                    }
+                };
+                // A factor of 1 must leave the value as it was written.
+                self.sample.set(channel, if factor == 1.0 { value } else { value * factor });
+            }
+        }
+        Some(())
+    }
 }
 
 impl Rows for CsvRows {
@@ -326,15 +393,16 @@ impl Rows for CsvRows {
         let line = self.lines.number;
         // A carriage return inside is where a line of an old file ends, even if the text could be read across it.
         self.lines.cut();
+        if self.header.delimiter == SPACE {
+            self.lines.squeeze();
+        }
         let mut found = self.plain();
         if matches!(found, Found::Quoted) {
             found = self.quoted();
         }
-        if let Found::Sample(stamp_ns, sample) = found {
-            self.unproven = false;
-            return Ok(Some(Row::Sample { line, stamps: stamp_ns.map(RowStamps::one).unwrap_or_default(), sample }));
+        if let Found::Sample(stamps, sample) = found {
+            return Ok(Some(Row::Sample { line, stamps, sample }));
         }
-        self.decimal_commas()?;
         let rejected = Rejected::of_line(line, DiscardCause::Malformed, self.lines.current(), true);
         Ok(Some(Row::Rejected(rejected.stamped(self.stamp_of_rejected()))))
     }

@@ -1,11 +1,12 @@
 //! Detects the kind of a file by its content: a ROS bag, raw bytes or lines of a VN-100, or CSV. Names and extensions
 //! do not count.
 
+use super::columns::foreign;
 use super::error::RecordingError;
-use super::header::{Header, foreign_names};
+use super::header::{Header, foreign_names, numbers_like};
 use super::input::Input;
 use super::meter::Refusal;
-use super::{ros, vn_binary};
+use super::{folder, ros, table, vn_binary};
 use std::io::Read;
 use std::path::Path;
 
@@ -15,6 +16,9 @@ const LOOK_AT_BYTES: u64 = 64 * 1024;
 const LOOK_AT_LINES: usize = 100;
 /// The number of characters of an unrecognised file that are shown.
 const SHOWN_CHARS: usize = 60;
+
+/// The number of rows from which columns are proposed.
+const PROPOSED_FROM: usize = 64;
 
 /// The kind of a recording. A further format needs a kind here, a file that implements its [`Rows`](super::rows::Rows),
 /// and a `Source`.
@@ -33,6 +37,20 @@ pub enum Kind {
     Db3,
     /// An MCAP file.
     Mcap,
+    /// A Parquet file.
+    Parquet,
+    /// A NumPy array.
+    Npy,
+    /// An archive of NumPy arrays.
+    Npz,
+    /// A MATLAB file of format 5.
+    Mat,
+    /// An HDF5 file, MATLAB's version 7.3 among them.
+    Hdf5,
+    /// A log of PX4.
+    Ulog,
+    /// A log of ArduPilot.
+    Dataflash,
 }
 
 impl Kind {
@@ -41,29 +59,41 @@ impl Kind {
         match self {
             Self::Csv | Self::VnText => "line",
             Self::RawBytes => "byte",
-            Self::Bag | Self::Db3 | Self::Mcap => "message",
+            Self::Bag | Self::Db3 | Self::Mcap | Self::Ulog | Self::Dataflash => "message",
+            Self::Parquet | Self::Npy | Self::Npz | Self::Mat | Self::Hdf5 => "row",
         }
     }
 
     /// Returns the name of a recording without columns; `None` for a kind that has columns.
     pub(super) fn without_columns(self) -> Option<&'static str> {
         match self {
-            Self::Csv => None,
+            Self::Csv
+            | Self::Parquet
+            | Self::Npy
+            | Self::Npz
+            | Self::Mat
+            | Self::Hdf5
+            | Self::Ulog
+            | Self::Dataflash => None,
             Self::VnText => Some("a file of raw `$VN…` lines"),
             Self::RawBytes => Some("a file of a VN-100's raw bytes"),
-            Self::Bag | Self::Db3 | Self::Mcap => Some("a bag"),
+            // Fields of messages are named by their dotted paths.
+            Self::Bag | Self::Db3 | Self::Mcap => None,
         }
     }
 }
 
-/// Formats that are recognised only to report that they are not read.
-const NOT_READ_YET: [(&[u8], &str); 6] = [
-    (b"#ROSBAG V", "a ROS bag of another version than 2.0"),
-    (b"PK\x03\x04", "a ZIP archive"),
-    (b"MATLAB 5.0 MAT-file", "a MATLAB file (in MATLAB: writetable(table(time_s, gyro_x_rad_s, …), 'FILE.csv'))"),
-    (b"\x28\xB5\x2F\xFD", "compressed by zstd (undo it with `zstd -d`)"),
-    (b"PAR1", "a Parquet file"),
-    (b"\x89HDF", "an HDF5 file"),
+/// The kinds that their first bytes identify.
+const FIRST_BYTES: [(&[u8], Kind); 9] = [
+    (ros::BAG_MAGIC, Kind::Bag),
+    (ros::MCAP_MAGIC, Kind::Mcap),
+    (ros::SQLITE_MAGIC, Kind::Db3),
+    (b"PAR1", Kind::Parquet),
+    (b"\x93NUMPY", Kind::Npy),
+    (b"PK\x03\x04", Kind::Npz),
+    (b"MATLAB 5.0 MAT-file", Kind::Mat),
+    (b"\x89HDF\r\n\x1a\n", Kind::Hdf5),
+    (table::ULOG_MAGIC, Kind::Ulog),
 ];
 
 /// Adds the position to an error of reading.
@@ -92,18 +122,22 @@ pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
 /// # Errors
 /// [`RecordingError`] if it cannot be read or is of no known kind. The error shows how the content begins.
 pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
+    let input = &folder::resolved(input.clone())?;
     let file = input.path();
     let mut head = Vec::new();
     input.open()?.take(LOOK_AT_BYTES).read_to_end(&mut head).map_err(|source| read_error(file, 0, source))?;
-    for (magic, kind) in [(ros::BAG_MAGIC, Kind::Bag), (ros::MCAP_MAGIC, Kind::Mcap), (ros::SQLITE_MAGIC, Kind::Db3)] {
-        if head.starts_with(magic) {
-            if kind == Kind::Db3 {
-                ros::check_db3(input)?;
-            }
-            return Ok(kind);
+    // The HDF5 of MATLAB 7.3 begins behind a text of 512 bytes.
+    let is_matlab_73 = head.get(512..).is_some_and(|behind| behind.starts_with(b"\x89HDF\r\n\x1a\n"));
+    let known = FIRST_BYTES.into_iter().find(|(magic, _)| head.starts_with(magic)).map(|(_, kind)| kind);
+    let of_table = || is_matlab_73.then_some(Kind::Hdf5).or(table::is_dataflash(&head).then_some(Kind::Dataflash));
+    if let Some(kind) = known.or_else(of_table) {
+        if kind == Kind::Db3 {
+            ros::check_db3(input)?;
         }
+        return Ok(kind);
     }
-    if let Some((_, found)) = NOT_READ_YET.iter().find(|(magic, _)| head.starts_with(magic)) {
+    if head.starts_with(b"#ROSBAG V") {
+        let found = "a ROS bag of another version than 2.0";
         return Err(RecordingError::NotReadYet { file: file.to_owned(), found });
     }
     if vn_binary::is_binary(&head) {
@@ -133,8 +167,9 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     }
     // A table has lines.
     let is_line = bytes_seen < LOOK_AT_BYTES || has_ends;
-    if let Some(found) = foreign_names(&heading).filter(|_| is_line) {
-        return Err(RecordingError::ForeignColumns { file: file.to_owned(), found });
+    if let Some(names) = foreign_names(&heading).filter(|_| is_line) {
+        let behind = heads.take(PROPOSED_FROM).map(|row| numbers_like(&row, &heading)).collect::<Vec<_>>();
+        return Err(foreign(&names, file, &|| behind.clone()));
     }
     let found = first.chars().take(SHOWN_CHARS).collect();
     Err(RecordingError::Unrecognised { file: file.to_owned(), found })

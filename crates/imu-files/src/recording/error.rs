@@ -3,6 +3,10 @@
 use imu_core::sample::Channel;
 use std::path::PathBuf;
 
+/// What can be read, for messages.
+const READ: &str = "raw `$VN…` lines or raw bytes of a VN-100, a table with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 \
+                    (CSV, Parquet, .npy, .npz, .mat, HDF5), a ROS bag (.bag, .db3), an MCAP file, a ULog or an ArduPilot .BIN";
+
 /// The reasons why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
@@ -32,6 +36,18 @@ pub enum RecordingError {
         /// The kind of object found there.
         found: &'static str,
     },
+    /// A folder that is no recording, or several.
+    #[error(
+        "{} is a folder with {found}; expected one .mcap or .db3 of a ROS 2 bag (of several, name one), or timestamps.txt and \
+         data of KITTI's oxts",
+        folder.display()
+    )]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// Files in it.
+        found: String,
+    },
     /// The recording is no longer wanted.
     #[error("reading {} was called off", file.display())]
     Unwanted {
@@ -55,7 +71,7 @@ pub enum RecordingError {
     /// The compressed data ends too early: the recording was cut.
     #[error(
         "{} ends in the middle of its compressed data after line {line}: \
-         save what is there with `zcat FILE > FILE.txt` and read that",
+         decompress what is there (`zcat`, `bzcat`, `xzcat` or `zstdcat FILE > FILE.txt`) and read that",
         file.display()
     )]
     CutCompression {
@@ -65,16 +81,14 @@ pub enum RecordingError {
         line: u64,
     },
     /// The file is empty.
-    #[error("{} is empty: expected raw `$VN…` lines, a CSV, raw bytes of a VN-100, a ROS bag or an MCAP file", file.display())]
+    #[error("{} is empty: expected {READ}", file.display())]
     Empty {
         /// The file.
         file: PathBuf,
     },
     /// The content is of no known kind.
     #[error(
-        "{} is not a recording that can be read: line 1 begins with {found:?}; expected raw `$VN…` lines, \
-         a CSV header with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 (either may be gzip-compressed), \
-         raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file",
+        "{} is not a recording that can be read: line 1 begins with {found:?}; expected {READ}",
         file.display()
     )]
     Unrecognised {
@@ -84,7 +98,7 @@ pub enum RecordingError {
         found: String,
     },
     /// The content is of a known kind that this version does not read.
-    #[error("{} is {found}, which this version does not read; expected raw `$VN…` lines, CSV, raw bytes of a VN-100, a ROS bag (.bag, .db3) or an MCAP file", file.display())]
+    #[error("{} is {found}, which this version does not read; expected {READ}", file.display())]
     NotReadYet {
         /// The file.
         file: PathBuf,
@@ -129,18 +143,26 @@ pub enum RecordingError {
         /// The file's columns.
         found: String,
     },
-    /// A CSV whose column names are not those of docs/formats.md.
+    /// A table whose columns name no channel with its unit.
     #[error(
-        "{} looks like a CSV, but none of its columns names a channel with its unit; they are: {found}. Say which is which \
-         with --columns 'FOREIGN=NAME,…'; names are {}",
-        file.display(),
-        super::header::allowed_names()
+        "{} looks like a table, but none of its columns names a channel with its unit (they are: {found}): {proposal}",
+        file.display()
     )]
     ForeignColumns {
         /// The file.
         file: PathBuf,
         /// The file's columns.
         found: String,
+        /// A guess at what they are, or how to name them.
+        proposal: String,
+    },
+    /// A table that is no text cannot be read.
+    #[error("cannot read {}: {what}", file.display())]
+    Table {
+        /// The file.
+        file: PathBuf,
+        /// What was found, and where.
+        what: String,
     },
     /// Columns were given for a recording that has none.
     #[error("{} is {found}, which has no columns to be told: leave --columns out", file.display())]
@@ -150,29 +172,20 @@ pub enum RecordingError {
         /// The recording's kind.
         found: &'static str,
     },
-    /// Numbers with commas.
-    #[error(
-        "{}: line {line}: {cell:?} has a decimal comma: expected decimal points (`sed 's/,/./g' FILE > NEW` makes them where \
-         no comma means anything else)",
-        file.display()
-    )]
-    DecimalComma {
-        /// The file.
-        file: PathBuf,
-        /// The line.
-        line: u64,
-        /// The number.
-        cell: String,
-    },
     /// The recording has no times, and no rate was given.
     #[error(
-        "{} has no stamps (a CSV's are in its column `time_s`): give its rate with --rate HZ, or name the column of times with \
-         --columns",
-        file.display()
+        "{} has no stamps of a known unit: give its rate with --rate HZ, or name the column of times{}",
+        file.display(),
+        proposed.as_ref().map_or_else(
+            || " with --columns 'NAME=time_s' (or _ms, _us, _ns)".to_owned(),
+            |pair| format!(" and its unit, perhaps --columns '{pair}'")
+        )
     )]
     NoRate {
         /// The file.
         file: PathBuf,
+        /// The pair that would name a column of times.
+        proposed: Option<String>,
     },
     /// The stamps do not determine a rate.
     #[error(

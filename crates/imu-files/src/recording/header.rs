@@ -1,29 +1,34 @@
 //! A CSV's first lines: they determine the delimiter and what each column contains.
 //!
-//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), or by the user's map
-//! ([`ColumnMap`]). Comma, semicolon and tab separate columns. Of several in the header line the one that identifies
+//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), by the [vocabulary](super::vocabulary)
+//! of other programs, or by the user's map ([`ColumnMap`]). Comma, semicolon, tab and space separate columns. Of several in the header line the one that identifies
 //! the most columns is used. Lines before the header that begin with `#` or `%` are comments, which may state a rate.
 //! Pure.
 
+use super::columns::Columns;
 use super::error::RecordingError;
-use super::info::Conversion;
 use super::mapping::{ColumnMap, Foreign};
+use super::vocabulary::{Meaning, meaning};
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::{GAUSS_PER_TESLA, RAD_PER_DEG, STANDARD_GRAVITY_M_S2};
 use std::path::Path;
 
 /// The delimiters, in the order of priority if names do not decide.
 const DELIMITERS: [u8; 3] = [b'\t', b';', b','];
+/// Separates the columns of a line that has none of the [`DELIMITERS`].
+pub(super) const SPACE: u8 = b' ';
 /// Names of the columns with stamps, and the decimal places from their unit to a nanosecond.
 const STAMPS: [(&str, usize); 4] = [("time_s", 9), ("time_ms", 6), ("time_us", 3), ("time_ns", 0)];
+/// Names of the two columns of one stamp: its whole seconds, and the nanoseconds behind them.
+const PARTS: [(&str, usize); 2] = [("time_secs", 9), ("time_nsecs", 0)];
 /// The maximum number of a file's columns in a message, and of characters of each.
 const SHOWN: (usize, usize) = (30, 40);
 
 /// The content of a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Column {
-    /// Times in a unit of which a nanosecond is the `places`th decimal.
-    Stamp { places: usize },
+    /// Times in a unit of which a nanosecond is the `places`th decimal. The columns of one slot are summed to one stamp.
+    Stamp { places: usize, slot: usize },
     /// A channel's values; multiplied by `factor` they are in its unit.
     Value { channel: Channel, factor: f64 },
     /// Nothing that is used.
@@ -34,6 +39,7 @@ pub(super) enum Column {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Target {
     Stamp { places: usize },
+    Part { places: usize },
     Value { channel: Channel, unit: &'static str, factor: f64 },
 }
 
@@ -42,17 +48,30 @@ pub(super) enum Target {
 pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static str, f64)] {
     match channel.triad() {
         Some(Triad::Attitude) => &[("_deg", "deg", 1.0), ("_rad", "rad", 1.0 / RAD_PER_DEG)],
-        Some(Triad::Mag) => {
-            &[("_gauss", "gauss", 1.0), ("_tesla", "T", GAUSS_PER_TESLA), ("_ut", "µT", 1e-6 * GAUSS_PER_TESLA)]
-        }
-        Some(Triad::Accel) => {
-            &[("_m_s2", "m/s²", 1.0), ("_g", "g", STANDARD_GRAVITY_M_S2), ("_mg", "mg", 1e-3 * STANDARD_GRAVITY_M_S2)]
-        }
-        Some(Triad::Gyro) => {
-            &[("_rad_s", "rad/s", 1.0), ("_deg_s", "deg/s", RAD_PER_DEG), ("_dps", "deg/s", RAD_PER_DEG)]
-        }
+        Some(Triad::Mag) => &[
+            ("_gauss", "gauss", 1.0),
+            ("_tesla", "T", GAUSS_PER_TESLA),
+            ("_ut", "µT", 1e-6 * GAUSS_PER_TESLA),
+            ("_nt", "nT", 1e-9 * GAUSS_PER_TESLA),
+            ("_mt", "mT", 1e-3 * GAUSS_PER_TESLA),
+            ("_mgauss", "mgauss", 1e-3),
+        ],
+        Some(Triad::Accel) => &[
+            ("_m_s2", "m/s²", 1.0),
+            ("_g", "g", STANDARD_GRAVITY_M_S2),
+            ("_mg", "mg", 1e-3 * STANDARD_GRAVITY_M_S2),
+            ("_ug", "µg", 1e-6 * STANDARD_GRAVITY_M_S2),
+        ],
+        Some(Triad::Gyro) => &[
+            ("_rad_s", "rad/s", 1.0),
+            ("_deg_s", "deg/s", RAD_PER_DEG),
+            ("_dps", "deg/s", RAD_PER_DEG),
+            ("_mdps", "mdps", 1e-3 * RAD_PER_DEG),
+            ("_mrad_s", "mrad/s", 1e-3),
+            ("_deg_h", "deg/h", RAD_PER_DEG / 3600.0),
+        ],
         None if channel == Channel::Temperature => &[("_c", "°C", 1.0)],
-        None => &[("_kpa", "kPa", 1.0)],
+        None => &[("_kpa", "kPa", 1.0), ("_hpa", "hPa", 0.1), ("_pa", "Pa", 1e-3), ("_bar", "bar", 100.0)],
     }
 }
 
@@ -71,14 +90,16 @@ fn value_of(name: &str) -> Option<Target> {
 
 /// Returns the meaning of a name that the user may give to a foreign column.
 pub(super) fn target(name: &str) -> Option<Target> {
-    let stamp = STAMPS.iter().find(|(known, _)| *known == name);
-    stamp.map(|(_, places)| Target::Stamp { places: *places }).or_else(|| value_of(name))
+    let of = |known: &[(&str, usize)]| known.iter().find(|(known, _)| *known == name).map(|(_, places)| *places);
+    let stamp = of(&STAMPS).map(|places| Target::Stamp { places });
+    stamp.or_else(|| of(&PARTS).map(|places| Target::Part { places })).or_else(|| value_of(name))
 }
 
 /// Returns the names that [`target`] accepts, abbreviated.
 pub(super) fn allowed_names() -> &'static str {
-    "time_{s,ms,us,ns}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,tesla,ut}, accel_{x,y,z}_{m_s2,g,mg}, \
-     gyro_{x,y,z}_{rad_s,deg_s,dps}, temperature_c and pressure_kpa"
+    "time_{s,ms,us,ns}, time_{secs,nsecs}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,mgauss,tesla,mt,ut,nt}, \
+     accel_{x,y,z}_{m_s2,g,mg,ug}, gyro_{x,y,z}_{rad_s,mrad_s,deg_s,dps,mdps,deg_h}, temperature_c and \
+     pressure_{kpa,hpa,pa,bar}"
 }
 
 /// Returns a column's name without the space, quotes and byte-order mark that some programs put around it.
@@ -90,70 +111,26 @@ pub(super) fn clean(name: &str) -> &str {
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) delimiter: u8,
-    pub(super) columns: Vec<Column>,
-    pub(super) ignored: Vec<String>,
-    pub(super) conversions: Vec<Conversion>,
-    /// The name of the column of stamps, if there is one.
-    pub(super) stamp: Option<String>,
-    /// Whether the line is no header but the first row: columns are identified by their positions.
+    pub(super) columns: Columns,
+    /// The line is no header but the first row: columns are identified by their positions.
     pub(super) is_row: bool,
 }
 
 impl Header {
-    /// Parses the header line.
-    pub(super) fn understand(line: &str, map: &ColumnMap, file: &Path) -> Result<Self, RecordingError> {
+    /// Parses the header line; `rows` returns the first lines behind it.
+    pub(super) fn understand(
+        line: &str,
+        map: &ColumnMap,
+        file: &Path,
+        rows: &dyn Fn() -> Vec<String>,
+    ) -> Result<Self, RecordingError> {
         let line = without_comment_sign(line, map);
         let (delimiter, _) = delimiter(line, map);
         let cells = cells(line, delimiter);
         let is_row = map.is_by_position() && is_row(&cells, map);
-        let mut header =
-            Self { delimiter, columns: Vec::new(), ignored: Vec::new(), conversions: Vec::new(), stamp: None, is_row };
-        let mut seen: Vec<(Channel, String)> = Vec::new();
-        let mut used = Vec::new();
-        for (index, name) in cells.iter().map(|name| clean(name)).enumerate() {
-            let mapped = map.of(index + 1, name);
-            used.extend(mapped.map(|(pair, _)| pair));
-            let meaning = match mapped {
-                Some((_, target_name)) => target(target_name),
-                None if name == STAMPS[0].0 => target(name),
-                None => value_of(name),
-            };
-            let called = if is_row { format!("#{}", index + 1) } else { name.to_owned() };
-            header.columns.push(match meaning {
-                None => {
-                    header.ignored.push(called);
-                    Column::Ignored
-                }
-                Some(Target::Stamp { places }) => {
-                    if let Some(first) = header.stamp.replace(called.clone()) {
-                        return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second: called });
-                    }
-                    Column::Stamp { places }
-                }
-                Some(Target::Value { channel, unit, factor }) => {
-                    if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
-                        let (file, first) = (file.to_owned(), first.clone());
-                        return Err(RecordingError::DuplicateColumn { file, first, second: called, channel });
-                    }
-                    seen.push((channel, called.clone()));
-                    if unit != channel.unit() {
-                        header.conversions.push(Conversion { channel, column: called, original_unit: unit, factor });
-                    }
-                    Column::Value { channel, factor }
-                }
-            });
-        }
-        if let Some((_, foreign)) = map.foreign().enumerate().find(|(pair, _)| !used.contains(pair)) {
-            let column = match foreign {
-                Foreign::Position(position) => format!("#{position} (it has {} columns)", cells.len()),
-                Foreign::Name(name) => format!("{name:?}"),
-            };
-            return Err(RecordingError::NoColumn { file: file.to_owned(), column, found: shown(&cells) });
-        }
-        if seen.is_empty() {
-            return Err(RecordingError::ForeignColumns { file: file.to_owned(), found: shown(&cells) });
-        }
-        Ok(header)
+        let rows = || rows().iter().map(|row| numbers(row, delimiter)).collect();
+        let columns = Columns::find(&cells, is_row, map, file, &rows)?;
+        Ok(Self { delimiter, columns, is_row })
     }
 
     /// Returns whether a line, as the header of a CSV, names at least one channel with its unit or a column that the
@@ -175,14 +152,33 @@ impl Header {
     }
 }
 
-/// Returns the columns' names for a message, if several of them are words: then the line may be a foreign header.
-pub(super) fn foreign_names(line: &str) -> Option<String> {
+/// Returns a table's columns as words, if the line may be a foreign header; without words, if it is a row of numbers.
+pub(super) fn foreign_names(line: &str) -> Option<Vec<String>> {
+    let line = line.trim_start_matches('\u{FEFF}').trim_start_matches(['#', '%']);
     let cells = cells(line, delimiter(line, &ColumnMap::default()).0);
     let is_word = |cell: &String| {
         let cell = clean(cell);
-        cell.contains(|c: char| c.is_alphabetic()) && !cell.contains(|c: char| c.is_control())
+        cell.is_empty() || cell.contains(|c: char| c.is_alphabetic()) && !cell.contains(|c: char| c.is_control())
     };
-    (cells.len() > 1 && cells.iter().all(is_word)).then(|| shown(&cells))
+    let is_number = |cell: &String| clean(cell).parse::<f64>().is_ok();
+    let empty = cells.iter().filter(|cell| clean(cell).is_empty()).count();
+    let of_words = cells.len() > 1 + empty && empty < 2 && cells.iter().all(is_word);
+    (of_words || (cells.len() > 3 && cells.iter().all(is_number))).then_some(cells)
+}
+
+/// Returns whether a name states a channel with its unit.
+fn names_channel(name: &str) -> bool {
+    known_column(name).is_some() || matches!(meaning(name), Some(Meaning::Value { .. }))
+}
+
+/// Returns the cells of a row.
+fn numbers(row: &str, delimiter: u8) -> Vec<String> {
+    cells(row, delimiter).iter().map(|cell| clean(cell).to_owned()).collect()
+}
+
+/// Returns the cells of a row, separated as those of the table's first line.
+pub(super) fn numbers_like(row: &str, first: &str) -> Vec<String> {
+    numbers(row, delimiter(first, &ColumnMap::default()).0)
 }
 
 /// Words that precede `rate` if it is a sampling rate: not a baud rate, nor a gyro's rate of turn.
@@ -222,16 +218,23 @@ fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
     let known = |delimiter: u8| {
         let names = cells(line, delimiter);
         let by_name = |name: &str| map.foreign().any(|foreign| *foreign == Foreign::Name(name.to_owned()));
-        names.iter().map(|name| clean(name)).filter(|name| known_column(name).is_some() || by_name(name)).count()
+        names.iter().map(|name| clean(name)).filter(|name| names_channel(name) || by_name(name)).count()
     };
     let present = DELIMITERS.into_iter().filter(|delimiter| line.as_bytes().contains(delimiter));
     // Of equals the first is taken.
     let counted = present.map(|delimiter| (delimiter, known(delimiter))).rev();
-    counted.max_by_key(|(_, known)| *known).unwrap_or_else(|| (b',', known(b',')))
+    let none = || {
+        let of_space = line.trim().contains(char::is_whitespace) && known(SPACE) >= known(b',');
+        if of_space { (SPACE, known(SPACE)) } else { (b',', known(b',')) }
+    };
+    counted.max_by_key(|(_, known)| *known).unwrap_or_else(none)
 }
 
 /// Returns a line's cells; a cell in quotation marks stays whole.
 fn cells(line: &str, delimiter: u8) -> Vec<String> {
+    if delimiter == SPACE {
+        return line.split_ascii_whitespace().map(str::to_owned).collect();
+    }
     let mut split = Split::default();
     split.push(line.as_bytes(), delimiter);
     split.finish();
@@ -247,7 +250,7 @@ fn is_row(cells: &[String], map: &ColumnMap) -> bool {
         && mapped.iter().any(|cell| !cell.is_empty())
 }
 
-fn shown(cells: &[String]) -> String {
+pub(super) fn shown(cells: &[String]) -> String {
     let mut names: Vec<String> =
         cells.iter().take(SHOWN.0).map(|name| clean(name).chars().take(SHOWN.1).collect::<String>()).collect();
     if cells.len() > SHOWN.0 {

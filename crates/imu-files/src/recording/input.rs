@@ -3,14 +3,20 @@
 use super::error::RecordingError;
 use super::mapping::ColumnMap;
 use super::meter::{EXPANSION, Expanded, Expansion, FileBytes, KeepOn, Meter};
+use super::table::{ARRAYS_MAX, Arrays, broken};
+use super::utf16;
+use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::MultiGzDecoder;
+use lzma_rust2::XzReader;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Cursor};
+use std::io::{BufRead, BufReader, Cursor, Read};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
+/// Memory that an xz file may ask for, KiB: `xz -9` asks for 65 MiB.
+const XZ_MEMORY_KIB: u32 = 128 << 10;
 /// Bytes read at a time.
 const BUFFER_BYTES: usize = 128 * 1024;
 
@@ -22,6 +28,8 @@ pub struct Input {
     keep_on: KeepOn,
     expansion: Expansion,
     columns: ColumnMap,
+    /// The arrays of a file that is read whole.
+    arrays: Arc<OnceLock<Arc<Arrays>>>,
 }
 
 impl Input {
@@ -33,12 +41,23 @@ impl Input {
             keep_on: KeepOn::default(),
             expansion: EXPANSION,
             columns: ColumnMap::default(),
+            arrays: Arc::default(),
         }
     }
 
     /// Creates an input from bytes in memory; messages refer to them as `name`.
     pub fn memory(name: &str, bytes: impl Into<Arc<[u8]>>) -> Self {
         Self { bytes: Some(bytes.into()), ..Self::file(Path::new(name)) }
+    }
+
+    /// Sets the file, with all else as it is.
+    pub(super) fn with_path(self, path: PathBuf) -> Self {
+        Self { path, ..self }
+    }
+
+    /// Sets the bytes that stand for the path.
+    pub(super) fn with_bytes(self, text: String) -> Self {
+        Self { bytes: Some(text.into_bytes().into()), ..self }
     }
 
     /// Reads only while the recording is wanted: once it is not, reading ends with [`RecordingError::Unwanted`].
@@ -82,7 +101,42 @@ impl Input {
         Meter::new(self.keep_on.clone(), self.expansion)
     }
 
-    /// Returns the content from the start, decompressed if it is gzip.
+    /// Returns the file itself, if it is one and is not compressed.
+    pub(super) fn plain_file(&self) -> Result<Option<File>, RecordingError> {
+        let mut head = [0; 4];
+        let is_compressed = self.bytes.is_some() || self.read_plain(&mut head)? < 4 || is_compressed(&head);
+        if is_compressed { Ok(None) } else { open_regular(&self.path).map(Some) }
+    }
+
+    fn read_plain(&self, head: &mut [u8]) -> Result<usize, RecordingError> {
+        let read = open_regular(&self.path)?.read(head);
+        read.map_err(|source| super::detect::read_error(&self.path, 0, source))
+    }
+
+    /// Returns the whole content, decompressed.
+    pub(super) fn whole(&self) -> Result<Vec<u8>, RecordingError> {
+        let mut bytes = Vec::new();
+        let read = self.open()?.take(ARRAYS_MAX as u64 + 1).read_to_end(&mut bytes);
+        read.map_err(|source| super::detect::read_error(&self.path, 0, source))?;
+        if bytes.len() > ARRAYS_MAX {
+            let what = format!(
+                "it has more than {ARRAYS_MAX} bytes, and its form must be read whole; save it as CSV or Parquet"
+            );
+            return Err(broken(self, what));
+        }
+        Ok(bytes)
+    }
+
+    /// Returns the arrays of the content, which are kept: it is read several times.
+    pub(super) fn arrays(&self, form: fn(&[u8]) -> Result<Arrays, String>) -> Result<Arc<Arrays>, RecordingError> {
+        if let Some(arrays) = self.arrays.get() {
+            return Ok(Arc::clone(arrays));
+        }
+        let arrays = Arc::new(form(&self.whole()?).map_err(|what| broken(self, what))?);
+        Ok(Arc::clone(self.arrays.get_or_init(|| arrays)))
+    }
+
+    /// Returns the content from the start, decompressed if it is gzip, bzip2, xz or zstd, and as UTF-8 if it is UTF-16.
     pub(super) fn open(&self) -> Result<Box<dyn BufRead>, RecordingError> {
         Ok(self.open_metered()?.0)
     }
@@ -97,12 +151,27 @@ impl Input {
         let mut bytes = FileBytes { bytes, meter: Rc::clone(&meter) };
         // Opening a directory succeeds; reading it does not.
         let head = bytes.fill_buf().map_err(|source| super::detect::read_error(&self.path, 0, source))?;
-        if head.starts_with(&[0x1F, 0x8B]) {
-            let expanded = Expanded { bytes: MultiGzDecoder::new(bytes), meter: Rc::clone(&meter) };
-            return Ok((Box::new(BufReader::with_capacity(BUFFER_BYTES, expanded)), meter));
-        }
-        Ok((Box::new(bytes), meter))
+        let read_error = |source| super::detect::read_error(&self.path, 0, source);
+        let expanded: Box<dyn Read> = match head {
+            [0x1F, 0x8B, ..] => Box::new(MultiGzDecoder::new(bytes)),
+            [b'B', b'Z', b'h', b'1'..=b'9', 0x31, 0x41, 0x59, 0x26, ..] => Box::new(MultiBzDecoder::new(bytes)),
+            [0xFD, b'7', b'z', b'X', b'Z', 0, ..] => Box::new(XzReader::new_mem_limit(bytes, true, XZ_MEMORY_KIB)),
+            [0x28, 0xB5, 0x2F, 0xFD, ..] => {
+                Box::new(zstd::stream::read::Decoder::with_buffer(bytes).map_err(read_error)?)
+            }
+            _ => return Ok((utf16::decoded(Box::new(bytes)).map_err(read_error)?, meter)),
+        };
+        let expanded = Expanded { bytes: expanded, meter: Rc::clone(&meter) };
+        let expanded = Box::new(BufReader::with_capacity(BUFFER_BYTES, expanded));
+        Ok((utf16::decoded(expanded).map_err(read_error)?, meter))
     }
+}
+
+/// Returns whether a file begins as compressed data do that [`Input::open`] expands.
+fn is_compressed(head: &[u8]) -> bool {
+    [&[0x1F, 0x8B][..], b"BZh", &[0xFD, b'7', b'z'], &[0x28, 0xB5, 0x2F, 0xFD]]
+        .iter()
+        .any(|magic| head.starts_with(magic))
 }
 
 /// Opens a recording's file, which is read several times. A pipe returns its bytes only once, and opening one would

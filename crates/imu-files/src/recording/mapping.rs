@@ -5,7 +5,8 @@
 //! commas. The last `=` of a pair separates its sides, and a comma that no `=` precedes belongs to the name. A name
 //! with a comma behind an `=` must be given by its position. Pure.
 
-use super::header::{allowed_names, target};
+use super::header::{allowed_names, known_column, target};
+use imu_core::sample::Channel;
 use std::fmt;
 
 /// The foreign side of a pair.
@@ -131,6 +132,20 @@ impl ColumnMap {
         self.pairs.iter().map(|(foreign, _)| foreign)
     }
 
+    /// Returns whether a pair gives this channel.
+    pub(super) fn has(&self, channel: Channel) -> bool {
+        self.pairs.iter().any(|(_, name)| known_column(name).is_some_and(|(known, ..)| known == channel))
+    }
+
+    /// Returns two columns that give the same channel.
+    pub(super) fn twice(&self) -> Option<(String, String, Channel)> {
+        let channels = || self.pairs.iter().filter_map(|(foreign, name)| Some((foreign, known_column(name)?.0)));
+        channels().enumerate().find_map(|(place, (foreign, channel))| {
+            let (first, _) = channels().take(place).find(|(_, earlier)| *earlier == channel)?;
+            Some((first.to_string(), foreign.to_string(), channel))
+        })
+    }
+
     /// Returns whether all columns are given by position, so that no header line is needed.
     pub(super) fn is_by_position(&self) -> bool {
         !self.is_empty() && self.foreign().all(|foreign| matches!(foreign, Foreign::Position(_)))
@@ -197,7 +212,7 @@ mod tests {
         for (text, words) in [
             ("ax", ["\"ax\"", "FOREIGN=NAME"]),
             ("=accel_x_g", ["\"=accel_x_g\"", "FOREIGN=NAME"]),
-            ("ax=accel_x", ["\"accel_x\" is no column's name", "accel_{x,y,z}_{m_s2,g,mg}"]),
+            ("ax=accel_x", ["\"accel_x\" is no column's name", "accel_{x,y,z}_{m_s2,g,mg,ug}"]),
             ("t=time,ax=accel_x_g", ["\"time\"", "time_{s,ms,us,ns}"]),
             ("ax=accel_x_g,t", ["\"t\"", "FOREIGN=NAME"]),
             ("#0=accel_x_g", ["#0", "count from #1"]),

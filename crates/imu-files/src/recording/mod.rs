@@ -1,6 +1,6 @@
 //! Recordings: files of samples that other programs wrote, read as if they had been captured.
 //!
-//! In: a path to CSV (docs/formats.md) or raw `$VN…` lines, either also gzip-compressed, raw bytes of a VN-100, a ROS 1
+//! In: a path to a table (docs/formats.md; CSV, Parquet, arrays, logs of PX4 and ArduPilot) or raw `$VN…` lines, either also compressed, raw bytes of a VN-100, a ROS 1
 //! or ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a first pass over the file, then its samples one by one
 //! ([`Recording::items`]), [`Record`](imu_core::sample::Record)s ([`account`]), or whole columns ([`load_columns`]).
 //!
@@ -31,8 +31,10 @@ mod remark_tests;
 mod tests;
 
 mod between;
+mod columns;
 mod csv;
 mod doubts;
+mod folder;
 mod grid;
 mod header;
 mod mapping;
@@ -41,20 +43,25 @@ mod number;
 mod order;
 mod pairs;
 mod placing;
+mod propose;
 mod quantum;
 mod ros;
 mod stamps;
 mod survey;
+mod table;
 mod turning;
+mod utf16;
 mod values;
 mod vn_binary;
 mod vn_text;
+mod vocabulary;
 
 pub use account::RecordingAccountant;
 pub use choice::StampChoice;
 pub use detect::{Kind, detect};
 pub use error::RecordingError;
 pub use findings::{Doubt, Findings, Pairs, Quantisation};
+pub use folder::{bag_file, is_recording_folder, recording_files};
 pub use grid::StampGrid;
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
 pub use input::{Input, open_regular};
@@ -64,7 +71,7 @@ pub use meter::KeepOn;
 pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
 pub use rows::Rejected;
 
-use choice::{Chosen, choose};
+use choice::{Chosen, choose, choose_of_columns};
 use imu_core::sample::{ChannelSet, Sample};
 use imu_core::units::{NANOS_PER_SECOND, period_ns};
 use order::{Entry, Order};
@@ -131,6 +138,7 @@ impl Recording {
         if let Some(rate_hz) = options.rate_hz.filter(|rate| !(rate.is_finite() && *rate > 0.0)) {
             return Err(RecordingError::Rate { found: rate_hz });
         }
+        let input = folder::resolved(input)?;
         let file = input.path();
         let mut layout = Layout::find(&input, &options)?;
         let mut source = layout.open(&input)?;
@@ -157,7 +165,9 @@ impl Recording {
             (None, kind) => match (commented_rate_hz, kind) {
                 (Some(rate_hz), _) => (rate_hz, false),
                 (None, Kind::VnText | Kind::Bag | Kind::Db3 | Kind::Mcap) => (DEFAULT_VN_RATE_HZ, true),
-                (None, Kind::Csv | Kind::RawBytes) => return Err(RecordingError::NoRate { file: file.to_owned() }),
+                (None, _) => {
+                    return Err(RecordingError::NoRate { file: file.to_owned(), proposed: source.proposed_time() });
+                }
             },
         };
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
@@ -308,12 +318,21 @@ impl Layout {
             return Err(of_no_csv(found));
         }
         let (chosen, topics) = match kind {
-            Kind::Csv => (csv::CsvRows::open(input)?.chosen()?, None),
+            Kind::Csv => {
+                let mut rows = csv::CsvRows::open(input)?;
+                let count = rows.header.columns.stamps.len();
+                (choose_of_columns(&mut rows, count)?, None)
+            }
             Kind::VnText => (choose(&mut vn_text::VnRows::open(input, None)?)?, None),
             Kind::RawBytes => (choose(&mut vn_binary::BinaryRows::open(input)?)?, None),
             Kind::Bag | Kind::Db3 | Kind::Mcap => {
                 let topics = ros::Topics::find(kind, input, &options.definitions)?;
                 (choose(&mut ros::RosRows::open(input, &topics)?)?, Some(topics))
+            }
+            _ => {
+                let mut rows = table::TableRows::open(kind, input)?;
+                let count = rows.columns.stamps.len();
+                (choose_of_columns(&mut rows, count)?, None)
             }
         };
         let mut layout = Self { kind, chosen, topics };
@@ -352,7 +371,8 @@ impl Layout {
         Ok(match self.kind {
             Kind::Csv => Source::Csv(Box::new(csv::CsvRows::open(input)?)),
             Kind::RawBytes => Source::RawBytes(Box::new(vn_binary::BinaryRows::open(input)?)),
-            _ => Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?)),
+            Kind::VnText => Source::VnText(Box::new(vn_text::VnRows::open(input, Some(self.chosen.count))?)),
+            kind => Source::Table(Box::new(table::TableRows::open(kind, input)?)),
         })
     }
 }
@@ -362,6 +382,7 @@ enum Source {
     Csv(Box<csv::CsvRows>),
     VnText(Box<vn_text::VnRows>),
     RawBytes(Box<vn_binary::BinaryRows>),
+    Table(Box<table::TableRows>),
     Ros(Box<ros::RosRows>, ros::Topics),
 }
 
@@ -371,25 +392,35 @@ impl Source {
             Self::Csv(rows) => rows.as_mut(),
             Self::VnText(rows) => rows.as_mut(),
             Self::RawBytes(rows) => rows.as_mut(),
+            Self::Table(rows) => rows.as_mut(),
             Self::Ros(rows, _) => rows.as_mut(),
         }
     }
-    fn about(&self) -> (Vec<Conversion>, Vec<String>) {
+    /// Returns the columns of a table.
+    fn columns(&self) -> Option<&columns::Columns> {
         match self {
-            Self::Csv(rows) => (rows.header.conversions.clone(), rows.header.ignored.clone()),
+            Self::Csv(rows) => Some(&rows.header.columns),
+            Self::Table(rows) => Some(&rows.columns),
+            _ => None,
+        }
+    }
+    fn about(&self) -> (Vec<Conversion>, Vec<String>) {
+        if let Some(columns) = self.columns() {
+            return (columns.conversions.clone(), columns.ignored.clone());
+        }
+        match self {
             Self::VnText(rows) => (Vec::new(), rows.ignored().to_vec()),
-            Self::RawBytes(_) => (Vec::new(), Vec::new()),
             Self::Ros(_, topics) => (topics.conversions(), topics.ignored()),
+            _ => (Vec::new(), Vec::new()),
         }
     }
     /// Returns the channels that the file declares.
     fn claimed(&self) -> ChannelSet {
-        let Self::Csv(rows) = self else { return ChannelSet::default() };
         let channel = |column: &header::Column| match column {
             header::Column::Value { channel, .. } => Some(*channel),
             _ => None,
         };
-        rows.header.columns.iter().filter_map(channel).collect()
+        self.columns().map(|columns| columns.list.iter().filter_map(channel).collect()).unwrap_or_default()
     }
     /// Returns how often the sensor's clock restarted.
     fn restarts(&self) -> u64 {
@@ -402,10 +433,14 @@ impl Source {
             _ => None,
         }
     }
+    /// Returns the pair that would name a column of times.
+    fn proposed_time(&self) -> Option<String> {
+        self.columns()?.proposed_time.clone()
+    }
     fn stamp_choice(&self, chosen: &Chosen) -> Option<StampChoice> {
         let column = chosen.column?;
         let name = match self {
-            Self::Csv(rows) => rows.header.stamp.clone().unwrap_or_default(),
+            Self::Csv(_) | Self::Table(_) => self.columns()?.stamps.get(column).cloned().unwrap_or_default(),
             Self::VnText(_) if chosen.count == 1 => "number before $VN".to_owned(),
             Self::VnText(_) => format!("number {} of {} before $VN", column + 1, chosen.count),
             Self::RawBytes(_) => "sensor's time since its start".to_owned(),

@@ -224,8 +224,20 @@ fn columns_that_are_not_there_or_contradict_are_refused_with_what_is_there() {
     let raw = "$VNYMR,+1*00\n$VNYMR,+1*00\n";
     let error = refused(raw, &["ax=accel_x_g"]);
     assert!(error.contains("raw `$VN…` lines") && error.contains("leave --columns out"), "{error}");
-    let error = refused("time_s;gyro_x_rad_s\n0,0;0,5\n0,025;0,25\n", &[]);
-    assert!(error.contains("line 2") && error.contains("decimal comma"), "{error}");
+}
+
+#[test]
+fn the_first_decimal_sign_is_that_of_the_table() {
+    let text = "time_s;gyro_x_rad_s\n0;0,5\n0,025;-0,25\n0,05;0,125\n0,075;1.5\n0,1;7\n0,125;1,2,3\n0,15;-1,5e-3\n";
+    let recording = read(text, &[], Options::default()).unwrap();
+    let values = columns(&recording).unwrap().columns[0].values.clone();
+    assert_eq!(values, [0.5, -0.25, 0.125, 7.0, -1.5e-3]);
+    assert_eq!(recording.info().rejected, [(DiscardCause::Malformed, 2)].into());
+    assert_eq!(recording.info().rate_hz, 40.0);
+    // Once a point was read, a comma separates thousands, and its row is rejected.
+    let text = "time_s;gyro_x_rad_s\n0.0;0.5\n0.025;1,234\n0.05;0.125\n";
+    let recording = read(text, &[], Options::default()).unwrap();
+    assert_eq!((recording.info().samples, &recording.info().rejected), (2, &[(DiscardCause::Malformed, 1)].into()));
 }
 
 #[test]

@@ -46,6 +46,20 @@ pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
     Some(if negative { -total } else { total })
 }
 
+/// Converts a date of ISO 8601 with a time of day to nanoseconds since 1970; one without a zone counts as UTC.
+pub(super) fn parse_date(text: &[u8]) -> Option<i64> {
+    if text.get(4) != Some(&b'-') || !text.contains(&b':') {
+        return None;
+    }
+    let text = std::str::from_utf8(text).ok()?.trim();
+    let with_zone = chrono::DateTime::parse_from_rfc3339(text).ok().map(|date| date.to_utc());
+    let without = || {
+        let forms = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f"];
+        forms.iter().find_map(|form| chrono::NaiveDateTime::parse_from_str(text, form).ok()).map(|date| date.and_utc())
+    };
+    with_zone.or_else(without)?.timestamp_nanos_opt()
+}
+
 /// The maximum number of stamps kept per row.
 pub(super) const STAMPS_MAX: usize = 4;
 
@@ -242,6 +256,22 @@ mod tests {
             ("", 6, None),
         ] {
             assert_eq!(parse_stamp(text.as_bytes(), places), nanos, "{text:?} {places}");
+        }
+    }
+
+    #[test]
+    fn dates_are_times_since_1970_in_utc() {
+        for (text, nanos) in [
+            ("2024-03-13T19:31:07.729695082Z", Some(1_710_358_267_729_695_082)),
+            ("2024-03-13T20:31:07.5+01:00", Some(1_710_358_267_500_000_000)),
+            ("2024-03-13 19:31:07.5", Some(1_710_358_267_500_000_000)),
+            ("2024-03-13T19:31:07", Some(1_710_358_267_000_000_000)),
+            ("2024-03-13", None),
+            ("19:31:07", None),
+            ("2024-13-13T19:31:07Z", None),
+            ("", None),
+        ] {
+            assert_eq!(parse_date(text.as_bytes()), nanos, "{text:?}");
         }
     }
 

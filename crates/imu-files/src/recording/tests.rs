@@ -453,14 +453,14 @@ fn what_is_no_recording_is_refused_with_how_it_begins() {
     let folder = Folder::new();
     for (content, part) in [
         (&b"#ROSBAG V1.2\n"[..], "a ROS bag of another version"),
-        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "writetable"),
-        (b"\x28\xB5\x2F\xFD\x24", "zstd -d"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "ends after 38 bytes"),
         (b"\xFA\x01\x29", "raw bytes of a VN-100"),
         (b"\x89PNG\r\n\x1a\n", "expected raw `$VN"),
         (b"", "is empty"),
         (b"\n \r\n\n", "is empty"),
-        (b"time,gx,gy\n1,2,3\n", "time | gx | gy. Say which is which with --columns"),
-        (b"gyro_x,gyro_y\n1,2\n", "gyro_{x,y,z}_{rad_s,"),
+        (b"time,gx,gy\n1,2,3\n", "time | gx | gy): no unit stands in the file, so check this guess"),
+        (b"gyro_x,gyro_y\n1,2\n", "--columns 'gyro_x=gyro_x_rad_s,gyro_y=gyro_y_rad_s' --rate HZ"),
+        (b"Tau,Adev\n1,2\n", "gyro_{x,y,z}_{rad_s,"),
     ] {
         let error = load_columns(&folder.file("other", content), at_rate(1.0)).unwrap_err().to_string();
         assert!(error.contains(part) && error.contains("other"), "{error}");
@@ -633,12 +633,18 @@ fn a_pipe_a_device_and_a_folder_are_no_files_and_nothing_waits_for_them() {
     let folder = Folder::new();
     let pipe = folder.0.path().join("pipe");
     rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
-    for (path, found) in
-        [(pipe.as_path(), "a pipe"), (Path::new("/dev/zero"), "a device"), (folder.0.path(), "a folder")]
-    {
+    for (path, found) in [(pipe.as_path(), "a pipe"), (Path::new("/dev/zero"), "a device")] {
         let error = Recording::open(path, Options::default()).unwrap_err();
         assert!(matches!(error, RecordingError::NoFile { found: actual, .. } if actual == found), "{error}");
     }
+    let error = Recording::open(folder.0.path(), Options::default()).unwrap_err();
+    assert!(matches!(error, RecordingError::Folder { .. }), "{error}");
+    // Of several bags none is chosen.
+    folder.file("b_0.mcap", b"");
+    folder.file("b_1.mcap", b"");
+    folder.file("metadata.yaml", b"");
+    let error = Recording::open(folder.0.path(), Options::default()).unwrap_err().to_string();
+    assert!(error.contains("a folder with b_0.mcap, b_1.mcap"), "{error}");
 }
 
 #[test]

@@ -3,14 +3,15 @@
 //! A definition is the text of the message's type, followed by those of all types in it, each behind a line of `=` and
 //! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the definitions that
 //! the user gave ([`MessageDefinition`]), then from the [standard ones](imu_core::ros_messages). The wanted types, at any
-//! depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`. Also wanted are numbers named as a
-//! CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The content
+//! depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`, and the groups of `vectornav_msgs`. Also
+//! wanted are fields that the user names by their dotted paths, numbers named as a CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The content
 //! of arrays is skipped.
 //!
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
 
 use super::super::header::known_column;
+use super::super::mapping::ColumnMap;
 use super::given::MessageDefinition;
 use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
 use imu_core::ros_messages;
@@ -32,16 +33,25 @@ pub(super) fn layout(
     text: &str,
     encoding: Encoding,
     given: &[MessageDefinition],
+    map: &ColumnMap,
 ) -> Result<Layout, MessageError> {
     let message_type = plain_name(message_type);
-    let mut types = Types { known: HashMap::new(), encoding, given };
+    let mut types = Types {
+        known: HashMap::new(),
+        encoding,
+        given,
+        map,
+        path: String::new(),
+        mapped: Vec::new(),
+        paths: Vec::new(),
+    };
     if !text.trim().is_empty() {
         types.parse(&message_type, text)?;
     }
     let mut left = FIELDS_MAX;
     let mut ops = Vec::new();
     types.expand(&message_type, Meaning::of(&message_type), 0, &mut left, &mut ops)?;
-    Ok(Layout { ops, encoding })
+    Ok(Layout { ops, encoding, mapped: types.mapped, paths: types.paths })
 }
 
 /// Converts `package/msg/Name` to `package/Name`.
@@ -64,6 +74,19 @@ enum Repeat {
     Counted,
 }
 
+/// Vectors of `vectornav_msgs`, and the suffixes of their units. Uncompensated ones are left out.
+const VECTORNAV: [(&str, Triad, &str); 7] = [
+    ("yawpitchroll", Triad::Attitude, "_deg"),
+    ("imu_accel", Triad::Accel, "_m_s2"),
+    ("imu_rate", Triad::Gyro, "_rad_s"),
+    ("magpres_mag", Triad::Mag, "_gauss"),
+    ("mag", Triad::Mag, "_gauss"),
+    ("accel", Triad::Accel, "_m_s2"),
+    ("angularrate", Triad::Gyro, "_rad_s"),
+];
+/// Paths of fields that are kept for messages.
+const PATHS_MAX: usize = 64;
+
 /// The meaning of a type's fields.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Meaning {
@@ -73,7 +96,11 @@ enum Meaning {
     Field,
     Temperature,
     Pressure,
+    /// Messages of VectorNav's driver, in the units of its interface control document.
+    VectorNav,
     Vector(Triad),
+    /// A vector with the suffix of its unit.
+    VectorIn(Triad, &'static str),
     /// Nothing in it is wanted.
     Array,
 }
@@ -86,6 +113,7 @@ impl Meaning {
             "sensor_msgs/MagneticField" => Self::Field,
             "sensor_msgs/Temperature" => Self::Temperature,
             "sensor_msgs/FluidPressure" => Self::Pressure,
+            "vectornav_msgs/CommonGroup" | "vectornav_msgs/ImuGroup" => Self::VectorNav,
             _ => Self::Unknown,
         }
     }
@@ -97,6 +125,10 @@ impl Meaning {
             (Self::Imu, "linear_acceleration") => Self::Vector(Triad::Accel),
             (Self::Field, "magnetic_field") => Self::Vector(Triad::Mag),
             (Self::Array, _) => Self::Array,
+            (Self::VectorNav, name) => {
+                let vector = VECTORNAV.iter().find(|(known, ..)| *known == name);
+                vector.map_or_else(|| Self::of(kind), |(_, triad, suffix)| Self::VectorIn(*triad, suffix))
+            }
             _ => Self::of(kind),
         }
     }
@@ -118,6 +150,15 @@ impl Meaning {
                 .into_iter()
                 .find(|channel| channel.triad() == Some(triad) && channel.name().strip_suffix(name).is_some())
                 .map(of_ros),
+            (Self::VectorNav, "magpres_temp" | "temp") => {
+                Some((Channel::Temperature, Unit { name: "°C", factor: 1.0 }))
+            }
+            (Self::VectorNav, "magpres_pres" | "pres") => Some((Channel::Pressure, Unit { name: "kPa", factor: 1.0 })),
+            (Self::VectorIn(triad, suffix), "x" | "y" | "z") => {
+                let place = ["x", "y", "z"].into_iter().position(|axis| axis == name)?;
+                let (channel, unit, factor) = known_column(&format!("{}{suffix}", triad.channels()[place].name()))?;
+                Some((channel, Unit { name: unit, factor }))
+            }
             (Self::Unknown, name) => {
                 known_column(name).map(|(channel, unit, factor)| (channel, Unit { name: unit, factor }))
             }
@@ -153,6 +194,14 @@ struct Types<'a> {
     known: HashMap<String, Rc<[Field]>>,
     encoding: Encoding,
     given: &'a [MessageDefinition],
+    /// The user's names for fields, by their dotted paths.
+    map: &'a ColumnMap,
+    /// The path to the present type, with a dot at its end.
+    path: String,
+    /// The pairs of the map that were found.
+    mapped: Vec<usize>,
+    /// The paths of the numbers.
+    paths: Vec<String>,
 }
 
 impl Types<'_> {
@@ -249,13 +298,14 @@ impl Types<'_> {
     }
 
     /// Adds a field of a built-in type of `size` bytes.
-    fn plain(&self, field: &Field, size: usize, meaning: Meaning, ops: &mut Vec<Op>) -> Result<(), MessageError> {
+    fn plain(&mut self, field: &Field, size: usize, meaning: Meaning, ops: &mut Vec<Op>) -> Result<(), MessageError> {
         let name = field.name.as_str();
         match field.repeat {
             Repeat::Once => {
                 let wide = field.kind == "float64";
                 let is_float = wide || field.kind == "float32";
-                match meaning.channel(name).filter(|_| is_float) {
+                let own = meaning.channel(name).filter(|(channel, _)| is_float && !self.map.has(*channel));
+                match self.told(name, is_float, meaning).or(own) {
                     // A second sensor in one message does not overwrite the first.
                     Some((channel, unit)) if !has(ops, channel) => ops.push(Op::Value { channel, wide, unit }),
                     _ if meaning == Meaning::Header && field.kind == "time" => ops.push(Op::Stamp),
@@ -277,6 +327,21 @@ impl Types<'_> {
         Ok(())
     }
 
+    /// Returns what the user's map states about a number.
+    fn told(&mut self, name: &str, is_float: bool, meaning: Meaning) -> Option<(Channel, Unit)> {
+        if !is_float || meaning == Meaning::Array {
+            return None;
+        }
+        let path = format!("{}{name}", self.path);
+        let found = self.map.of(0, &path).map(|(pair, name)| (pair, known_column(name)));
+        if self.paths.len() < PATHS_MAX {
+            self.paths.push(path);
+        }
+        let (pair, (channel, unit, factor)) = found.and_then(|(pair, known)| Some((pair, known?)))?;
+        self.mapped.push(pair);
+        Some((channel, Unit { name: unit, factor }))
+    }
+
     /// Adds a field that is itself a message, or an array of messages.
     fn nested(
         &mut self,
@@ -293,7 +358,12 @@ impl Types<'_> {
                 ops.push(Op::Stamp);
                 return Ok(());
             }
-            return self.expand(&inner, meaning.of_field(&inner, &field.name), depth + 1, left, ops);
+            let before = self.path.len();
+            self.path.push_str(&field.name);
+            self.path.push('.');
+            let expanded = self.expand(&inner, meaning.of_field(&inner, &field.name), depth + 1, left, ops);
+            self.path.truncate(before);
+            return expanded;
         }
         let mut body = Vec::new();
         self.expand(&inner, Meaning::Array, depth + 1, left, &mut body)?;

@@ -111,6 +111,10 @@ pub(super) enum Op {
 pub(in crate::recording) struct Layout {
     pub(super) ops: Vec<Op>,
     pub(super) encoding: Encoding,
+    /// The pairs of the user's map whose fields it has.
+    pub(super) mapped: Vec<usize>,
+    /// The paths of its numbers.
+    pub(super) paths: Vec<String>,
 }
 
 impl Layout {

@@ -3,7 +3,7 @@
 use super::definition::layout;
 use super::layout::{Encoding, MessageError};
 use super::*;
-use crate::recording::{KeepOn, LoadedRecording, Options, Recording, columns};
+use crate::recording::{ColumnMap, KeepOn, LoadedRecording, Options, Recording, columns};
 use imu_core::sample::{Channel, DiscardCause};
 use proptest::prelude::*;
 use vn100_testkit::ros2::{Cdr, IMU_DEFINITION, Message, Topic, db3, mcap};
@@ -378,12 +378,15 @@ fn a_message_that_is_too_short_or_too_long_is_rejected_with_its_place() {
 
 #[test]
 fn definitions_are_bounded() {
-    let of = |text: &str| layout("own/T", text, Encoding::Cdr, &[]);
+    let of = |text: &str| layout("own/T", text, Encoding::Cdr, &[], &ColumnMap::default());
     assert_eq!(of("own/T t\n"), Err(MessageError::TooMuch));
     assert_eq!(of("float64 x\nwstring y\n"), Err(MessageError::Type("wstring".to_owned())));
     assert!(matches!(of("float64\n"), Err(MessageError::Line(_))));
     // In ROS 1 nothing may follow a name.
-    assert!(matches!(layout("own/T", "float64 x 3\n", Encoding::Ros1, &[]), Err(MessageError::Line(_))));
+    assert!(matches!(
+        layout("own/T", "float64 x 3\n", Encoding::Ros1, &[], &ColumnMap::default()),
+        Err(MessageError::Line(_))
+    ));
     let bounded = of("float64[<=3] a\nuint8[4] b\nown/U[2] c\n===\nMSG: own/msg/U\nint8 a\nint32 b\n").unwrap();
     // 2 numbers, 4 bytes, then each of the pairs a byte and an aligned number.
     let cdr = Cdr::little_endian().number(2).wide(&[1.0, 2.0]).byte(0).byte(0).byte(0).byte(0);
@@ -410,7 +413,7 @@ proptest! {
             text.push_str(&format!("{kind} f{index}\n"));
         }
         text.push_str("float64 gyro_z_rad_s\n");
-        let layout = layout("own/T", &text, Encoding::Cdr, &[]).unwrap();
+        let layout = layout("own/T", &text, Encoding::Cdr, &[], &ColumnMap::default()).unwrap();
         let bytes = cdr.wide(&[value]).bytes();
         prop_assert_eq!(layout.read(&bytes).unwrap().channels[Channel::GyroZ as usize], Some(value));
     }

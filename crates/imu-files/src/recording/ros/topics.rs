@@ -13,6 +13,7 @@ use crate::recording::detect::Kind;
 use crate::recording::error::RecordingError;
 use crate::recording::info::Conversion;
 use crate::recording::input::Input;
+use crate::recording::mapping::ColumnMap;
 use imu_core::sample::{Channel, ChannelSet};
 use std::collections::{HashMap, HashSet, VecDeque};
 
@@ -86,6 +87,9 @@ struct Candidate {
     /// The last stamps, and the number of messages that share a stamp with each other candidate.
     stamps: VecDeque<i64>,
     shared: Vec<u64>,
+    /// The pairs of the user's map that its fields satisfy, and the paths of its numbers.
+    mapped: Vec<usize>,
+    paths: Vec<String>,
 }
 
 /// The name that `vn100d export` gives to messages with all values as they were recorded.
@@ -121,6 +125,8 @@ impl Candidate {
             refused,
             stamps: VecDeque::new(),
             shared: Vec::new(),
+            mapped: layout.as_ref().map(|layout| layout.mapped.clone()).unwrap_or_default(),
+            paths: layout.as_ref().map(|layout| layout.paths.clone()).unwrap_or_default(),
         }
     }
 
@@ -144,9 +150,9 @@ impl Candidate {
 }
 
 /// Returns the layout of a connection's messages.
-fn layout_of(connection: &Connection, given: &[MessageDefinition]) -> Result<Layout, MessageError> {
+fn layout_of(connection: &Connection, given: &[MessageDefinition], map: &ColumnMap) -> Result<Layout, MessageError> {
     let encoding = connection.encoding.clone()?;
-    definition::layout(&connection.message_type, &connection.definition, encoding, given)
+    definition::layout(&connection.message_type, &connection.definition, encoding, given, map)
 }
 
 /// The result of a first pass over a file.
@@ -177,7 +183,7 @@ impl Search {
         let mut damage = None;
         while let Some(entry) = reader.next_entry(&|number| self.connections.contains_key(&number)) {
             match entry {
-                Entry::Connection(connection) => self.connect(&connection, given),
+                Entry::Connection(connection) => self.connect(&connection, given, input.columns()),
                 Entry::Message { connection, data, .. } => self.take(connection, data),
                 Entry::Damaged { at, what } => {
                     damage.get_or_insert(if at == 0 { what } else { format!("at byte {at}: {what}") });
@@ -189,7 +195,7 @@ impl Search {
         Ok(damage)
     }
 
-    fn connect(&mut self, connection: &Connection, given: &[MessageDefinition]) {
+    fn connect(&mut self, connection: &Connection, given: &[MessageDefinition], map: &ColumnMap) {
         if self.known.len() >= KNOWN_MAX || !self.known.insert(connection.number) {
             return;
         }
@@ -197,7 +203,7 @@ impl Search {
             self.passed_over += 1;
             return;
         }
-        let layout = layout_of(connection, given);
+        let layout = layout_of(connection, given, map);
         let same = self.candidates.iter().position(|candidate| candidate.topic.has(connection));
         let index = match same {
             Some(index) => index,
@@ -264,6 +270,23 @@ impl Candidate {
     }
 }
 
+/// Checks that every pair of the user's map names a field of the topic, and no two the same channel.
+fn check_map(input: &Input, main: &Candidate) -> Result<(), RecordingError> {
+    let map = input.columns();
+    let file = || input.path().to_owned();
+    if let Some((first, second, channel)) = map.twice() {
+        return Err(RecordingError::DuplicateColumn { file: file(), first, second, channel });
+    }
+    match map.foreign().enumerate().find(|(pair, _)| !main.mapped.contains(pair)) {
+        Some((_, foreign)) => Err(RecordingError::NoColumn {
+            file: file(),
+            column: format!("{:?} with numbers of a channel in {}", foreign.to_string(), main.topic.name),
+            found: if main.paths.is_empty() { "none".to_owned() } else { main.paths.join(" | ") },
+        }),
+        None => Ok(()),
+    }
+}
+
 impl Topics {
     /// Searches the whole file for the topics.
     ///
@@ -290,7 +313,14 @@ impl Topics {
         let mut candidates = search.candidates;
         let rank = |candidate: &Candidate| {
             let topic = &candidate.topic;
-            (candidate.raw > 0, topic.message_type == OWN_TYPE, topic.channels.iter().count(), candidate.messages)
+            let mapped = candidate.mapped.len();
+            (
+                mapped,
+                candidate.raw > 0,
+                topic.message_type == OWN_TYPE,
+                topic.channels.iter().count(),
+                candidate.messages,
+            )
         };
         // Of equals the first is taken.
         let usable = candidates.iter().enumerate().rev().filter(|(_, candidate)| candidate.is_usable());
@@ -302,7 +332,9 @@ impl Topics {
             }
             return Err(RecordingError::NoTopic { file: input.path().to_owned(), found });
         };
-        let raw = candidates[main].raw > 0;
+        check_map(input, &candidates[main])?;
+        // What the user names counts, not a line beside it.
+        let raw = candidates[main].raw > 0 && input.columns().is_empty();
         let mut roles = vec![None; candidates.len()];
         roles[main] = Some(Role::Main);
         let (mut taken, mut beside) = (candidates[main].topic.channels, Vec::new());

@@ -1,0 +1,271 @@
+//! Columns: what each column of a table holds, from its name, the user's map and, for times without a unit, its first
+//! values.
+//!
+//! The user's map decides first; of what it does not name, columns that state a channel with its unit are taken
+//! ([`super::vocabulary`]). Two columns of one channel are refused, unless one gives way (an uncompensated value, one
+//! without gravity). A time in a unit that its name does not state is taken if the program that wrote the file is known by
+//! its other columns, if it is a date, or if its values are times since 1970 in one unit only. Pure.
+
+use super::error::RecordingError;
+use super::header::{Column, Target, clean, known_column, shown, target};
+use super::info::Conversion;
+use super::mapping::{ColumnMap, Foreign};
+use super::propose::proposal;
+use super::stamps::{STAMPS_MAX, parse_date, parse_stamp};
+use super::vocabulary::{Meaning, meaning};
+use imu_core::sample::Channel;
+use imu_core::units::NANOS_PER_SECOND;
+use std::path::Path;
+
+/// The columns of a table.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Columns {
+    /// The content of each column.
+    pub(super) list: Vec<Column>,
+    /// Names of those that are not used.
+    pub(super) ignored: Vec<String>,
+    pub(super) conversions: Vec<Conversion>,
+    /// The names of the stamps, by slot.
+    pub(super) stamps: Vec<String>,
+    /// Without stamps: the pairs that would name a column of times whose unit is unknown.
+    pub(super) proposed_time: Option<String>,
+}
+
+/// The first rows of a table, as text.
+pub(super) type FirstRows<'a> = &'a dyn Fn() -> Vec<Vec<String>>;
+
+/// A column that may be used.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Use {
+    Channel { channel: Channel, unit: &'static str, factor: f64, rank: u8 },
+    Time { places: Option<usize>, told: bool },
+    Part { places: usize, told: bool },
+    Nothing,
+}
+
+/// The unit of times by the program that wrote the table, known by another of its columns: the name of the time, the
+/// beginning or the whole of the other name, the places.
+const PROGRAMS: [(&str, &str, usize); 6] = [
+    // rostopic echo -p writes nanoseconds, bagpy and PlotJuggler seconds, ulog2csv microseconds.
+    ("time", "field.", 0),
+    ("field.header.stamp", "field.", 0),
+    ("time", "header.stamp.secs", 9),
+    ("__time", "__time", 9),
+    ("timestamp", "gyro_rad[0]", 3),
+    ("timestamp", "accelerometer_m_s2[0]", 3),
+];
+
+impl Columns {
+    /// Determines the columns from their names. `unnamed`: the names are those of no header, only the map counts.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if a column of the map does not exist, two columns give the same, or no column gives a channel.
+    pub(super) fn find(
+        names: &[String],
+        unnamed: bool,
+        map: &ColumnMap,
+        file: &Path,
+        rows: FirstRows<'_>,
+    ) -> Result<Self, RecordingError> {
+        let mut mapped_pairs = Vec::new();
+        let mut uses = Vec::new();
+        for (index, name) in names.iter().map(|name| clean(name)).enumerate() {
+            let mapped = map.of(index + 1, name);
+            mapped_pairs.extend(mapped.map(|(pair, _)| pair));
+            uses.push(match mapped {
+                Some((_, target_name)) => told(target_name),
+                None if unnamed => Use::Nothing,
+                None => of_name(name),
+            });
+        }
+        let missing = map.foreign().enumerate().find(|(pair, _)| !mapped_pairs.contains(pair));
+        if let Some((_, foreign)) = missing {
+            let column = match foreign {
+                Foreign::Position(position) => format!("#{position} (it has {} columns)", names.len()),
+                Foreign::Name(name) => format!("{name:?}"),
+            };
+            return Err(RecordingError::NoColumn { file: file.to_owned(), column, found: shown(names) });
+        }
+        let called = |index: usize| {
+            let name = names.get(index).map(|name| clean(name)).unwrap_or_default();
+            if unnamed || name.is_empty() { format!("#{}", index + 1) } else { name.to_owned() }
+        };
+        give_way(&mut uses);
+        let mut columns = Self::default();
+        columns.take_channels(&uses, file, &called)?;
+        if !columns.list.iter().any(|column| matches!(column, Column::Value { .. })) {
+            return Err(foreign(names, file, rows));
+        }
+        columns.take_times(&uses, names, file, &called, rows)?;
+        let ignored = columns.list.iter().enumerate().filter(|(_, column)| **column == Column::Ignored);
+        columns.ignored = ignored.map(|(index, _)| called(index)).collect();
+        Ok(columns)
+    }
+
+    fn take_channels(
+        &mut self,
+        uses: &[Use],
+        file: &Path,
+        called: &dyn Fn(usize) -> String,
+    ) -> Result<(), RecordingError> {
+        let mut seen: Vec<(Channel, usize)> = Vec::new();
+        for (index, kind) in uses.iter().enumerate() {
+            let Use::Channel { channel, unit, factor, .. } = *kind else {
+                self.list.push(Column::Ignored);
+                continue;
+            };
+            if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
+                let (first, second) = (called(*first), called(index));
+                return Err(RecordingError::DuplicateColumn { file: file.to_owned(), first, second, channel });
+            }
+            seen.push((channel, index));
+            if unit != channel.unit() {
+                self.conversions.push(Conversion { channel, column: called(index), original_unit: unit, factor });
+            }
+            self.list.push(Column::Value { channel, factor });
+        }
+        Ok(())
+    }
+
+    fn take_times(
+        &mut self,
+        uses: &[Use],
+        names: &[String],
+        file: &Path,
+        called: &dyn Fn(usize) -> String,
+        rows: FirstRows<'_>,
+    ) -> Result<(), RecordingError> {
+        let is_told = |kind: &Use| matches!(kind, Use::Time { told: true, .. } | Use::Part { told: true, .. });
+        let by_user = uses.iter().any(is_told);
+        let parts = uses.iter().filter(|kind| matches!(kind, Use::Part { .. }) && (!by_user || is_told(kind))).count();
+        let mut part_slot = None;
+        let mut first_told = None;
+        let mut unknown = Vec::new();
+        for (index, kind) in uses.iter().enumerate().filter(|(_, kind)| !by_user || is_told(kind)) {
+            let name = names.get(index).map(|name| clean(name)).unwrap_or_default();
+            let places = match *kind {
+                Use::Part { places, .. } if parts == 2 => {
+                    let slot = *part_slot.get_or_insert_with(|| {
+                        self.stamps.push(called(index));
+                        self.stamps.len() - 1
+                    });
+                    self.list[index] = Column::Stamp { places, slot };
+                    continue;
+                }
+                Use::Time { places: Some(places), told } => {
+                    let first = if told || known_time(name) { first_told.replace(index) } else { None };
+                    if let Some(first) = first {
+                        let (first, second) = (called(first), called(index));
+                        return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second });
+                    }
+                    Some(places)
+                }
+                Use::Time { places: None, .. } => by_program(name, names).or_else(|| by_values(&rows(), index)),
+                _ => continue,
+            };
+            match places {
+                Some(places) if self.stamps.len() < STAMPS_MAX => {
+                    self.list[index] = Column::Stamp { places, slot: self.stamps.len() };
+                    self.stamps.push(called(index));
+                }
+                _ => unknown.push(index),
+            }
+        }
+        if self.stamps.is_empty() && !unknown.is_empty() {
+            self.proposed_time = super::propose::time(names, &rows(), &unknown);
+        }
+        Ok(())
+    }
+}
+
+/// Returns whether the name is that of a column of docs/formats.md.
+fn known_time(name: &str) -> bool {
+    matches!(target(name), Some(Target::Stamp { .. }))
+}
+
+fn told(name: &str) -> Use {
+    match target(name) {
+        Some(Target::Stamp { places }) => Use::Time { places: Some(places), told: true },
+        Some(Target::Part { places }) => Use::Part { places, told: true },
+        Some(Target::Value { channel, unit, factor }) => Use::Channel { channel, unit, factor, rank: 0 },
+        None => Use::Nothing,
+    }
+}
+
+fn of_name(name: &str) -> Use {
+    if let Some((channel, unit, factor)) = known_column(name) {
+        return Use::Channel { channel, unit, factor, rank: 1 };
+    }
+    match meaning(name) {
+        Some(Meaning::Value { channel, unit, factor, second }) => {
+            Use::Channel { channel, unit, factor, rank: if second { 3 } else { 2 } }
+        }
+        Some(Meaning::Time { places }) => Use::Time { places, told: false },
+        Some(Meaning::Part { places }) => Use::Part { places, told: false },
+        _ => Use::Nothing,
+    }
+}
+
+/// Leaves out columns of a channel that another column of it replaces.
+fn give_way(uses: &mut [Use]) {
+    let best = |channel: Channel, uses: &[Use]| {
+        let ranks = uses.iter().filter_map(|kind| match kind {
+            Use::Channel { channel: other, rank, .. } if *other == channel => Some(*rank),
+            _ => None,
+        });
+        ranks.min()
+    };
+    let all = uses.to_vec();
+    for kind in uses {
+        if let Use::Channel { channel, rank, .. } = *kind
+            && best(channel, &all).is_some_and(|best| best < rank)
+            // Of equal certainty are the names of docs/formats.md and those of the vocabulary.
+            && (best(channel, &all) == Some(0) || rank == 3)
+        {
+            *kind = Use::Nothing;
+        }
+    }
+}
+
+fn by_program(name: &str, names: &[String]) -> Option<usize> {
+    let bare = name.trim_start_matches('%');
+    let has = |other: &str| {
+        names.iter().any(|name| clean(name) == other || (other.ends_with('.') && name.starts_with(other)))
+    };
+    let found = PROGRAMS.into_iter().find(|(time, other, _)| bare.eq_ignore_ascii_case(time) && has(other));
+    found.map(|(.., places)| places)
+}
+
+/// Times that state their own unit, by its places: the earliest ones and the longest step between two, s. Milliseconds
+/// and microseconds since 1970 must not be the micro- and nanoseconds of a clock that has run for two weeks.
+const SINCE_1970: [(usize, i64, f64); 4] =
+    [(9, 100_000_000, 60.0), (6, 1_262_304_000, 0.5), (3, 1_262_304_000, 0.5), (0, 100_000_000, 60.0)];
+/// Seconds since 1970 until the year 2100.
+const UNIX_TO_S: i64 = 4_102_444_800;
+
+/// Returns the places of times since 1970 whose values state their unit, or of dates.
+fn by_values(rows: &[Vec<String>], column: usize) -> Option<usize> {
+    let cells: Vec<&str> = rows.iter().filter_map(|row| row.get(column)).map(String::as_str).collect();
+    if !cells.is_empty() && cells.iter().all(|cell| parse_date(cell.as_bytes()).is_some()) {
+        return Some(9);
+    }
+    let second = NANOS_PER_SECOND as i64;
+    let fits = |(places, from_s, step_s): &(usize, i64, f64)| {
+        let stamps: Vec<i64> = cells.iter().filter_map(|cell| parse_stamp(cell.as_bytes(), *places)).collect();
+        let near = |two: &[i64]| (two[1].abs_diff(two[0]) as f64) < step_s * NANOS_PER_SECOND as f64;
+        stamps.len() > 1
+            && stamps.len() == cells.len()
+            && stamps.iter().all(|stamp| (from_s * second..UNIX_TO_S * second).contains(stamp))
+            && stamps.windows(2).all(near)
+    };
+    SINCE_1970.iter().find(|unit| fits(unit)).map(|(places, ..)| *places)
+}
+
+/// Returns the error of a table whose columns name no channel, with a proposal.
+pub(super) fn foreign(names: &[String], file: &Path, rows: FirstRows<'_>) -> RecordingError {
+    RecordingError::ForeignColumns {
+        file: file.to_owned(),
+        found: shown(names),
+        proposal: proposal(names, &rows(), file),
+    }
+}

@@ -1,0 +1,111 @@
+//! Folders that are recordings: a bag of ROS 2 (`metadata.yaml` beside its file), and KITTI's `oxts` (one file of text for
+//! each sample, and `timestamps.txt`).
+//!
+//! The folder of a bag stands for the file in it. The samples of KITTI are joined to one table in memory, with the units of
+//! its `dataformat.txt`; a file that is missing or has another number of values is a rejected row.
+
+use super::error::RecordingError;
+use super::header::known_column;
+use super::input::Input;
+use super::propose::{OXTS_COLUMNS, of_oxts};
+use std::path::{Path, PathBuf};
+
+/// The most samples of KITTI that are read: days at its 10 or 100 Hz.
+const OXTS_MOST: usize = 1_000_000;
+/// The longest file of one sample, bytes.
+const OXTS_BYTES: u64 = 4096;
+
+/// Returns whether a folder is a recording.
+pub fn is_recording_folder(path: &Path) -> bool {
+    path.is_dir() && (path.join("metadata.yaml").is_file() || is_oxts(path))
+}
+
+fn is_oxts(path: &Path) -> bool {
+    path.join("timestamps.txt").is_file() && path.join("data").is_dir()
+}
+
+/// Returns the files of a recording: of KITTI's folder all, of any other path itself.
+pub fn recording_files(path: &Path) -> Vec<PathBuf> {
+    if !path.is_dir() {
+        return vec![path.to_owned()];
+    }
+    let mut files: Vec<PathBuf> = [path.join("data"), path.to_owned()]
+        .iter()
+        .filter_map(|folder| std::fs::read_dir(folder).ok())
+        .flatten()
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| path.is_file())
+        .collect();
+    files.sort();
+    files
+}
+
+/// Returns the input that a folder stands for; any other input as it is.
+///
+/// # Errors
+/// [`RecordingError::Folder`] with what is in it, or the system's error.
+pub(super) fn resolved(input: Input) -> Result<Input, RecordingError> {
+    let path = input.path().to_owned();
+    if input.bytes().is_some() || !path.is_dir() {
+        return Ok(input);
+    }
+    if is_oxts(&path) {
+        let table = oxts(&path)?;
+        return Ok(input.with_bytes(table));
+    }
+    let file = bag_file(&path)?;
+    Ok(input.with_path(file))
+}
+
+/// Returns the only file of a bag.
+///
+/// # Errors
+/// [`RecordingError::Folder`] if there is none or there are several.
+pub fn bag_file(folder: &Path) -> Result<PathBuf, RecordingError> {
+    let open = |source| RecordingError::Open { file: folder.to_owned(), source };
+    let mut all: Vec<PathBuf> =
+        std::fs::read_dir(folder).map_err(open)?.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    all.sort();
+    let is_bag = |path: &&PathBuf| path.extension().is_some_and(|end| end == "mcap" || end == "db3");
+    let bags: Vec<&PathBuf> = all.iter().filter(is_bag).collect();
+    if let [only] = *bags {
+        return Ok(only.clone());
+    }
+    let named = |paths: &mut dyn Iterator<Item = &PathBuf>| {
+        let names: Vec<String> =
+            paths.take(10).filter_map(|path| Some(path.file_name()?.display().to_string())).collect();
+        if names.is_empty() { "nothing".to_owned() } else { names.join(", ") }
+    };
+    let found = if bags.is_empty() { named(&mut all.iter()) } else { named(&mut bags.into_iter()) };
+    Err(RecordingError::Folder { folder: folder.to_owned(), found })
+}
+
+/// Returns KITTI's samples as a CSV.
+fn oxts(folder: &Path) -> Result<String, RecordingError> {
+    let open = |file: &Path| {
+        let file = file.to_owned();
+        move |source| RecordingError::Open { file, source }
+    };
+    let stamps = folder.join("timestamps.txt");
+    let dates = std::fs::read_to_string(&stamps).map_err(open(&stamps))?;
+    let mut names = vec![String::new(); OXTS_COLUMNS];
+    for pair in of_oxts(0) {
+        if let Some((position, name)) = pair.trim_start_matches('#').split_once('=')
+            && let Some(place) = position.parse::<usize>().ok().and_then(|position| names.get_mut(position - 1))
+            && known_column(name).is_some()
+        {
+            *place = name.to_owned();
+        }
+    }
+    let mut table = format!("time_s,{}\n", names.join(","));
+    for (index, date) in dates.lines().take(OXTS_MOST).enumerate() {
+        let file = folder.join("data").join(format!("{index:010}.txt"));
+        let values = match std::fs::metadata(&file) {
+            Ok(found) if found.len() <= OXTS_BYTES => std::fs::read_to_string(&file).map_err(open(&file))?,
+            _ => String::new(),
+        };
+        let values: Vec<&str> = values.split_ascii_whitespace().collect();
+        table.push_str(&format!("{},{}\n", date.trim(), values.join(",")));
+    }
+    Ok(table)
+}
