@@ -34,6 +34,14 @@ pub struct Cli {
     /// Print only JSON on standard output
     #[arg(long, global = true)]
     pub json: bool,
+    /// For a recording's file: the meaning of its columns or of its messages' fields, as in 'Time [ms]=time_ms,ax=accel_x_g' by
+    /// names, '#3=gyro_x_dps' by position, 'left.gyro.x=gyro_x_dps' by the path in a message. May be given several times
+    #[arg(long, global = true, value_name = "FOREIGN=NAME,…")]
+    pub columns: Vec<String>,
+    /// For a bag's file: the definition of a message type that it lacks: the type's .msg file, named after the type, or
+    /// 'package/msg/Name=FILE.msg'. May be given several times
+    #[arg(long, global = true, value_name = "[TYPE=]FILE.msg")]
+    pub message_definition: Vec<String>,
     /// The command to run
     #[command(subcommand)]
     pub command: Command,
@@ -64,8 +72,8 @@ pub enum Command {
     Status(ClientArgs),
     /// List the running daemon's background jobs
     Jobs(ClientArgs),
-    /// Import a recording as a capture: CSV or raw $VN… lines (plain or .gz), raw bytes of the port, ROS bags (.bag,
-    /// .db3, .mcap)
+    /// Import a recording as a capture: CSV and other tables, raw $VN… lines or bytes of the port, ROS bags, logs of PX4
+    /// and ArduPilot (docs/recordings.md)
     Import(ImportArgs),
     /// Write a capture's samples for other programs: CSV, NDJSON, Parquet, MCAP
     Export(ExportArgs),

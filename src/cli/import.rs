@@ -10,9 +10,9 @@ use crate::daemon::import::{Source, import};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
 use imu_files::recording::{
-    ColumnMap, DefinitionError, Input, MessageDefinition, detect, is_type_name, open_regular, unmerged_log,
+    ColumnMap, Input, MessageDefinition, bag_file, detect, is_recording_folder, open_regular, unmerged_log,
 };
-use std::io::{Read as _, Write as _};
+use std::io::Write as _;
 use std::path::Path;
 
 /// The process that writes the database.
@@ -26,8 +26,6 @@ enum Writer {
 /// Number of rejected lines that are printed, and number of characters of each.
 const REJECTED_SHOWN: usize = 5;
 const REJECTED_CHARS: usize = 90;
-/// Maximum number of bytes read as a message's definition, which must be smaller.
-const DEFINITION_BYTES: u64 = 1 << 20;
 
 /// Imports each file; a file that was imported before is reported, not doubled.
 pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcome> {
@@ -35,13 +33,13 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         return Err(usage("--name names one capture, but several files were given"));
     }
     // The daemon receives the options as parsed here.
-    let columns = ColumnMap::parse(&args.columns).map_err(|error| usage(format!("--{error}")))?;
-    let definitions = args.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
-    let definitions = MessageDefinition::list(definitions).map_err(no_definition)?;
-    let stated = Given { columns, definitions };
+    let stated = Given { columns: context.columns.clone(), definitions: context.definitions.clone() };
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
+        // A bag's folder stands for the file in it.
+        let of_bag = is_recording_folder(file) && !file.join("data").is_dir();
+        let file = &if of_bag { bag_file(file)? } else { file.clone() };
         let report = match &writer {
             Writer::Own(store) => import_here(store, file, args, &stated)?,
             Writer::Daemon { base_url, token } => send((base_url, token), file, args, &stated)?,
@@ -68,25 +66,6 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
 struct Given {
     columns: ColumnMap,
     definitions: Vec<MessageDefinition>,
-}
-
-/// Reads `FILE.msg` or `TYPE=FILE.msg`; without a type, the file's name is the type.
-fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
-    let (name, file) = match given.split_once('=') {
-        Some((name, file)) if is_type_name(name.trim()) && !Path::new(given).is_file() => (Some(name), Path::new(file)),
-        _ => (None, Path::new(given)),
-    };
-    let unreadable = || format!("--message-definition: {} cannot be read", file.display());
-    let mut bytes = Vec::new();
-    open_regular(file)?.take(DEFINITION_BYTES).read_to_end(&mut bytes).with_context(unreadable)?;
-    let text = String::from_utf8_lossy(&bytes);
-    let stem = file.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
-    let definition = MessageDefinition::new(name.unwrap_or(&stem), &text).map_err(no_definition);
-    definition.with_context(|| format!("--message-definition {given}"))
-}
-
-fn no_definition(error: DefinitionError) -> anyhow::Error {
-    usage(error.to_string())
 }
 
 /// Returns the named daemon, or the one that has the database; without one, the database itself.
@@ -244,13 +223,16 @@ mod tests {
         let config = folder.path().join("vn100d.toml");
         let missing = folder.path().join("token");
         std::fs::write(&config, format!("[http]\nlisten = \"{address}\"\ntoken-file = {missing:?}\n")).unwrap();
-        let context = Context { data_dir: Some(folder.path().to_owned()), config: Some(config), json: false };
+        let context = Context {
+            data_dir: Some(folder.path().to_owned()),
+            config: Some(config),
+            json: false,
+            ..Context::default()
+        };
         let arguments = |listen: Option<&str>| ImportArgs {
             files: vec!["desk.csv".into()],
             rate: None,
             sampling: crate::cli::args::SamplingArgs::default(),
-            columns: Vec::new(),
-            message_definition: Vec::new(),
             name: None,
             listen: listen.map(str::to_owned),
         };

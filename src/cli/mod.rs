@@ -50,7 +50,7 @@ use crate::jobs::JobError;
 use crate::store::{CaptureRow, Page, PageRequest, Reader, StoreError, StoreErrorKind};
 use args::{Cli, Command};
 use clap::Parser as _;
-use imu_files::recording::{RecordingError, open_regular};
+use imu_files::recording::{ColumnMap, MessageDefinition, RecordingError, open_regular};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -118,7 +118,7 @@ fn failed(message: impl Into<String>) -> anyhow::Error {
 }
 
 /// The options that any command may need besides its own arguments.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Context {
     /// `--data-dir`.
     pub data_dir: Option<std::path::PathBuf>,
@@ -126,6 +126,10 @@ pub struct Context {
     pub config: Option<std::path::PathBuf>,
     /// `--json`.
     pub json: bool,
+    /// `--columns`.
+    pub columns: ColumnMap,
+    /// `--message-definition`.
+    pub definitions: Vec<MessageDefinition>,
 }
 
 impl Context {
@@ -287,7 +291,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 }
 
 fn run(cli: Cli) -> anyhow::Result<Outcome> {
-    let context = Context { data_dir: cli.data_dir, config: cli.config, json: cli.json };
+    let (columns, definitions) = source::stated(&cli)?;
+    let context = Context { data_dir: cli.data_dir, config: cli.config, json: cli.json, columns, definitions };
     match cli.command {
         Command::Run(args) => run::run(&context, &args),
         Command::Demo(args) => demo::run(&context, &args),

@@ -252,7 +252,7 @@ mod tests {
             writeln!(text, "{:.2},{:.6}", f64::from(i) / 100.0, noise + turned).unwrap();
         }
         std::fs::write(&path, text).unwrap();
-        let context = Context { data_dir: None, config: None, json: false };
+        let context = Context { data_dir: None, config: None, json: false, ..Context::default() };
         for wanted in [&[][..], &[EffectKind::BiasStep]] {
             let opened = analysis::open(&context, &[path.to_str().unwrap().to_owned()], None).unwrap();
             let fit = fitted(opened, wanted, None).unwrap().fitted;

@@ -311,7 +311,7 @@ mod tests {
     }
 
     fn opened(path: String) -> Together {
-        let context = Context { data_dir: None, config: None, json: false };
+        let context = Context { data_dir: None, config: None, json: false, ..Context::default() };
         analysis::open(&context, &[path], None).unwrap()
     }
 

@@ -209,7 +209,8 @@ mod tests {
             store.finish_job(submit(number), body.to_string()).unwrap();
         }
         store.close().unwrap();
-        let context = Context { data_dir: Some(folder.path().to_owned()), config: None, json: false };
+        let context =
+            Context { data_dir: Some(folder.path().to_owned()), config: None, json: false, ..Context::default() };
         let args = ReportArgs {
             capture: "latest".to_owned(),
             out: out.clone(),

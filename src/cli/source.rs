@@ -1,9 +1,15 @@
 //! Source: the input of a command, a capture of the database or a recording's file.
 
-use super::Context;
+use super::args::{Cli, Command};
+use super::{Context, usage};
 use crate::clock::{Clock as _, SystemClock};
 use crate::store::{CaptureRow, Reader};
-use imu_files::recording::{Input, KeepOn, Options, Recording, RecordingInfo};
+use anyhow::Context as _;
+use imu_files::recording::{
+    ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording, RecordingInfo,
+    is_recording_folder, is_type_name, open_regular,
+};
+use std::io::Read as _;
 use std::path::Path;
 
 /// The input of a command.
@@ -21,8 +27,16 @@ impl Source {
     /// If neither can be read.
     pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>, keep_on: KeepOn) -> anyhow::Result<Self> {
         if let Some(file) = file(named) {
-            let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), ..Options::default() };
-            return Ok(Self::Recording(Box::new(Recording::read(Input::file(file).while_wanted(keep_on), options)?)));
+            let definitions = context.definitions.clone();
+            let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), definitions };
+            let input = Input::file(file).while_wanted(keep_on).with_columns(context.columns.clone());
+            return Ok(Self::Recording(Box::new(Recording::read(input, options)?)));
+        }
+        if !context.columns.is_empty() || !context.definitions.is_empty() {
+            return Err(usage(format!(
+                "--columns and --message-definition describe a recording's file, but there is no file {named}; leave them out for \
+                 a capture"
+            )));
         }
         let (reader, row) = context.capture(named)?;
         Ok(Self::Capture(Box::new(reader), Box::new(row)))
@@ -31,7 +45,57 @@ impl Source {
 
 /// Returns the path if it leads to a file, which no output may replace.
 pub(super) fn file(named: &str) -> Option<&Path> {
-    Some(Path::new(named)).filter(|path| path.is_file())
+    Some(Path::new(named)).filter(|path| path.is_file() || is_recording_folder(path))
+}
+
+/// Maximum number of bytes read as a message's definition, which must be smaller.
+const DEFINITION_BYTES: u64 = 1 << 20;
+
+/// Returns what the user states about recordings.
+///
+/// # Errors
+/// If it contradicts itself, or the command reads no recording.
+pub(super) fn stated(cli: &Cli) -> anyhow::Result<(ColumnMap, Vec<MessageDefinition>)> {
+    let reads = matches!(
+        cli.command,
+        Command::Import(_)
+            | Command::Export(_)
+            | Command::Show { .. }
+            | Command::Allan(_)
+            | Command::Noise(_)
+            | Command::Plot(_)
+            | Command::Report(_)
+            | Command::Model(_)
+            | Command::Diagnose(_)
+            | Command::Cost(_)
+            | Command::Trial(_)
+    );
+    let states = !cli.columns.is_empty() || !cli.message_definition.is_empty();
+    if states && !reads {
+        return Err(usage("--columns and --message-definition are for commands that read a recording"));
+    }
+    let columns = ColumnMap::parse(&cli.columns).map_err(|error| usage(format!("--{error}")))?;
+    let definitions = cli.message_definition.iter().map(|given| definition(given)).collect::<Result<_, _>>()?;
+    Ok((columns, MessageDefinition::list(definitions).map_err(no_definition)?))
+}
+
+/// Reads `FILE.msg` or `TYPE=FILE.msg`; without a type, the file's name is the type.
+fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
+    let (name, file) = match given.split_once('=') {
+        Some((name, file)) if is_type_name(name.trim()) && !Path::new(given).is_file() => (Some(name), Path::new(file)),
+        _ => (None, Path::new(given)),
+    };
+    let unreadable = || format!("--message-definition: {} cannot be read", file.display());
+    let mut bytes = Vec::new();
+    open_regular(file)?.take(DEFINITION_BYTES).read_to_end(&mut bytes).with_context(unreadable)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let stem = file.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
+    let definition = MessageDefinition::new(name.unwrap_or(&stem), &text).map_err(no_definition);
+    definition.with_context(|| format!("--message-definition {given}"))
+}
+
+fn no_definition(error: DefinitionError) -> anyhow::Error {
+    usage(error.to_string())
 }
 
 /// Returns whether lines or frames of a recording were rejected.

@@ -20,14 +20,6 @@ pub struct ImportArgs {
     /// The sampling of the sensor: kept with the capture, for its jobs
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Meaning of the columns of a foreign CSV: 'Time [ms]=time_ms,ax=accel_x_g' by their names in the header line, or
-    /// '#3=gyro_x_dps' by position. May be given several times
-    #[arg(long, value_name = "FOREIGN=NAME,…")]
-    pub columns: Vec<String>,
-    /// Definition of a message type that a bag lacks: the type's .msg file, named after the type, or
-    /// 'package/msg/Name=FILE.msg'. May be given several times
-    #[arg(long, value_name = "[TYPE=]FILE.msg")]
-    pub message_definition: Vec<String>,
     /// Name of the capture (default: the file's name)
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,

@@ -7,7 +7,7 @@ use crate::jobs;
 use imu_core::sample::{CaptureConfiguration, Channel, Record, StatedSampling};
 use imu_files::recording::{
     ColumnMap, Conversion, Findings, Input, KeepOn, Kind, MessageDefinition, Options, Recording, RecordingAccountant,
-    RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular, unmerged_log,
+    RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular, recording_files, unmerged_log,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -200,7 +200,9 @@ fn fingerprint(
     keep_on: &KeepOn,
 ) -> Result<String, ImportError> {
     let mut hash = Sha256::new();
-    update(&mut hash, file, keep_on)?;
+    for file in recording_files(file) {
+        update(&mut hash, &file, keep_on)?;
+    }
     // The data that a killed recorder had not yet put into the file is read with it.
     if let Some(log) = unmerged_log(file) {
         update(&mut hash, &log, keep_on)?;

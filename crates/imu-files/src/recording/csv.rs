@@ -157,6 +157,7 @@ fn is_end(byte: u8) -> bool {
 }
 
 /// The result of examining a row.
+#[expect(clippy::large_enum_variant, reason = "one at a time; a box would cost an allocation for each row")]
 enum Found {
     Sample(RowStamps, Sample),
     /// It has quotation marks.

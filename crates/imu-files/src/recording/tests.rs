@@ -648,6 +648,35 @@ fn a_pipe_a_device_and_a_folder_are_no_files_and_nothing_waits_for_them() {
 }
 
 #[test]
+fn raw_lines_in_the_cells_of_a_table_have_the_stamps_of_their_rows() {
+    let raw = |index: u32| line(f64::from(index) * 1e-3);
+    let stamp = |index: u32| format!("{:.3}", 1_710_358_267.0 + 0.025 * f64::from(index));
+    let quoted: [(&str, &dyn Fn(u32) -> String); 5] = [
+        ("plain", &|index| format!("{},\"{}\"\n", stamp(index), raw(index))),
+        ("of Python", &|index| format!("{},\"b'{}\\r\\n'\"\n", stamp(index), raw(index))),
+        ("with a line end", &|index| format!("{},\"{}\r\n\"\n", stamp(index), raw(index))),
+        ("unquoted", &|index| format!("{},{}\n", stamp(index), raw(index))),
+        ("of rostopic", &|index| {
+            format!("{},{}\n", 1_710_358_267_000_000_000 + 25_000_000 * u64::from(index), raw(index))
+        }),
+    ];
+    for (kind, row) in quoted {
+        for header in ["", "time,data\n"] {
+            let content = format!("{header}{}", (0..100).map(row).collect::<String>());
+            let loaded = Folder::new().load(&content, Options::default()).unwrap();
+            assert_eq!(
+                (loaded.samples, loaded.missing, loaded.info.stamps),
+                (100, 0, Stamps::Unix),
+                "{kind} {header:?}"
+            );
+            assert!((loaded.info.rate_hz - 40.0).abs() < 0.01, "{kind}: {}", loaded.info.rate_hz);
+            assert!((values(&loaded, Channel::GyroX)[99] - 0.099).abs() < 1e-9, "{kind}");
+            assert!(loaded.info.rejected.is_empty(), "{kind} {header:?}: {:?}", loaded.info.first_rejected);
+        }
+    }
+}
+
+#[test]
 fn one_corrupt_stamp_costs_its_own_sample_and_no_other() {
     let mut text = String::from("time_s,gyro_x_rad_s\n");
     for row in 0..1000 {

@@ -1,7 +1,7 @@
 //! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
 //!
 //! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are
-//! stamps in seconds; [`super::choice`] selects one of several. Other text there is ignored and reported.
+//! stamps in seconds, or nanoseconds since 1970; [`super::choice`] selects one of several. Other text there is ignored and reported.
 //!
 //! The checksum decides, by the same decoder that reads a port. A line whose checksum fails is rejected, and nothing in
 //! it is guessed. Only a complete good message behind a spliced one is still a sample. Valid messages without a
@@ -10,10 +10,11 @@
 
 use super::detect::read_error;
 use super::error::RecordingError;
+use super::header::foreign_names;
 use super::info::Decimals;
 use super::input::Input;
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::{RowStamps, parse_seconds};
+use super::stamps::{RowStamps, UNIX_FROM_NS, parse_seconds, parse_stamp};
 use imu_core::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
@@ -88,6 +89,12 @@ impl VnRows {
         let rejected = |cause, stands_for_sample| Rejected::of_line(number, cause, line, stands_for_sample);
         let garbage = |cause| rejected(cause, false);
         let Some(start) = line.windows(START.len()).position(|window| window == START) else {
+            // The end of a quoted cell that holds the message's line end, or the header of a table of messages.
+            let is_rest = line.iter().all(|byte| matches!(byte, b'"' | b'\''));
+            let is_header = || number == 1 && foreign_names(&String::from_utf8_lossy(line)).is_some();
+            if is_rest || is_header() {
+                return Row::Aside;
+            }
             return Row::Rejected(garbage(DiscardCause::GarbageBytes));
         };
         let (prefix, message) = line.split_at(start);
@@ -195,7 +202,9 @@ fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
     let words =
         text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').map(|word| word.trim_matches(['"', '\'']));
     for word in words.filter(|word| !word.is_empty()) {
-        match parse_seconds(word) {
+        // What is too large for seconds may be nanoseconds since 1970, as rostopic writes them.
+        let nanos = || parse_stamp(word.as_bytes(), 0).filter(|nanos| *nanos >= UNIX_FROM_NS);
+        match parse_seconds(word).or_else(nanos) {
             Some(nanos) => stamps.push(nanos),
             None => return (RowStamps::default(), true),
         }

@@ -10,6 +10,16 @@ use std::sync::Arc;
 
 /// The largest file of arrays that is read into memory, bytes, and the most that its arrays may take.
 pub(in crate::recording) const BYTES_MAX: usize = 1 << 30;
+/// The ratio to which a file's arrays may expand, and the bytes that are allowed whatever its size: a length field or compressed
+/// zeros must not determine how much memory a small file takes.
+const EXPANSION: usize = 100;
+const FREE_BYTES: usize = 64 << 20;
+
+/// Returns the most bytes that the arrays of a file of this size may take.
+pub(super) fn most_bytes(file_bytes: usize) -> usize {
+    file_bytes.saturating_mul(EXPANSION).saturating_add(FREE_BYTES).min(BYTES_MAX)
+}
+
 /// The most columns that one array may have.
 const COLUMNS_MAX: usize = 256;
 

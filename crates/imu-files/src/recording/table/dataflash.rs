@@ -111,10 +111,7 @@ impl DataflashTable {
 }
 
 /// Reads the next message: its number and content. The error is the message about damage; `None` at the end.
-fn next(
-    blocks: &mut Blocks,
-    messages: &HashMap<u8, Message>,
-) -> Result<Option<Result<(u8, Vec<u8>), String>>, RecordingError> {
+fn next(blocks: &mut Blocks, messages: &HashMap<u8, Message>) -> Result<Option<super::Message>, RecordingError> {
     let at = blocks.at;
     let bytes = blocks.peek(256)?;
     if bytes.is_empty() {

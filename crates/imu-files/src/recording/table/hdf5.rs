@@ -3,7 +3,7 @@
 //! A data set is named by its path (`imu0/gyro_rad_s`). Read by the crate `hdf5-pure`, without C; groups are followed to a
 //! depth of eight.
 
-use super::arrays::{Array, Arrays, BYTES_MAX, Data};
+use super::arrays::{Array, Arrays, Data, most_bytes};
 use hdf5_pure::{DType, File, Group};
 
 const DEPTH_MAX: usize = 8;
@@ -18,9 +18,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Arrays, String> {
     let damaged = |error: hdf5_pure::Error| format!("its HDF5 is damaged or was cut: {error}");
     let file = File::from_bytes(bytes.to_vec()).map_err(damaged)?;
     let mut arrays = Vec::new();
-    let mut left = BYTES_MAX / size_of::<f64>();
+    let most = most_bytes(bytes.len());
+    let mut left = most / size_of::<f64>();
     group(&file.root(), "", 0, &mut left, &mut arrays)
-        .map_err(|what| what.unwrap_or_else(|| format!("its arrays take more than {BYTES_MAX} bytes")))?;
+        .map_err(|what| what.unwrap_or_else(|| format!("its arrays take more than {most} bytes")))?;
     if arrays.is_empty() { Err("it has no data set of numbers".to_owned()) } else { Arrays::of(arrays) }
 }
 

@@ -1,10 +1,10 @@
 //! MATLAB's `.mat` up to version 7 (format 5): variables that are real matrices, and those within structures. Pure.
 //!
 //! Crates that read this format were tried and left: `matfile` reads no structures, `matrw` and `mat5` take as much memory as
-//! the file claims. Elements may be compressed; all together may expand to [`BYTES_MAX`]. Cells, text and objects are left out.
+//! the file claims. Elements may be compressed; all together may expand as [`most_bytes`] allows. Cells, text and objects are left out.
 //! Format: MathWorks, MAT-File Format, "Level 5 MAT-Files".
 
-use super::arrays::{Array, Arrays, BYTES_MAX, Form, Kind};
+use super::arrays::{Array, Arrays, Form, Kind, most_bytes};
 use flate2::read::ZlibDecoder;
 use std::io::Read as _;
 
@@ -31,7 +31,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Arrays, String> {
     };
     let mut arrays = Vec::new();
     let mut elements = Elements { bytes, at: HEAD_BYTES, big_endian };
-    let mut left = BYTES_MAX as u64;
+    let most = most_bytes(bytes.len());
+    let mut left = most as u64;
     while elements.at < bytes.len() {
         let at = elements.at;
         let place = |what: String| format!("at byte {at}: {what}");
@@ -43,7 +44,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Arrays, String> {
                 expand.map_err(|error| place(format!("a compressed variable is damaged: {error}")))?;
                 left = left
                     .checked_sub(expanded.len() as u64)
-                    .ok_or_else(|| format!("its arrays take more than {BYTES_MAX} bytes"))?;
+                    .ok_or_else(|| format!("its arrays take more than {most} bytes"))?;
                 let (kind, content) = Elements { bytes: &expanded, at: 0, big_endian }.next().map_err(place)?;
                 if kind == MATRIX {
                     matrix(content, big_endian, "", 0, &mut arrays).map_err(place)?;
@@ -139,7 +140,7 @@ fn matrix(bytes: &[u8], big_endian: bool, within: &str, depth: usize, arrays: &m
         for field in names.chunks_exact(length) {
             let (_, content) = parts.next()?;
             let field = String::from_utf8_lossy(field.split(|byte| *byte == 0).next().unwrap_or_default());
-            matrix(content, big_endian, &format!("{name}.{field}").trim_matches('.').to_owned(), depth + 1, arrays)?;
+            matrix(content, big_endian, format!("{name}.{field}").trim_matches('.'), depth + 1, arrays)?;
         }
         return Ok(());
     }

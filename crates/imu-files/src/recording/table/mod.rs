@@ -70,6 +70,9 @@ impl Cell {
     }
 }
 
+/// A message of a log: its type and content, or what is wrong with the data.
+type Message = Result<(u8, Vec<u8>), String>;
+
 /// The outcome of reading a row.
 enum Next {
     /// The cells hold it.

@@ -5,7 +5,7 @@
 //! with a grammar of Python (npyz: 20 crates more), so the header is read here.
 //! Format: <https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>.
 
-use super::arrays::{Array, Arrays, BYTES_MAX, Form, Kind};
+use super::arrays::{Array, Arrays, Form, Kind, most_bytes};
 use std::io::{Cursor, Read as _};
 
 /// The first bytes of a `.npy`.
@@ -31,7 +31,8 @@ pub(super) fn npz(bytes: &[u8]) -> Result<Arrays, String> {
     let mut archive =
         zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("its ZIP archive is damaged: {error}"))?;
     let mut arrays = Vec::new();
-    let mut left = BYTES_MAX as u64;
+    let most = most_bytes(bytes.len());
+    let mut left = most as u64;
     for index in 0..archive.len() {
         let mut file = archive.by_index(index).map_err(|error| format!("entry {index} of its archive: {error}"))?;
         let name = file.name().map_err(|error| format!("entry {index} of its archive: {error}"))?.into_owned();
@@ -41,9 +42,8 @@ pub(super) fn npz(bytes: &[u8]) -> Result<Arrays, String> {
             .take(left + 1)
             .read_to_end(&mut content)
             .map_err(|error| format!("{name} in it is damaged: {error}"))?;
-        left = left
-            .checked_sub(content.len() as u64)
-            .ok_or_else(|| format!("its arrays take more than {BYTES_MAX} bytes"))?;
+        left =
+            left.checked_sub(content.len() as u64).ok_or_else(|| format!("its arrays take more than {most} bytes"))?;
         let header = Header::read(&content).map_err(|what| format!("{name} in it: {what}"))?;
         // Text and objects beside the numbers are left out.
         if let Ok(Type::Plain(kind)) = header.fields() {

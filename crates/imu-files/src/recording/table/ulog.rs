@@ -117,7 +117,7 @@ fn is_in(foreign: &Foreign, topic: &str) -> bool {
 }
 
 /// Reads the next message, its type and its content, whatever it is; the error is the message about damage. Type 0 at the end.
-fn next(blocks: &mut Blocks) -> Result<Result<(u8, Vec<u8>), String>, RecordingError> {
+fn next(blocks: &mut Blocks) -> Result<super::Message, RecordingError> {
     let at = blocks.at;
     let head = blocks.peek(3)?;
     let [low, high, kind, ..] = *head else {
@@ -142,7 +142,7 @@ fn next(blocks: &mut Blocks) -> Result<Result<(u8, Vec<u8>), String>, RecordingE
 }
 
 /// Passes over damaged data, to behind the next mark.
-fn skip(blocks: &mut Blocks, at: u64, found: u8) -> Result<Result<(u8, Vec<u8>), String>, RecordingError> {
+fn skip(blocks: &mut Blocks, at: u64, found: u8) -> Result<super::Message, RecordingError> {
     loop {
         let bytes = blocks.peek(SYNC.len() + 1)?;
         let place = bytes.windows(SYNC.len()).position(|window| window == SYNC);
