@@ -276,7 +276,7 @@ fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     let configuration = world.path("vn100d.toml");
     let table = world.path("table.csv");
     let rows: String = (0..400).map(|row| format!("{};{:.2}\n", row * 25, f64::from(row % 7) * 0.05)).collect();
-    std::fs::write(&table, format!("Time [ms];GyroX(dps)\n{rows}")).unwrap();
+    std::fs::write(&table, format!("Clock [ms];TurnX(dps)\n{rows}")).unwrap();
     let bag = world.path("own.db3");
     let stamp_ns = |index: u64| 1_729_716_663_000_000_000 + 25_000_000 * index;
     let message = |index: u64| {
@@ -295,9 +295,9 @@ fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     };
     let (table, bag, definition) = (table.to_str().unwrap(), bag.to_str().unwrap(), definition.to_str().unwrap());
     for (refused, words) in [
-        (&[table][..], ["Some(1)", "Time [ms] | GyroX(dps)"]),
-        (&[table, "--columns", "GyroX=gyro_x_dps"], ["Some(1)", "no column is \"GyroX\""]),
-        (&[table, "--columns", "GyroX(dps)=gyro_x"], ["Some(2)", "is no column's name"]),
+        (&[table][..], ["Some(1)", "Clock [ms] | TurnX(dps)"]),
+        (&[table, "--columns", "TurnX=gyro_x_dps"], ["Some(1)", "no column is \"TurnX\""]),
+        (&[table, "--columns", "TurnX(dps)=gyro_x"], ["Some(2)", "is no column's name"]),
         (&[bag], ["Some(1)", "--message-definition"]),
         (&[bag, "--message-definition", table], ["Some(2)", "line 2 is no field"]),
     ] {
@@ -306,8 +306,8 @@ fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     }
     for (first, again, samples) in [
         (
-            &[table, "--columns", "Time [ms]=time_ms,GyroX(dps)=gyro_x_dps"][..],
-            &[table, "--columns", "GyroX(dps)=gyro_x_dps", "--columns", "Time [ms]=time_ms"][..],
+            &[table, "--columns", "Clock [ms]=time_ms,TurnX(dps)=gyro_x_dps"][..],
+            &[table, "--columns", "TurnX(dps)=gyro_x_dps", "--columns", "Clock [ms]=time_ms"][..],
             400,
         ),
         (&[bag, "--message-definition", &named], &[bag, "--message-definition", &named], 40),
@@ -321,6 +321,6 @@ fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     // Without its package the type is another reading of the file.
     let (other, outcome) = of(&[bag, "--message-definition", definition]);
     assert_eq!(other[0]["new"], true, "{outcome}");
-    assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "GyroX(dps)=gyro_x_dps");
+    assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "TurnX(dps)=gyro_x_dps");
     assert_eq!(daemon.terminate(), Some(0));
 }
