@@ -80,7 +80,7 @@ fn the_page_states_what_is_found_in_every_real_recording() {
             }
             Err(error) => {
                 let sentence = error.to_string().replace(&*folder.join("").to_string_lossy(), "");
-                format!("refused: {} | | |", sentence.split(" Say which").next().unwrap().replace('|', "·"))
+                format!("refused: {} | | |", sentence.split(": say which").next().unwrap().replace('|', "·"))
             }
         };
         writeln!(rows, "| {name} | {row} |").unwrap();
