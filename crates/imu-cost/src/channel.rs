@@ -244,7 +244,8 @@ fn comes_and_goes(effect: &dyn Effect) -> bool {
 /// Returns whether the sensor's own samples come near a limit: by their level, courses, and standard deviation over the
 /// record.
 fn reaches(setting: &Setting<'_>, of: &ChannelSources, limits: [f64; 2], courses: [f64; 2]) -> bool {
-    let record = Record { rate_hz: setting.internal_hz, samples: setting.samples() * setting.ratio() as u64 };
+    let record =
+        Record { rate_hz: setting.internal_hz, samples: (setting.begin + setting.samples()) * setting.ratio() as u64 };
     let variance = |source: &Source| match &source.law {
         Law::Course => 0.0,
         _ if source.is_sent() => 0.0,

@@ -34,6 +34,9 @@ pub(crate) struct Course {
 pub(crate) fn integrals(setting: &Setting<'_>, mut next: impl FnMut() -> f64) -> Integrals {
     let mut strapdown = Strapdown::new(setting.align);
     let mut found = Vec::with_capacity(setting.horizons.len());
+    (0..setting.begin).for_each(|_| {
+        next();
+    });
     for index in 1..=setting.samples() {
         let state = strapdown.push(next());
         if setting.horizons.get(found.len()).is_some_and(|horizon| setting.align + horizon == index) {
@@ -81,6 +84,9 @@ pub(crate) fn course(setting: &Setting<'_>, of: &ChannelSources, source: &Source
 pub(crate) fn squares(setting: &Setting<'_>, mut power: impl FnMut() -> f64) -> Vec<WhiteSums> {
     let mut squares = Squares::new(setting.align);
     let mut found = Vec::with_capacity(setting.horizons.len());
+    (0..setting.begin).for_each(|_| {
+        power();
+    });
     for index in 1..=setting.samples() {
         squares.push(power());
         if setting.horizons.get(found.len()).is_some_and(|horizon| setting.align + horizon == index) {

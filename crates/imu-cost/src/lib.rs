@@ -43,6 +43,7 @@ mod compose;
 mod courses;
 mod document;
 mod filter_parameters;
+mod measured;
 mod monte_carlo;
 mod quadrature;
 mod request;
@@ -57,6 +58,7 @@ pub use filter_parameters::{
     ChannelParameters, FILTER_FORMAT, FilterError, FilterParameters, FilterRequest, Inflation, InflationCause, Over,
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
+pub use measured::{MeasureError, Measured, Pieces, Rest, measured};
 pub use request::{CostError, Quantity, Request, Tolerance};
 
 use channel::ChannelErrors;
@@ -71,6 +73,9 @@ use std::collections::BTreeMap;
 
 /// The channels that the integration uses: vertical acceleration moves nothing of first order.
 const USED: [Channel; 5] = [Channel::GyroX, Channel::GyroY, Channel::GyroZ, Channel::AccelX, Channel::AccelY];
+
+/// Quantities that are left out, and the effect that has no closed form.
+type Unknown = Vec<(Quantity, String)>;
 
 /// Up to this angle, rad, its sine is the angle to 2 %.
 const SMALL_RAD: f64 = 0.3;
@@ -99,7 +104,10 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
         let present = quantities.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(CostError::Absent { quantity: absent.quantity, present });
     }
-    let mut composed = composed(&setting, &quantities)?;
+    let (mut composed, unknown) = composed(&setting, &quantities)?;
+    if let Some((_, effect)) = unknown.iter().find(|(of, _)| request.tolerances.iter().any(|own| own.quantity == *of)) {
+        return Err(CostError::NoClosedForm { effect: effect.clone() });
+    }
     let tolerances = request.tolerances.iter().filter_map(|limit| verdict(limit, &setting, &composed)).collect();
     let places: Vec<usize> = request.horizons_s.iter().map(|horizon_s| setting.place(*horizon_s)).collect();
     let chosen =
@@ -114,6 +122,7 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
     }
     let extrapolated = record_s(model).map(|record_s| request.horizons_s.iter().map(|of| *of > record_s).collect());
     let mut notes = notes(model, &quantities);
+    notes.extend(unknown.iter().map(|(quantity, effect)| format!("no {quantity}: {effect} has no closed form")));
     notes.extend(composed.iter().find_map(|(quantity, of)| large_angle(*quantity, &of.growth, request)));
     let mut cost = Cost {
         format: FORMAT,
@@ -131,18 +140,38 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
     Ok(cost)
 }
 
-/// Computes all quantities of a setting.
-fn composed(setting: &Setting<'_>, quantities: &[Quantity]) -> Result<BTreeMap<Quantity, Composed>, CostError> {
+/// Computes the quantities of a setting. Those that would have to be simulated, if nothing is, are returned with the
+/// effect that is the reason.
+fn composed(
+    setting: &Setting<'_>,
+    quantities: &[Quantity],
+) -> Result<(BTreeMap<Quantity, Composed>, Unknown), CostError> {
     let sources: Vec<ChannelSources> =
         USED.into_iter().filter_map(|channel| ChannelSources::new(setting.model, channel)).collect();
     let spectra = Spectra::new(setting, &sources);
     let mut first = 0;
     let mut errors = Vec::with_capacity(sources.len());
+    let mut unknown: BTreeMap<Channel, String> = BTreeMap::new();
     for of in &sources {
-        errors.push(ChannelErrors::new(setting, of, &spectra, first)?);
+        match ChannelErrors::new(setting, of, &spectra, first) {
+            Ok(found) => errors.push(found),
+            Err(CostError::NoClosedForm { effect }) => {
+                unknown.insert(of.channel, effect);
+            }
+            Err(error) => return Err(error),
+        }
         first += of.sources.iter().filter(|source| source.is_spectral()).count();
     }
-    compose(setting, &errors, quantities)
+    let why = |quantity: &Quantity| {
+        let mut effects = quantity.shares().into_iter().filter_map(|share| unknown.get(&share.channel));
+        effects.next().map(|effect| (*quantity, effect.clone()))
+    };
+    let left_out: Unknown = quantities.iter().filter_map(why).collect();
+    let kept: Vec<Quantity> = quantities.iter().copied().filter(|quantity| why(quantity).is_none()).collect();
+    match left_out.first() {
+        Some((_, effect)) if kept.is_empty() => Err(CostError::NoClosedForm { effect: effect.clone() }),
+        _ => Ok((compose(setting, &errors, &kept)?, left_out)),
+    }
 }
 
 /// Returns the quantities whose own channel the model has.

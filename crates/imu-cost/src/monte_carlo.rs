@@ -21,10 +21,14 @@ fn run(
     let mut simulator = simulator(setting, model, seed)?;
     let mut states: Vec<Strapdown> = channels.iter().map(|_| Strapdown::new(setting.align)).collect();
     let mut found: Vec<Integrals> = channels.iter().map(|_| Vec::with_capacity(setting.horizons.len())).collect();
-    let mut taken = 0;
+    let (mut before, mut taken) = (setting.begin, 0);
     while taken < setting.samples() {
         let Some(block) = simulator.next_block() else { break };
         for place in 0..block.len() {
+            if before > 0 {
+                before -= 1;
+                continue;
+            }
             taken += 1;
             for ((channel, state), found) in channels.iter().zip(&mut states).zip(&mut found) {
                 let value = block.values(*channel).and_then(|values| values.get(place)).copied();

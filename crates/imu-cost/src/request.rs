@@ -208,6 +208,18 @@ pub enum CostError {
         /// The longest time for alignment and horizon, s.
         most_s: f64,
     },
+    /// An effect has no closed form, and the request excludes simulations.
+    #[error("{effect} has no closed form, and nothing is simulated here: expected an effect with one (docs/cost.md)")]
+    NoClosedForm {
+        /// The effect and its channel.
+        effect: String,
+    },
+    /// The time since switch-on is negative or not a number.
+    #[error("an alignment that begins at {found} s: expected a time from 0 s on, such as 600s")]
+    Begin {
+        /// The given time, s.
+        found: f64,
+    },
     /// The model cannot be simulated.
     #[error(transparent)]
     Model(#[from] SimulatorError),
@@ -263,14 +275,18 @@ impl Tolerance {
 /// A request for a model's cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Request {
+    /// Time from switch-on to the begin of the alignment, s: the model's own time there.
+    pub begin_s: f64,
     /// Time over which the bias is taken as a mean, s; it ends at t = 0.
     pub align_s: f64,
     /// Times since the alignment's end, s, increasing.
     pub horizons_s: Vec<f64>,
-    /// The sensor's temperature from the alignment's begin on; without it, the temperature channel's bias, or 25 °C.
+    /// The sensor's temperature from switch-on on; without it, the temperature channel's bias, or 25 °C.
     pub temperature: Option<Temperatures>,
     /// Limits.
     pub tolerances: Vec<Tolerance>,
+    /// Whether what has no closed form is simulated. If not, its quantities are left out, and a note states why.
+    pub simulate: bool,
     /// Runs of a Monte Carlo estimate, if an effect has no closed form.
     pub runs: usize,
     /// The seed of the first run.
@@ -280,10 +296,12 @@ pub struct Request {
 impl Default for Request {
     fn default() -> Self {
         Self {
+            begin_s: 0.0,
             align_s: 30.0,
             horizons_s: vec![1.0, 10.0, 60.0, 600.0, 3600.0],
             temperature: None,
             tolerances: Vec::new(),
+            simulate: true,
             runs: RUNS,
             seed: 1,
         }
@@ -299,10 +317,13 @@ pub(crate) struct Setting<'a> {
     /// Rate of the sent samples, and of the sensor's own, Hz.
     pub rate_hz: f64,
     pub internal_hz: f64,
+    /// Samples before the alignment.
+    pub begin: u64,
     /// Samples of the alignment.
     pub align: u64,
     /// Samples of each horizon, increasing: those of the request and of its tolerances.
     pub horizons: Vec<u64>,
+    pub simulate: bool,
     pub runs: usize,
     pub seed: u64,
 }
@@ -311,6 +332,9 @@ impl<'a> Setting<'a> {
     /// Checks the request against the model.
     pub(crate) fn new(request: &Request, model: &'a SensorModel) -> Result<Self, CostError> {
         let positive = |value: f64| value.is_finite() && value > 0.0;
+        if !(request.begin_s.is_finite() && request.begin_s >= 0.0) {
+            return Err(CostError::Begin { found: request.begin_s });
+        }
         if !positive(request.align_s) {
             return Err(CostError::Align { found: request.align_s });
         }
@@ -326,7 +350,7 @@ impl<'a> Setting<'a> {
             return Err(CostError::Order { before: pair[0], found: pair[1] });
         }
         let (rate_hz, internal_hz) = (model.rate_hz, model.internal_rate_hz(model.rate_hz));
-        let longest_s = all_s.clone().fold(0.0, f64::max) + request.align_s;
+        let longest_s = all_s.clone().fold(0.0, f64::max) + request.align_s + request.begin_s;
         if longest_s * internal_hz > SAMPLES_MAX {
             let most_s = SAMPLES_MAX / internal_hz;
             return Err(CostError::Long { found: longest_s, rate_hz: internal_hz, most_s });
@@ -349,8 +373,10 @@ impl<'a> Setting<'a> {
             temperature,
             rate_hz,
             internal_hz,
+            begin: (request.begin_s * rate_hz).round() as u64,
             align: samples(request.align_s)?,
             horizons,
+            simulate: request.simulate,
             runs: request.runs.max(2),
             seed: request.seed,
         })
@@ -374,7 +400,10 @@ impl<'a> Setting<'a> {
     /// # Errors
     /// [`CostError::Work`] with the longest time that can.
     pub(crate) fn check_runs(&self, effect: &str, channel: Channel, runs: usize) -> Result<(), CostError> {
-        let samples = self.samples() as f64 * self.ratio() as f64 * runs as f64;
+        if !self.simulate {
+            return Err(CostError::NoClosedForm { effect: format!("{effect} on {channel}") });
+        }
+        let samples = (self.begin + self.samples()) as f64 * self.ratio() as f64 * runs as f64;
         if samples <= WORK_MAX {
             return Ok(());
         }
@@ -387,9 +416,9 @@ impl<'a> Setting<'a> {
         })
     }
 
-    /// Returns the time of alignment and longest horizon, s.
+    /// Returns the time from switch-on to the end of the longest horizon, s.
     pub(crate) fn record_s(&self) -> f64 {
-        self.samples() as f64 / self.rate_hz
+        (self.begin + self.samples()) as f64 / self.rate_hz
     }
 
     /// Returns the samples of alignment and horizon, for each horizon.
