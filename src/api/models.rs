@@ -10,9 +10,16 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, Uri};
 use axum::response::Response;
+use imu_core::units::parse_duration;
+use imu_cost::{Cost, CostError, Request as CostRequest, Tolerance};
 use imu_model::simulator::SensorModel;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
+
+/// The most horizons of a cost.
+const HORIZONS_MAX: usize = 12;
+/// The most samples of alignment and horizon together: an hour at 800 Hz.
+const SAMPLES_MAX: f64 = 3e6;
 
 /// A sensor model with its properties.
 #[derive(Debug, Serialize, utoipa::ToSchema)]
@@ -84,6 +91,74 @@ pub(super) async fn show(State(state): State<ApiState>, P(id): P) -> Result<Json
 pub(super) async fn delete(State(state): State<ApiState>, P(id): P) -> Result<StatusCode, ApiError> {
     state.change(move |parts| parts.store.delete_model(number(&id)?)).await?;
     Ok(StatusCode::NO_CONTENT)
+}
+
+/// What is asked of a model's cost.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct CostQuery {
+    /// Times without aid, increasing, separated by commas; at most 12.
+    #[param(default = "1s,10s,1min,10min,1h")]
+    horizons: Option<String>,
+    /// Time at rest before, over which the bias is taken as a mean.
+    #[param(default = "30s")]
+    align: Option<String>,
+    /// Limits on a 95 % band, such as `heading=1deg/10min,position=1m/10s`.
+    tolerance: Option<String>,
+}
+
+impl CostQuery {
+    fn request(&self) -> Result<CostRequest, ApiError> {
+        let time = |key: &str, text: &str| {
+            let found = parse_duration(text.trim());
+            found.map(|of| of.as_secs_f64()).map_err(|error| ApiError::bad_request(format!("`{key}`: {error}")))
+        };
+        let mut request = CostRequest { simulate: false, ..CostRequest::default() };
+        if let Some(text) = &self.horizons {
+            request.horizons_s = text.split(',').map(|one| time("horizons", one)).collect::<Result<_, _>>()?;
+        }
+        if request.horizons_s.len() > HORIZONS_MAX {
+            let found = request.horizons_s.len();
+            return Err(ApiError::bad_request(format!("`horizons`: {found} times, expected at most {HORIZONS_MAX}")));
+        }
+        if let Some(text) = &self.align {
+            request.align_s = time("align", text)?;
+        }
+        if let Some(text) = &self.tolerance {
+            request.tolerances = Tolerance::parse(text).map_err(JobError::from)?;
+        }
+        Ok(request)
+    }
+}
+
+/// What the errors of a sensor model cost: growth of attitude, velocity and position errors without aid, by cause. An
+/// effect that has no closed form is not simulated here: its quantities are left out, and a note states why.
+#[utoipa::path(get, path = "/v1/models/{id}/cost", tag = "diagnoses",
+    params(("id" = String, Path, description = "Id, as `model-1`"), CostQuery), responses(
+    (status = 200, body = Object, description = "`vn100d-cost-1`"),
+    (status = 400, body = Problem, content_type = "application/problem+json", description = "Times or limits make no sense"),
+    (status = 422, body = Problem, content_type = "application/problem+json",
+     description = "The model has no channel of an integration, or no quantity with a closed form")))]
+pub(super) async fn cost(
+    State(state): State<ApiState>,
+    P(id): P,
+    Q(query): Q<CostQuery>,
+) -> Result<Json<Cost>, ApiError> {
+    let request = query.request()?;
+    let found = state.compute(move |reader, _| {
+        let row = reader.model(number(&id)?)?;
+        let model = SensorModel::from_value(&serde_json::from_str(&row.body)?, &id)?;
+        let longest_s = request.horizons_s.iter().chain(request.tolerances.iter().map(|of| &of.horizon_s));
+        let longest_s = request.align_s + longest_s.copied().fold(0.0, f64::max);
+        let internal_hz = model.internal_rate_hz(model.rate_hz);
+        if longest_s * internal_hz > SAMPLES_MAX {
+            let most_s = (SAMPLES_MAX / internal_hz).floor();
+            return Err(CostError::Long { found: longest_s, rate_hz: internal_hz, most_s }.into());
+        }
+        Ok(imu_cost::cost(&model, &id, &request)?)
+    });
+    Ok(Json(found.await?))
 }
 
 fn number(id: &str) -> Result<i64, StoreError> {

@@ -10,6 +10,7 @@ use crate::store::{StoreError, StoreErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use imu_cost::CostError;
 use serde::Serialize;
 
 /// Media type of the body of every error.
@@ -235,6 +236,10 @@ impl From<JobError> for ApiError {
             error @ (JobError::InsufficientData(_) | JobError::Allan(_) | JobError::Diagnosis(_)) => {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }
+            JobError::Cost(
+                error @ (CostError::NoClosedForm { .. } | CostError::NoChannel { .. } | CostError::Model(_)),
+            ) => Self::new(ProblemType::AnalysisFailed, error.to_string()),
+            JobError::Cost(error) => Self::bad_request(error.to_string()),
             error @ JobError::TooLarge(_) => Self::new(ProblemType::TooLarge, error.to_string()),
             error @ (JobError::Died(_) | JobError::Process(_)) => Self::unavailable(error.to_string(), 5),
             error => Self::internal(error.to_string()),

@@ -40,6 +40,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(jobs::show, jobs::cancel))
         .routes(routes!(models::list, models::keep))
         .routes(routes!(models::show, models::delete))
+        .routes(routes!(models::cost))
         .routes(routes!(diagnoses::submit))
         .routes(routes!(diagnoses::list))
         .routes(routes!(diagnoses::show))

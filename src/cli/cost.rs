@@ -1,9 +1,13 @@
 //! `vn100d cost`: what a sensor model's errors cost in degrees, m/s and m.
 
 use super::args::CostArgs;
-use super::{Context, Outcome, failed, model, print_json, simulate, table, usage};
-use imu_core::units::{RAD_PER_DEG, format_duration};
-use imu_cost::{Cause, Cost, CostError, Method, Quantity, Request, cost};
+use super::{Context, Outcome, analysis, failed, model, print_json, simulate, table, usage};
+use crate::jobs::{self, Gridded};
+use imu_core::units::format_duration;
+use imu_cost::{
+    Cause, Cost, CostError, LEAST_PIECES, MeasureError, Measured, Method, Quantity, Request, cost, measured, number,
+};
+use imu_model::simulator::SensorModel;
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
@@ -12,50 +16,116 @@ use std::time::Duration;
 /// Causes with a smaller share of every horizon's mean square error are not shown.
 const SHOWN_FROM: f64 = 0.05;
 
+/// A model's cost, and what a recording shows of it.
+#[derive(Debug, serde::Serialize)]
+struct Shown {
+    #[serde(flatten)]
+    cost: Cost,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    measured: Option<Measured>,
+}
+
 /// Both costs of a comparison: the model's own document, and beside it the other one.
 #[derive(Debug, serde::Serialize)]
 struct Compared<'a> {
     #[serde(flatten)]
-    own: &'a Cost,
-    against: &'a Cost,
+    own: &'a Shown,
+    against: &'a Shown,
     ratio: BTreeMap<Quantity, Vec<Option<f64>>>,
 }
 
 /// Prints the cost.
 pub(super) fn run(context: &Context, args: &CostArgs) -> anyhow::Result<Outcome> {
     let request = Request {
+        begin_s: args.after.as_secs_f64(),
         align_s: args.align.as_secs_f64(),
         horizons_s: args.horizons.iter().map(Duration::as_secs_f64).collect(),
         temperature: args.temperature.as_deref().map(simulate::temperature).transpose()?,
         tolerances: args.tolerance.iter().flat_map(|of| of.0.clone()).collect(),
         ..Request::default()
     };
-    let own = cost_of(&args.model, &request)?;
+    let real = args.real.as_deref().map(|named| Real::open(context, named, args.rate)).transpose()?;
+    let shown = |path: &Path, request: &Request| {
+        let sensor = model::load(path)?;
+        let measured = real.as_ref().map(|real| real.measured(&sensor, path, request)).transpose()?;
+        Ok::<Shown, anyhow::Error>(Shown { cost: cost_of(&sensor, path, request)?, measured })
+    };
+    let own = shown(&args.model, &request)?;
     // Limits are those of the model itself.
     let plain = Request { tolerances: Vec::new(), ..request };
-    let against = args.against.as_deref().map(|path| cost_of(path, &plain)).transpose()?;
+    let against = args.against.as_deref().map(|path| shown(path, &plain)).transpose()?;
     let mut stdout = std::io::stdout().lock();
+    let write = |to: &mut dyn Write, of: &Shown| {
+        write_cost(to, &of.cost)?;
+        of.measured.as_ref().map_or(Ok(()), |measured| write_measured(to, &of.cost.model, measured))
+    };
     match (&against, context.json) {
         (None, true) => print_json(&own)?,
-        (Some(against), true) => print_json(&Compared { own: &own, against, ratio: ratios(&own, against) })?,
-        (None, false) => write_cost(&mut stdout, &own)?,
+        (Some(against), true) => {
+            print_json(&Compared { own: &own, against, ratio: ratios(&own.cost, &against.cost) })?;
+        }
+        (None, false) => write(&mut stdout, &own)?,
         (Some(against), false) => {
-            write_cost(&mut stdout, &own)?;
+            write(&mut stdout, &own)?;
             writeln!(stdout)?;
-            write_cost(&mut stdout, against)?;
-            write_ratios(&mut stdout, &own, against)?;
+            write(&mut stdout, against)?;
+            write_ratios(&mut stdout, &own.cost, &against.cost)?;
         }
     }
-    let missed = args.check && own.tolerances.iter().any(|verdict| !verdict.pass);
-    Ok(if missed { Outcome::LimitMissed } else { Outcome::Done })
+    let missed = args.check && own.cost.tolerances.iter().any(|verdict| !verdict.pass);
+    let rejected = real.is_some_and(|real| real.rejected);
+    Ok(match (missed, rejected) {
+        (true, _) => Outcome::LimitMissed,
+        (false, true) => Outcome::WithLoss,
+        (false, false) => Outcome::Done,
+    })
 }
 
-fn cost_of(path: &Path, request: &Request) -> anyhow::Result<Cost> {
-    let sensor = model::load(path)?;
-    cost(&sensor, &path.display().to_string(), request).map_err(|error| match error {
+/// A recording at rest.
+struct Real {
+    name: String,
+    gridded: Gridded,
+    /// Whether frames or lines were rejected on the way in.
+    rejected: bool,
+}
+
+impl Real {
+    fn open(context: &Context, named: &str, rate_hz: Option<f64>) -> anyhow::Result<Self> {
+        let together = analysis::open(context, &[named.to_owned()], rate_hz)?;
+        let (name, rejected) = (together.name(), together.rejected());
+        Ok(Self { name, gridded: jobs::resting(&together.source, together.plan)?, rejected })
+    }
+
+    /// Measures the growth of errors. Without another temperature the recording's own counts.
+    fn measured(&self, sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Result<Measured> {
+        let Gridded { recording, from_s, left_out, .. } = &self.gridded;
+        let temperature = request.temperature.clone().or_else(|| jobs::temperatures(recording, request.begin_s));
+        let request = Request { temperature, ..request.clone() };
+        let mut found =
+            measured(&jobs::rest(recording), &self.name, sensor, &request).map_err(|error| match error {
+                MeasureError::Cost(error) => refused(path, &error),
+                _ => failed(format!("{} and {}: {error}", self.name, path.display())),
+            })?;
+        if *left_out > 0 {
+            found.notes.push(format!(
+                "pieces are of the {:.0} s from {from_s:.0} s on, the longest part without a gap of a minute; {left_out} samples are \
+                 outside it",
+                recording.length_s()
+            ));
+        }
+        Ok(found)
+    }
+}
+
+fn cost_of(sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Result<Cost> {
+    cost(sensor, &path.display().to_string(), request).map_err(|error| refused(path, &error))
+}
+
+fn refused(path: &Path, error: &CostError) -> anyhow::Error {
+    match error {
         CostError::Model(_) | CostError::NoChannel { .. } => failed(format!("{}: {error}", path.display())),
         _ => usage(error.to_string()),
-    })
+    }
 }
 
 /// Returns the model's band over the other's, by quantity and horizon; none if the other has no error.
@@ -67,35 +137,6 @@ fn ratios(own: &Cost, against: &Cost) -> BTreeMap<Quantity, Vec<Option<f64>>> {
         (quantity, pairs.map(|(own, other)| (*other > 0.0).then(|| own / other)).collect())
     })
     .collect()
-}
-
-/// Returns the factor from a quantity's unit to the shown one, and the shown one.
-fn shown_in(quantity: Quantity) -> (f64, &'static str) {
-    match quantity.unit() {
-        "rad" => (1.0 / RAD_PER_DEG, "°"),
-        unit => (1.0, unit),
-    }
-}
-
-/// Returns a number with three significant digits.
-fn number(value: f64) -> String {
-    match value.abs() {
-        0.0 => "0".to_owned(),
-        size if (1e-3..1e5).contains(&size) => {
-            let digits = (2.0 - size.log10().floor()).max(0.0) as usize;
-            format!("{value:.digits$}")
-        }
-        _ => format!("{value:.2e}"),
-    }
-}
-
-fn with_unit(quantity: Quantity, value: f64) -> String {
-    let (factor, unit) = shown_in(quantity);
-    match unit {
-        "°" => format!("{}°", number(factor * value)),
-        "m" if value >= 1e4 => format!("{} km", number(1e-3 * value)),
-        _ => format!("{} {unit}", number(value)),
-    }
 }
 
 fn percent(share: f64) -> String {
@@ -118,7 +159,7 @@ fn headline(cost: &Cost) -> String {
         own.max_by(|one, other| last(one).total_cmp(&last(other)))
     };
     let part = |quantity: Quantity| {
-        let size = with_unit(quantity, last(&quantity));
+        let size = quantity.with_unit(last(&quantity));
         let main = causes_of(cost, quantity).next().and_then(|cause| Some((cause, *cause.share.last()?)));
         let main = main.filter(|(_, share)| *share > 0.0);
         let words = main.map(|(cause, share)| format!(" ({} on {}, {})", cause.cause, cause.channel, percent(share)));
@@ -129,7 +170,7 @@ fn headline(cost: &Cost) -> String {
     format!("{} costs up to {} after {}", cost.model, parts.join(" and "), time(horizon))
 }
 
-fn write_cost(to: &mut impl Write, cost: &Cost) -> std::io::Result<()> {
+fn write_cost(to: &mut dyn Write, cost: &Cost) -> std::io::Result<()> {
     writeln!(to, "{}.", headline(cost))?;
     writeln!(to, "At rest, {} of alignment; the size of an error stays below the band in 95 %.", time(cost.align_s))?;
     let beyond = |place: usize| cost.extrapolated.as_ref().is_some_and(|of| of.get(place) == Some(&true));
@@ -142,7 +183,7 @@ fn write_cost(to: &mut impl Write, cost: &Cost) -> std::io::Result<()> {
     let rows_of = |names: Vec<String>| table(&names.iter().map(String::as_str).collect::<Vec<_>>());
     let mut rows = rows_of(header(&["error", "unit", ""]));
     for (quantity, growth) in &cost.quantities {
-        let (factor, unit) = shown_in(*quantity);
+        let (factor, unit) = quantity.shown_in();
         let lines = [
             ("95 % band", Some(&growth.band95)),
             ("K at its limit", growth.band95_upper.as_ref()),
@@ -173,7 +214,7 @@ fn write_cost(to: &mut impl Write, cost: &Cost) -> std::io::Result<()> {
 }
 
 /// Writes extrapolations, simulations, missing channels and verdicts.
-fn write_remarks(to: &mut impl Write, cost: &Cost) -> std::io::Result<()> {
+fn write_remarks(to: &mut dyn Write, cost: &Cost) -> std::io::Result<()> {
     if cost.extrapolated.iter().flatten().any(|beyond| *beyond) {
         writeln!(to, "* extrapolation: the record that the model was fitted to is shorter")?;
     }
@@ -187,7 +228,7 @@ fn write_remarks(to: &mut impl Write, cost: &Cost) -> std::io::Result<()> {
         writeln!(to, "note: {note}")?;
     }
     for verdict in &cost.tolerances {
-        let [value, limit] = [verdict.value, verdict.limit].map(|value| with_unit(verdict.quantity, value));
+        let [value, limit] = [verdict.value, verdict.limit].map(|value| verdict.quantity.with_unit(value));
         let deciding = if verdict.deciding.is_empty() { "nothing" } else { &verdict.deciding };
         writeln!(
             to,
@@ -214,13 +255,41 @@ fn write_ratios(to: &mut impl Write, own: &Cost, against: &Cost) -> std::io::Res
     writeln!(to, "{rows}")
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_have_three_significant_digits() {
-        let shown = [0.0, 1.0, 0.123_45, 12_345.0, -99.9, 1.234e-5, 2.5e7].map(number);
-        assert_eq!(shown, ["0", "1.00", "0.123", "12345", "-99.9", "1.23e-5", "2.50e7"]);
+/// Writes what the pieces of a recording show beside the model's prediction.
+fn write_measured(to: &mut dyn Write, model: &str, of: &Measured) -> std::io::Result<()> {
+    writeln!(
+        to,
+        "\nMeasured in pieces of {} ({} at rest), beside {model}; 95 % intervals in brackets:",
+        of.real,
+        time(of.length_s.round())
+    )?;
+    let mut rows =
+        table(&["error", "after", "pieces", "independent", "measured rms", "predicted rms", "inside the band"]);
+    let mut short = Vec::new();
+    for (quantity, growing) in &of.quantities {
+        for (place, (horizon_s, pieces)) in of.horizons_s.iter().zip(&growing.pieces).enumerate() {
+            let Some(pieces) = pieces else {
+                short.push(time(*horizon_s));
+                continue;
+            };
+            let [low, high] = pieces.rms_ci95.map(|end| quantity.with_unit(end));
+            let [least, most] = pieces.coverage_ci95.map(|end| format!("{:.1}", 100.0 * end));
+            rows.add_row([
+                if place == 0 { quantity.to_string() } else { String::new() },
+                time(*horizon_s),
+                pieces.count.to_string(),
+                format!("{:.0}", pieces.independent),
+                format!("{} ({low} to {high})", quantity.with_unit(pieces.rms)),
+                quantity.with_unit(pieces.predicted_rms),
+                format!("{:.1} % ({least} to {most} %)", 100.0 * pieces.coverage),
+            ]);
+        }
     }
+    writeln!(to, "{rows}")?;
+    short.sort();
+    short.dedup();
+    if !short.is_empty() {
+        writeln!(to, "fewer than {LEAST_PIECES} disjoint pieces: {}", short.join(", "))?;
+    }
+    of.notes.iter().try_for_each(|note| writeln!(to, "note: {note}"))
 }

@@ -3,11 +3,13 @@
 use super::args::DiagnoseArgs;
 use super::output::{Output, is_same};
 use super::{Context, Outcome, analysis, model, print_json, table, usage};
-use crate::jobs::{TwoThreads, gridded};
+use crate::jobs::{TwoThreads, add_cost, gridded};
 use crate::page;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
-use imu_diagnosis::report::{Cause, Driver, Hint, Of, Offset, Place, Sense};
+use imu_core::units::format_duration;
+use imu_cost::Quantity;
+use imu_diagnosis::report::{Cause, Driver, GapCost, Hint, Of, Offset, Place, Sense};
 use imu_diagnosis::{Diagnosis, Drawings, Options, Reference};
 use imu_model::motion::file::Rows;
 use imu_model::simulator::SensorModel;
@@ -16,6 +18,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Write as _};
 use std::path::Path;
+use std::time::Duration;
 
 /// Runs the command.
 pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outcome> {
@@ -52,6 +55,9 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     }
     gridded.adjust(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
+    if reference.is_none() {
+        add_cost(&mut outcome, &gridded.recording, &sim);
+    }
     if let Some(output) = augmented {
         output.put((serde_json::to_string_pretty(&outcome.augmented)? + "\n").as_bytes())?;
     }
@@ -122,6 +128,9 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         }
         writeln!(out, "\n{rows}")?;
     }
+    if let Some(cost) = &gap.cost {
+        write_cost(&mut out, cost)?;
+    }
     if let Some(left) = &of.remainder {
         let on = left.channels.join(", ");
         writeln!(out, "\nwithout a name: {:.2} % of the gap, on {on}", 100.0 * left.share)?;
@@ -183,6 +192,27 @@ fn print(of: &Diagnosis) -> std::io::Result<()> {
         writeln!(out, "{note}")?;
     }
     Ok(())
+}
+
+/// Writes the 95 % bands of unaided integration under the model, the corrected one, and that without the causes.
+fn write_cost(out: &mut impl std::io::Write, cost: &GapCost) -> std::io::Result<()> {
+    let time = |time_s: f64| format_duration(Duration::from_secs_f64(time_s));
+    let times = cost.horizons_s.iter().map(|horizon_s| time(*horizon_s));
+    let header: Vec<String> = ["error in 95 %".to_owned(), String::new()].into_iter().chain(times).collect();
+    let mut rows = table(&header.iter().map(String::as_str).collect::<Vec<_>>());
+    for (name, bands) in &cost.quantities {
+        let Ok(quantity) = name.parse::<Quantity>() else { continue };
+        let lines = [("the model", &bands.before), ("corrected", &bands.after), ("without the causes", &bands.floor)];
+        for (place, (whose, values)) in lines.into_iter().enumerate() {
+            let first = if place == 0 { name.clone() } else { String::new() };
+            let values = values.iter().map(|value| quantity.with_unit(*value));
+            rows.add_row([first, whose.to_owned()].into_iter().chain(values));
+        }
+    }
+    if !rows.is_empty() {
+        writeln!(out, "\nwithout aid, after {} of alignment:\n{rows}", time(cost.align_s))?;
+    }
+    cost.notes.iter().try_for_each(|note| writeln!(out, "note: {note}"))
 }
 
 /// Returns a text such as "z turning at 1.2 … 3.5 rad/s" or "z down".

@@ -7,7 +7,7 @@
 use super::fold::{join, split};
 use super::plan::Plan;
 use super::runner::Keeper;
-use super::{Gridded, JobError, ReferenceMotion, fitted, gridded};
+use super::{Gridded, JobError, ReferenceMotion, add_cost, fitted, gridded};
 use crate::store::{JobCheckpoint, JobKind, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
 use imu_diagnosis::{Diagnosis, Drawings, Options, Reference, Workers};
@@ -336,6 +336,9 @@ fn document_of(
     let mut outcome = imu_diagnosis::diagnose_any(&gridded.recording, reference.as_ref(), &sim, &options)?;
     gridded.adjust(&mut outcome.diagnosis);
     outcome.diagnosis.notes.extend(doubt);
+    if reference.is_none() {
+        add_cost(&mut outcome, &gridded.recording, &sim);
+    }
     let Gridded { recording, from_s, .. } = gridded;
     let drawings = Drawings::new(&recording, from_s, &sim, &outcome);
     let written = Written { report: &outcome.diagnosis, model: &outcome.augmented, drawings };

@@ -2,6 +2,7 @@
 
 use super::SamplingError;
 use crate::store::StoreError;
+use imu_cost::CostError;
 use imu_diagnosis::DiagnosisError;
 use imu_model::simulator::ModelError;
 use imu_noise::allan::AllanError;
@@ -32,6 +33,9 @@ pub enum JobError {
     /// The sensor model is invalid.
     #[error(transparent)]
     Model(#[from] ModelError),
+    /// A model's cost was refused.
+    #[error(transparent)]
+    Cost(#[from] CostError),
     /// Recording and model cannot be compared.
     #[error("{0}")]
     Diagnosis(DiagnosisError),

@@ -14,6 +14,7 @@
 //! [`Live`] provides results for a capture that still runs.
 
 mod apart;
+mod cost;
 mod curves;
 mod diagnosis;
 mod diagnosis_request;
@@ -45,6 +46,7 @@ mod worker;
 
 pub use crate::store::JobKind;
 pub use apart::{JOB_MEMORY_BYTES, JOB_PROCESSOR_S, answer};
+pub use cost::{add_cost, rest, resting, temperatures};
 pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator, read_diagnosis};
 pub use diagnosis_request::{DiagnosisBody, ReferenceMotion, SIM_BYTES_MAX, answer_diagnosis_body};
 pub use document::Documents;

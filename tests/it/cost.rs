@@ -96,6 +96,100 @@ fn a_comparison_prints_both_and_the_ratio() {
 }
 
 #[test]
+fn a_recording_is_measured_in_pieces_beside_the_models_band() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = model(folder.path(), "unit.json", &six_axes(&json!({"N": 1e-4, "K": 1e-6}), &json!({"N": 2e-3})));
+    let quiet = model(folder.path(), "quiet.json", &json!({"gyro_z": {"N": 2e-5}}));
+    let night = folder.path().join("night.csv").to_str().unwrap().to_owned();
+    done(&["simulate", "--model", &file, "--duration", "1h", "--seed", "3", "--out", &night], 0);
+    let arguments = ["cost", "--model", &file, "--against", &quiet, "--real", &night, "--horizons", "1s,10s,1h"];
+    let found: Value = serde_json::from_str(&done(&[&["--json"], &arguments[..]].concat(), 0)).unwrap();
+    let measured = &found["measured"];
+    assert_eq!((&measured["horizons_s"], measured["length_s"].as_f64()), (&json!([1.0, 10.0, 3600.0]), Some(3600.0)));
+    for quantity in ["attitude_x", "heading", "velocity_y", "position_x"] {
+        let pieces = &measured["quantities"][quantity]["pieces"];
+        assert!(pieces[0]["coverage"].as_f64().unwrap() > 0.88, "{pieces}");
+        assert!(pieces[1]["independent"].as_f64().unwrap() <= 90.0, "{pieces}");
+        assert_eq!(pieces[2], Value::Null);
+    }
+    let against = &found["against"]["measured"]["quantities"]["heading"]["pieces"][1];
+    assert!(against["coverage_ci95"][1].as_f64().unwrap() < 0.7, "{against}");
+    let table = done(&arguments, 0);
+    assert!(table.contains("Measured in pieces of ") && table.contains("inside the band"), "{table}");
+    assert!(table.contains("fewer than 5 disjoint pieces: 1h"), "{table}");
+    let ended = vn100d(&["cost", "--model", &file, "--real", &night, "--horizons", "20min"]);
+    let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert_eq!(ended.status.code(), Some(1), "{error}");
+    assert!(error.contains("2 disjoint pieces of 1230 s") && error.contains("at least 5"), "{error}");
+}
+
+#[test]
+fn limits_of_a_file_are_checked_and_errors_have_file_and_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = model(folder.path(), "unit.json", &json!({"gyro_z": {"N": 1e-4}}));
+    let limits = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let good = limits("limits.txt", "# of the robot\nheading=1deg/10min\nheading=1mrad/1min # tight\n");
+    let arguments = ["cost", "--model", &file, "--horizons", "10s", "--check", "--tolerance"];
+    let table = done(&[&arguments[..], &[&good]].concat(), 4);
+    assert!(table.contains("pass: heading after 10m") && table.contains("FAIL: heading after 1m"), "{table}");
+    for (text, part) in [
+        ("heading=1deg/10min\nyaw=1deg/1s\n", "limits-bad.txt: line 2: the tolerance `yaw=1deg/1s`"),
+        ("# none\n", "limits-bad.txt: there is no tolerance"),
+    ] {
+        let bad = limits("limits-bad.txt", text);
+        let ended = vn100d(&[&arguments[..], &[&bad]].concat());
+        let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert!(ended.status.code() == Some(2) && error.contains(part), "{error}");
+    }
+    let ended = vn100d(&[&arguments[..], &["nowhere.txt"]].concat());
+    let error = String::from_utf8_lossy(&ended.stderr).into_owned();
+    assert!(ended.status.code() == Some(2) && error.contains("nowhere.txt: neither NAME=LIMIT/DURATION"), "{error}");
+}
+
+#[test]
+fn a_diagnosis_has_the_cost_of_the_gap() {
+    let folder = tempfile::tempdir().unwrap();
+    let warm = json!({"N": 1e-4, "effects": [{"effect": "warm_up", "amplitude": 2e-3, "tau_s": 300}]});
+    let truth = model(folder.path(), "truth.json", &json!({"gyro_z": warm}));
+    let plain = model(folder.path(), "plain.json", &json!({"gyro_z": {"N": 1e-4}}));
+    let desk = folder.path().join("desk.csv").to_str().unwrap().to_owned();
+    done(&["simulate", "--model", &truth, "--duration", "20min", "--seed", "7", "--out", &desk], 0);
+    let page = folder.path().join("gap.html").to_str().unwrap().to_owned();
+    let arguments = ["--json", "diagnose", "--real", &desk, "--sim", &plain, "--html", &page];
+    let found: Value = serde_json::from_str(&done(&arguments, 0)).unwrap();
+    let cost = &found["discrepancy"]["cost"];
+    assert_eq!(cost["horizons_s"], json!([10.0, 60.0, 600.0]), "{found}");
+    let expected = |file: &str| -> Value {
+        let arguments = ["--json", "cost", "--model", file, "--horizons", "10s,1min,10min"];
+        let cost: Value = serde_json::from_str(&done(&arguments, 0)).unwrap();
+        cost["quantities"]["heading"]["band95"].clone()
+    };
+    let heading = &cost["quantities"]["heading"];
+    assert_eq!(heading["before"], expected(&plain));
+    for (place, truth) in expected(&truth).as_array().unwrap().iter().enumerate() {
+        let truth = truth.as_f64().unwrap();
+        let after = heading["after"][place].as_f64().unwrap();
+        assert!((after / truth - 1.0).abs() < 0.1, "{heading}: {truth}");
+        let [low, high] = [0, 1].map(|end| heading["after_ci95"][place][end].as_f64().unwrap());
+        assert!(low <= truth && truth <= high, "{heading}: {truth}");
+        assert!(heading["floor"][place].as_f64().unwrap() < after, "{heading}");
+    }
+    let cause = &found["causes"][0];
+    assert_eq!(cause["effect"], "warm_up");
+    assert!(cause["cost"]["heading"]["share"][2].as_f64().unwrap() > 0.9, "{cause}");
+    let summary = found["summary"].as_str().unwrap();
+    assert!(summary.contains("of heading after 10m without aid, where the model has "), "{summary}");
+    assert!(summary.contains("; warm_up makes "), "{summary}");
+    assert!(std::fs::read_to_string(&page).unwrap().contains("What it costs without aid"));
+    let table = done(&["diagnose", "--real", &desk, "--sim", &plain], 0);
+    assert!(table.contains("without the causes"), "{table}");
+}
+
+#[test]
 fn what_makes_no_sense_is_refused_with_what_is_allowed() {
     let folder = tempfile::tempdir().unwrap();
     let file = model(folder.path(), "unit.json", &json!({"gyro_z": {"N": 1e-4}}));

@@ -47,6 +47,7 @@ mod measured;
 mod monte_carlo;
 mod quadrature;
 mod request;
+mod shown;
 mod sources;
 mod spectra;
 #[cfg(test)]
@@ -58,8 +59,9 @@ pub use filter_parameters::{
     ChannelParameters, FILTER_FORMAT, FilterError, FilterParameters, FilterRequest, Inflation, InflationCause, Over,
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
-pub use measured::{MeasureError, Measured, Pieces, Rest, measured};
+pub use measured::{Growing, LEAST_PIECES, MeasureError, Measured, Pieces, Rest, measured, piece_error};
 pub use request::{CostError, Quantity, Request, Tolerance};
+pub use shown::number;
 
 use channel::ChannelErrors;
 use compose::{Composed, compose};

@@ -7,10 +7,10 @@
 //! A piece is an alignment and a horizon after it, without a missing sample. Pieces begin a quarter of their length apart,
 //! which uses the record better; intervals count disjoint pieces only, and fewer if their errors are correlated.
 //!
-//! The model's time zero is the recording's first sample. If its law changes with time (a warm-up, a step, bursts), each
-//! piece has the band of its own begin, and there are at most [`BEGINS`] of them.
+//! The recording's first sample is at the request's `begin_s` of the model's time. If the model's law changes with time (a warm-up, a step, bursts), each
+//! piece has the band of its own begin, and there are at most 48 of them.
 //!
-//! Refused: a recording of another rate, and one with fewer than [`LEAST`] disjoint pieces at every horizon.
+//! Refused: a recording of another rate, and one with fewer than [`LEAST_PIECES`] disjoint pieces at every horizon.
 
 use crate::quadrature::scale;
 use crate::request::{CostError, Quantity, Request};
@@ -25,9 +25,9 @@ use statrs::distribution::{Beta, ChiSquared, ContinuousCDF as _};
 use std::collections::BTreeMap;
 
 /// The least number of disjoint pieces from which anything is measured.
-pub const LEAST: usize = 5;
+pub const LEAST_PIECES: usize = 5;
 /// The most begins at which a law that changes with time is computed.
-pub const BEGINS: usize = 48;
+const BEGINS: usize = 48;
 /// Pieces that begin within the length of one.
 const OVERLAP: usize = 4;
 /// Rates that differ by less are the same, as a share.
@@ -65,7 +65,7 @@ pub enum MeasureError {
     /// There are too few pieces.
     #[error(
         "the recording has {found} disjoint pieces of {length_s} s (alignment and shortest horizon) without a gap: expected at \
-         least {LEAST}, thus a longer recording, a shorter alignment or shorter horizons"
+         least {LEAST_PIECES}, thus a longer recording, a shorter alignment or shorter horizons"
     )]
     Few {
         /// The number of pieces.
@@ -93,7 +93,7 @@ pub struct Measured {
     pub notes: Vec<String>,
 }
 
-/// One quantity, one entry per horizon; none if there are fewer than [`LEAST`] disjoint pieces.
+/// One quantity, one entry per horizon; none if there are fewer than [`LEAST_PIECES`] disjoint pieces.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Growing {
     /// `rad`, `m/s` or `m`.
@@ -145,7 +145,7 @@ pub fn measured(
     if (record.rate_hz / model.rate_hz - 1.0).abs() > SAME_RATE {
         return Err(MeasureError::Rate { found_hz: record.rate_hz, expected_hz: model.rate_hz });
     }
-    let request = Request { tolerances: Vec::new(), begin_s: 0.0, ..request.clone() };
+    let request = Request { tolerances: Vec::new(), ..request.clone() };
     let setting = crate::request::Setting::new(&request, model)?;
     let align = setting.align as usize;
     let horizons: Vec<usize> = request.horizons_s.iter().map(|of| (of * model.rate_hz).round() as usize).collect();
@@ -159,7 +159,7 @@ pub fn measured(
         |runs: &[[usize; 2]], length: usize| runs.iter().map(|[from, to]| (to - from) / length).sum::<usize>();
     let shortest = align + horizons[0];
     let most = runs.iter().map(|(_, of)| disjoint(of, shortest)).max().unwrap_or(0);
-    if most < LEAST {
+    if most < LEAST_PIECES {
         return Err(MeasureError::Few { found: most, length_s: shortest as f64 / model.rate_hz });
     }
     let is_moving = changes(model, setting.temperature_is_constant);
@@ -172,7 +172,7 @@ pub fn measured(
     for begin in &begins {
         let fitting = horizons.iter().filter(|horizon| !is_moving || begin + align + *horizon <= last).count();
         let horizons_s = request.horizons_s[..fitting].to_vec();
-        let begin_s = *begin as f64 / model.rate_hz;
+        let begin_s = request.begin_s + *begin as f64 / model.rate_hz;
         let found = cost(model, real, &Request { begin_s, horizons_s, ..request.clone() })?;
         let square = |growth: &crate::Growth| {
             let moments = growth.mean.iter().zip(&growth.sd).map(|(mean, sd)| mean * mean + sd * sd);
@@ -192,7 +192,7 @@ pub fn measured(
     for (quantity, runs) in &runs {
         if predictions.iter().any(|of| of.contains_key(quantity)) {
             let pieces = (0..horizons.len()).map(|at| {
-                let enough = disjoint(runs, align + horizons[at]) >= LEAST;
+                let enough = disjoint(runs, align + horizons[at]) >= LEAST_PIECES;
                 enough.then(|| place.pieces(*quantity, runs, at)).flatten()
             });
             found.insert(*quantity, Growing { unit: quantity.unit(), pieces: pieces.collect() });
@@ -287,7 +287,12 @@ impl Place<'_> {
         for (run, [from, to]) in runs.iter().enumerate() {
             let add = |(begin, prediction): (usize, &Predicted)| {
                 let predicted = *prediction.get(&quantity)?.get(at)?;
-                Some(Piece { begin, run, error: self.error(quantity, begin, at), predicted })
+                Some(Piece {
+                    begin,
+                    run,
+                    error: piece_error(self.record, quantity, begin, self.align, self.horizons[at]),
+                    predicted,
+                })
             };
             if self.is_moving {
                 let own = self.begins.iter().copied().zip(self.predictions);
@@ -300,22 +305,22 @@ impl Place<'_> {
         }
         summary(&all, length)
     }
-
-    /// Returns the error of the piece that begins there.
-    fn error(&self, quantity: Quantity, begin: usize, at: usize) -> f64 {
-        let length = self.align + self.horizons[at];
-        let part = |share: &crate::request::Share| {
-            let own =
-                values(self.record, share.channel).and_then(|of| of.get(begin..begin + length)).unwrap_or_default();
-            let mut strapdown = Strapdown::new(self.align as u64);
-            let state = own.iter().fold([0.0; ORDERS], |_, value| strapdown.push(*value));
-            share.factor * state[share.order - 1] * scale(share.order, self.record.rate_hz)
-        };
-        quantity.shares().iter().map(part).sum()
-    }
 }
 
-/// Summarises pieces of one length; `None` if fewer than [`LEAST`] are disjoint.
+/// Returns a quantity's error, in its unit, after `align` and `horizon` samples from the sample `begin` on. Samples beyond the
+/// record's end count as absent, and the integral then ends before.
+pub fn piece_error(record: &Rest<'_>, quantity: Quantity, begin: usize, align: usize, horizon: usize) -> f64 {
+    let part = |share: &crate::request::Share| {
+        let all = values(record, share.channel).and_then(|of| of.get(begin..)).unwrap_or_default();
+        let mut strapdown = Strapdown::new(align as u64);
+        let own = all.iter().take(align + horizon);
+        let state = own.fold([0.0; ORDERS], |_, value| strapdown.push(*value));
+        share.factor * state[share.order - 1] * scale(share.order, record.rate_hz)
+    };
+    quantity.shares().iter().map(part).sum()
+}
+
+/// Summarises pieces of one length; `None` if fewer than [`LEAST_PIECES`] are disjoint.
 fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
     let mut disjoint: Vec<&Piece> = Vec::new();
     for piece in all {
@@ -323,7 +328,7 @@ fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
             disjoint.push(piece);
         }
     }
-    if disjoint.len() < LEAST {
+    if disjoint.len() < LEAST_PIECES {
         return None;
     }
     let independent = independent(&disjoint);

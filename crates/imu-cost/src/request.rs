@@ -180,6 +180,18 @@ pub enum CostError {
         /// What is allowed.
         expected: String,
     },
+    /// A line of a file of tolerances cannot be read.
+    #[error("line {line}: {error}")]
+    Line {
+        /// The line's number, from 1.
+        line: usize,
+        /// What is wrong with it.
+        #[source]
+        error: Box<CostError>,
+    },
+    /// A file of tolerances has none.
+    #[error("there is no tolerance: expected a line such as heading=1deg/10min")]
+    NoTolerance,
     /// A tolerance names a quantity that the model does not have.
     #[error("a tolerance of {quantity}, which the model does not have: expected one of {present}")]
     Absent {
@@ -245,6 +257,22 @@ impl Tolerance {
     pub fn parse(text: &str) -> Result<Vec<Self>, CostError> {
         let lists: Vec<Vec<Self>> = text.split(',').map(Self::parse_one).collect::<Result<_, _>>()?;
         Ok(lists.concat())
+    }
+
+    /// Reads a file's text: a line for each limit (or several, as [`Self::parse`]), `#` before a remark.
+    ///
+    /// # Errors
+    /// [`CostError::Line`] with the first line that cannot be read, [`CostError::NoTolerance`] if there is none.
+    pub fn parse_lines(text: &str) -> Result<Vec<Self>, CostError> {
+        let mut all = Vec::new();
+        for (index, line) in text.trim_start_matches('\u{FEFF}').lines().enumerate() {
+            let line = line.split('#').next().unwrap_or_default().trim();
+            if !line.is_empty() {
+                let refuse = |error| CostError::Line { line: index + 1, error: Box::new(error) };
+                all.extend(Self::parse(line).map_err(refuse)?);
+            }
+        }
+        if all.is_empty() { Err(CostError::NoTolerance) } else { Ok(all) }
     }
 
     fn parse_one(text: &str) -> Result<Vec<Self>, CostError> {
@@ -460,6 +488,15 @@ mod tests {
         assert_eq!(read[1], Tolerance { quantity: Quantity::VelocityX, limit: 0.05, horizon_s: 60.0 });
         assert_eq!((read.len(), read[2].quantity), (3, Quantity::VelocityY));
         assert_eq!(Tolerance::parse("position_y=1.5km/1h").unwrap()[0].limit, 1500.0);
+    }
+
+    #[test]
+    fn a_file_has_a_limit_per_line_and_errors_have_the_line() {
+        let read = Tolerance::parse_lines("# hold\r\nheading=1deg/10min # of the robot\n\nposition=1m/10s\n").unwrap();
+        assert_eq!(read.len(), 3);
+        let error = Tolerance::parse_lines("heading=1deg/10min\n\nyaw=1deg/1s").unwrap_err().to_string();
+        assert!(error.starts_with("line 3: the tolerance `yaw=1deg/1s`"), "{error}");
+        assert_eq!(Tolerance::parse_lines("# none\n"), Err(CostError::NoTolerance));
     }
 
     #[test]

@@ -476,6 +476,7 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
                 model: parameters_of(models),
                 uncertainty,
                 evidence,
+                cost: BTreeMap::new(),
             };
             (gain, cause)
         })

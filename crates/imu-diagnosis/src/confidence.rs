@@ -80,6 +80,7 @@ mod tests {
             model: BTreeMap::new(),
             uncertainty: serde_json::Map::new(),
             evidence: Vec::new(),
+            cost: BTreeMap::new(),
         };
         let place = |share: f64| Place::in_tests(Of::Cause(0), share);
         let right = |share: f64, remains: bool, cause: &Cause| {

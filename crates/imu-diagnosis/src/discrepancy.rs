@@ -66,5 +66,6 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
         closed,
         closed_ci95,
         measured_on: "second half, with the levels of the first; places and shapes are of the whole record".to_owned(),
+        cost: None,
     }
 }

@@ -50,6 +50,51 @@ pub struct Discrepancy {
     pub closed_ci95: Option<[f64; 2]>,
     /// The data on which it was measured.
     pub measured_on: String,
+    /// What the gap does to unaided integration; none for a motion, for a record that is too short, and in reports of
+    /// earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cost: Option<GapCost>,
+}
+
+/// Error growth of unaided integration at rest, under the model and under the corrected one (docs/cost.md).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GapCost {
+    /// Time of the alignment, s.
+    #[serde(deserialize_with = "numbers")]
+    pub align_s: f64,
+    /// Times since the alignment's end, s, at most three.
+    pub horizons_s: Vec<f64>,
+    /// By quantity, such as `heading`.
+    pub quantities: BTreeMap<String, Bands>,
+    /// What was left out, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// The 95 % bands of a quantity, one per horizon.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Bands {
+    /// `rad`, `m/s` or `m`.
+    pub unit: Cow<'static, str>,
+    /// Under the original model.
+    pub before: Vec<f64>,
+    /// Under the corrected model.
+    pub after: Vec<f64>,
+    /// What the 95 % intervals of the corrected model's N, B, K and sizes of effects allow; none if a size that
+    /// matters has no interval.
+    pub after_ci95: Option<Vec<[f64; 2]>>,
+    /// Under the corrected model without the causes that the sensor has.
+    pub floor: Vec<f64>,
+    /// As `after_ci95`.
+    pub floor_ci95: Option<Vec<[f64; 2]>>,
+}
+
+/// A cause's part in the error of a quantity, one number per horizon.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CauseCost {
+    /// Part of the mean square error.
+    pub share: Vec<f64>,
+    /// The 95 % band if the cause is gone, in the quantity's unit.
+    pub band95_without: Vec<f64>,
 }
 
 /// The finding that lies in a place.
@@ -253,6 +298,10 @@ pub struct Cause {
     pub uncertainty: Map<String, Value>,
     /// The evidence, in sentences with figures.
     pub evidence: Vec<String>,
+    /// By quantity: its part in the cost under the corrected model; of an effect that the sensor lacks, under the
+    /// original one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub cost: BTreeMap<String, CauseCost>,
 }
 
 /// An effect that was weighed and not named.

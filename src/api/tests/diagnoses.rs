@@ -110,6 +110,37 @@ fn models_are_kept_once_listed_and_deleted() {
 }
 
 #[test]
+fn a_models_cost_is_answered_and_senseless_times_are_refused() {
+    let world = World::new();
+    assert_eq!(world.post("/v1/models", &model(r#"{"N": 1e-4}"#)).status, 201);
+    let found = world.get("/v1/models/model-1/cost?horizons=1s,10s&align=20s&tolerance=attitude_x=1deg/1min").json();
+    assert_eq!((&found["format"], &found["model"]), (&"vn100d-cost-1".into(), &"model-1".into()));
+    assert_eq!(found["horizons_s"], serde_json::json!([1.0, 10.0]));
+    // N √(t + t²/align).
+    let sd = found["quantities"]["attitude_x"]["sd"][1].as_f64().unwrap();
+    assert!((sd / (1e-4 * 15.0_f64.sqrt()) - 1.0).abs() < 1e-6, "{sd}");
+    assert_eq!(found["tolerances"][0]["pass"], true);
+    for (query, part) in [
+        ("horizons=10s,1s", "increasing"),
+        ("horizons=10", "`horizons`: "),
+        ("horizons=1000h", "expected at most"),
+        ("horizons=1s,2s,3s,4s,5s,6s,7s,8s,9s,10s,11s,12s,13s", "at most 12"),
+        ("align=0s", "an alignment of 0 s"),
+        ("tolerance=yaw=1deg/1s", "attitude_x"),
+        ("tolerance=heading=1deg/1s", "one of attitude_x"),
+        ("horizon=1s", "horizon"),
+    ] {
+        let refused = world.get(&format!("/v1/models/model-1/cost?{query}")).problem(400, "bad-request");
+        assert!(refused.contains(part), "{query}: {refused}");
+    }
+    world.get("/v1/models/model-9/cost").problem(404, "not-found");
+    let random = r#"{"effects": [{"effect": "intermittent", "of": {"effect": "tone", "frequency_hz": 3, "amplitude": 1e-3}, "on_s": 10, "off_s": 20}]}"#;
+    assert_eq!(world.post("/v1/models", &model(random)).status, 201);
+    let refused = world.get("/v1/models/model-2/cost").problem(422, "analysis-failed");
+    assert!(refused.contains("intermittent on gyro_x has no closed form"), "{refused}");
+}
+
+#[test]
 fn what_cannot_be_compared_is_refused_with_what_to_do() {
     let world = World::new();
     world.capture("a", CaptureState::Complete, 1500);

@@ -15,6 +15,12 @@ pub struct CostArgs {
     /// Another sensor model to compare with, such as the one before a correction
     #[arg(long, value_name = "FILE")]
     pub against: Option<PathBuf>,
+    /// A capture or a recording at rest, to measure the growth of errors in and to compare it with the model's bands
+    #[arg(long, value_name = "CAPTURE|FILE")]
+    pub real: Option<String>,
+    /// Sampling rate of that recording in Hz, if the file has no times
+    #[arg(long, value_name = "HZ", requires = "real")]
+    pub rate: Option<f64>,
     /// Times of unaided integration, increasing, separated by commas
     #[arg(
         long,
@@ -28,11 +34,14 @@ pub struct CostArgs {
     /// Time at rest before, over which the bias is taken as a mean
     #[arg(long, value_name = "DURATION", value_parser = parse_duration, default_value = "30s", allow_hyphen_values = true)]
     pub align: Duration,
-    /// Temperature in °C, or a file with its course from the alignment's begin on: time_s, temperature_c
+    /// Time from switch-on to the begin of the alignment, or of the recording
+    #[arg(long, value_name = "DURATION", value_parser = parse_duration, default_value = "0s", allow_hyphen_values = true)]
+    pub after: Duration,
+    /// Temperature in °C, or a file with its course from switch-on on: time_s, temperature_c
     #[arg(long, value_name = "FILE|°C", allow_hyphen_values = true)]
     pub temperature: Option<String>,
-    /// Limit on a 95 % band, such as heading=1deg/10min,position=1m/10s; may be repeated
-    #[arg(long, value_name = "NAME=LIMIT/DURATION", value_parser = tolerances)]
+    /// Limit on a 95 % band, such as heading=1deg/10min,position=1m/10s, or a file with a limit per line; may be repeated
+    #[arg(long, value_name = "NAME=LIMIT/DURATION|FILE", value_parser = tolerances)]
     pub tolerance: Vec<Tolerances>,
     /// End with exit code 4 if a limit is missed
     #[arg(long, requires = "tolerance")]
@@ -43,6 +52,23 @@ pub struct CostArgs {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tolerances(pub Vec<Tolerance>);
 
-fn tolerances(text: &str) -> Result<Tolerances, CostError> {
-    Tolerance::parse(text).map(Tolerances)
+/// The reason why limits of the command line were refused.
+#[derive(Debug, thiserror::Error)]
+enum ToleranceError {
+    #[error(transparent)]
+    Text(CostError),
+    #[error("{file}: {error}")]
+    File { file: String, error: CostError },
+    #[error("{file}: neither NAME=LIMIT/DURATION nor a file that can be read: {error}")]
+    Unreadable { file: String, error: std::io::Error },
+}
+
+fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
+    if text.contains('=') {
+        return Tolerance::parse(text).map(Tolerances).map_err(ToleranceError::Text);
+    }
+    let file = || text.to_owned();
+    let lines = std::fs::read_to_string(text).map_err(|error| ToleranceError::Unreadable { file: file(), error })?;
+    let read = Tolerance::parse_lines(&lines).map_err(|error| ToleranceError::File { file: file(), error })?;
+    Ok(Tolerances(read))
 }

@@ -1,6 +1,7 @@
 //! The page of a capture: its contents, the numbers, the pictures, the events, and its origin.
 
 mod about;
+mod cost;
 mod noise;
 mod statistics;
 
@@ -99,6 +100,7 @@ pub fn capture(view: &CaptureView<'_>) -> String {
     gaps(&mut out, view);
     if let Some(report) = &view.documents.noise {
         noise::section(&mut out, report, view);
+        cost::section(&mut out, report, view);
     }
     spectra(&mut out, view);
     if let Some(report) = &view.documents.statistics {

@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 const SCALE: f64 = 20.0;
 
 /// Returns a bar of a length between 0 and 1, with a minimum width.
-fn bar(share: f64, class: &str) -> String {
+pub(super) fn bar(share: f64, class: &str) -> String {
     // A value that is not finite gets the minimum width.
     let width = if share.is_finite() { (100.0 * share).clamp(0.3, 100.0) } else { 0.3 };
     format!(

@@ -1,6 +1,7 @@
 //! The page of a diagnosis: the sentence, the size of the gap and the effects that close it, its place, and the effects
 //! missing in the model.
 
+mod cost;
 mod drawn;
 mod findings;
 mod gap;
@@ -28,6 +29,7 @@ pub fn diagnosis_body(report: &Diagnosis, drawings: &Drawings, links: Links<'_>)
     gap::section(&mut out, &report.discrepancy);
     gap::by_channel(&mut out, report);
     findings::causes(&mut out, report);
+    cost::section(&mut out, report);
     findings::alternatives(&mut out, report);
     findings::off(&mut out, &report.parameters);
     findings::offsets(&mut out, &report.offsets);

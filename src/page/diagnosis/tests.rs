@@ -89,6 +89,23 @@ fn the_sentence_comes_first_and_every_part_is_there_without_anything_from_elsewh
 }
 
 #[test]
+fn what_the_gap_costs_is_a_table_with_a_bar_for_each_cause() {
+    let mut own = report();
+    own["discrepancy"]["cost"] = json!({"align_s": 30, "horizons_s": [10, 600], "notes": ["no <position>"], "quantities": {
+        "heading": {"unit": "rad", "before": [1e-4, 1e-3], "after": [2e-4, 0.0174532925], "after_ci95": [[1e-4, 3e-4], [0.017, 0.018]],
+            "floor": [1e-4, 1e-3], "floor_ci95": null},
+        "of_a_later_version": {"unit": "rad", "before": [1], "after": [1], "after_ci95": null, "floor": [1], "floor_ci95": null}}});
+    own["causes"][0]["cost"] = json!({"heading": {"share": [0.1, 0.873], "band95_without": [1e-4, 1e-3]}});
+    let page = page_of(&own, &json!({}), &[]);
+    let at = |part: &str| page.find(part).unwrap_or_else(|| panic!("{part} is not in {page}"));
+    assert!(at("What the model lacks") < at("What it costs without aid"));
+    for part in ["after 10m", "1.00° (0.974° to 1.03°)", "heading: tone", "87&nbsp;%", "no &lt;position&gt;"] {
+        at(part);
+    }
+    assert!(!page_of(&report(), &json!({}), &[]).contains("without aid"), "reports of earlier versions have no cost");
+}
+
+#[test]
 fn what_has_no_name_is_shown_with_its_share() {
     let mut own = report();
     own["remainder"] = json!({"share": 0.0123, "nats": 1e-4, "channels": ["mag_x"], "what": ["power <in> one octave"]});

@@ -53,6 +53,7 @@ impl Driven {
             model: BTreeMap::new(),
             uncertainty: intervals,
             evidence,
+            cost: BTreeMap::new(),
         };
         Self { triad, effect, gain, rank: gain.unwrap_or_default(), cause }
     }

@@ -50,6 +50,19 @@ impl Temperatures {
         Self { rows: vec![(0.0, temperature_c)] }
     }
 
+    /// Creates a course from a sensor's samples at `rate_hz`: means over a second. Values that are not finite do not count;
+    /// `None` if none is.
+    pub fn of_samples(values: &[f64], rate_hz: f64) -> Option<Self> {
+        let length = (rate_hz.round() as usize).max(1);
+        let mean = |(second, part): (usize, &[f64])| {
+            let there: Vec<f64> = part.iter().copied().filter(|value| value.is_finite()).collect();
+            let middle = second as f64 * length as f64 + 0.5 * (part.len() as f64 - 1.0);
+            (!there.is_empty()).then(|| (middle / rate_hz, there.iter().sum::<f64>() / there.len() as f64))
+        };
+        let rows: Vec<(f64, f64)> = values.chunks(length).enumerate().filter_map(mean).collect();
+        (!rows.is_empty()).then_some(Self { rows })
+    }
+
     /// Returns whether the temperature is the same at all times.
     pub fn is_constant(&self) -> bool {
         self.rows.windows(2).all(|pair| pair[0].1 == pair[1].1)
@@ -76,6 +89,13 @@ mod tests {
         let read = Temperatures::read("temperature_c,time_s\n20,10\n30,20\n25,40\n".as_bytes(), "t.csv").unwrap();
         let found = [0.0, 10.0, 15.0, 20.0, 30.0, 40.0, 1e9].map(|time_s| read.at(time_s));
         assert_eq!(found, [20.0, 20.0, 25.0, 30.0, 27.5, 25.0, 25.0]);
+    }
+
+    #[test]
+    fn samples_are_means_over_a_second() {
+        let found = Temperatures::of_samples(&[20.0, 22.0, f64::NAN, 25.0], 2.0).unwrap();
+        assert_eq!([0.25, 1.25].map(|time_s| found.at(time_s)), [21.0, 25.0]);
+        assert_eq!(Temperatures::of_samples(&[f64::NAN], 2.0), None);
     }
 
     #[test]

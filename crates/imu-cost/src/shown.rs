@@ -1,0 +1,49 @@
+//! Quantities for people: degrees instead of radians, three significant digits.
+
+use crate::request::Quantity;
+use imu_core::units::RAD_PER_DEG;
+
+/// Returns a number with three significant digits.
+pub fn number(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0".to_owned(),
+        size if (1e-3..1e5).contains(&size) => {
+            let digits = (2.0 - size.log10().floor()).max(0.0) as usize;
+            format!("{value:.digits$}")
+        }
+        _ => format!("{value:.2e}"),
+    }
+}
+
+impl Quantity {
+    /// Returns the factor from the quantity's unit to the shown one, and the shown one: `°`, `m/s` or `m`.
+    pub fn shown_in(self) -> (f64, &'static str) {
+        match self.unit() {
+            "rad" => (1.0 / RAD_PER_DEG, "°"),
+            unit => (1.0, unit),
+        }
+    }
+
+    /// Returns a value of the quantity, in its unit, as a text with the shown unit.
+    pub fn with_unit(self, value: f64) -> String {
+        let (factor, unit) = self.shown_in();
+        match unit {
+            "°" => format!("{}°", number(factor * value)),
+            "m" if value >= 1e4 => format!("{} km", number(1e-3 * value)),
+            _ => format!("{} {unit}", number(value)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_three_significant_digits() {
+        let shown = [0.0, 1.0, 0.123_45, 12_345.0, -99.9, 1.234e-5, 2.5e7].map(number);
+        assert_eq!(shown, ["0", "1.00", "0.123", "12345", "-99.9", "1.23e-5", "2.50e7"]);
+        assert_eq!(Quantity::Heading.with_unit(RAD_PER_DEG), "1.00°");
+        assert_eq!(Quantity::PositionX.with_unit(12_300.0), "12.3 km");
+    }
+}

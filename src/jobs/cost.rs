@@ -1,0 +1,278 @@
+//! Cost: what a gap does to unaided integration, as part of a diagnosis; and recordings at rest to measure it in.
+//!
+//! A diagnosis carries the 95 % bands of the model, of the corrected model, and of the corrected model without the causes,
+//! at three horizons at most, which the record limits. Nothing is simulated: what has no closed form is left out, and a note
+//! states it.
+
+use super::motion::at_rest;
+use super::{Gridded, JobError, Plan, SampleSource, gridded};
+use imu_core::units::format_duration;
+use imu_cost::{Cost, CostError, Quantity, Request, Rest, cost};
+use imu_diagnosis::report::{Bands, Cause, CauseCost, GapCost, Sense};
+use imu_diagnosis::{Outcome, Recording, Verdict};
+use imu_model::motion::Temperatures;
+use imu_model::simulator::SensorModel;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Horizons of a diagnosis, s; the last three that the record allows.
+const HORIZONS_S: [f64; 5] = [1.0, 10.0, 60.0, 600.0, 3600.0];
+const HORIZONS: usize = 3;
+const ALIGN_S: f64 = 30.0;
+/// The most samples of alignment and horizon: an hour at 800 Hz. Courses are run sample by sample.
+const SAMPLES_MAX: f64 = 3e6;
+/// Bands that differ by less are not worth a sentence, as the logarithm of their ratio.
+const MATERIAL: f64 = 0.05;
+/// A size without an interval matters from this share of the mean square error on; a cause is named from it on.
+const MATTERS: f64 = 0.05;
+
+/// Returns the samples of a recording, as the measurement of its error growth takes them.
+pub fn rest(recording: &Recording) -> Rest<'_> {
+    let channels = recording.channels.iter().map(|(channel, values)| (*channel, values.as_slice())).collect();
+    Rest { rate_hz: recording.rate_hz, channels, missing: &recording.missing }
+}
+
+/// Returns the temperature of a recording that begins at `begin_s`, if it was measured.
+pub fn temperatures(recording: &Recording, begin_s: f64) -> Option<Temperatures> {
+    let own = recording.temperature_c.as_ref()?;
+    let before = (begin_s * recording.rate_hz).round() as usize;
+    let all: Vec<f64> = std::iter::repeat_n(f64::NAN, before).chain(own.iter().copied()).collect();
+    Temperatures::of_samples(&all, recording.rate_hz)
+}
+
+/// Reads the longest part of a plan's samples at rest ([`gridded`]).
+///
+/// # Errors
+/// [`JobError::InsufficientData`] if nothing is at rest, or the error that `source` reports.
+pub fn resting(source: &dyn SampleSource, plan: Plan) -> Result<Gridded, JobError> {
+    let plan = at_rest(source, plan, false, || Ok(()))?.plan;
+    if !plan.has_rest() {
+        let reason = "the sensor moved all the time: expected a recording at rest".to_owned();
+        return Err(JobError::InsufficientData(reason));
+    }
+    gridded(source, &plan, u64::MAX)
+}
+
+/// Adds the cost to a diagnosis of a record at rest: to the gap, to each cause, and to the summary.
+pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel) {
+    if !outcome.residuals.is_empty() {
+        return;
+    }
+    let fits = |horizon_s: &f64| {
+        let long_s = ALIGN_S + horizon_s;
+        long_s <= recording.length_s() && long_s * sim.internal_rate_hz(sim.rate_hz) <= SAMPLES_MAX
+    };
+    let horizons_s: Vec<f64> = HORIZONS_S.into_iter().filter(fits).collect();
+    let horizons_s = horizons_s[horizons_s.len().saturating_sub(HORIZONS)..].to_vec();
+    if horizons_s.is_empty() {
+        return;
+    }
+    let temperature = temperatures(recording, 0.0);
+    let request = Request { align_s: ALIGN_S, horizons_s, temperature, simulate: false, ..Request::default() };
+    let of = |model: &SensorModel| cost(model, &model.name, &request);
+    let (before, after) = match (of(sim), of(&outcome.augmented)) {
+        (Ok(before), Ok(after)) => (before, after),
+        (Err(CostError::NoChannel { .. }), _) | (_, Err(CostError::NoChannel { .. })) => return,
+        (Err(error), _) | (_, Err(error)) => {
+            outcome.diagnosis.notes.push(format!("the cost of the gap was not computed: {error}"));
+            return;
+        }
+    };
+    let own = without_causes(outcome);
+    let Ok(floor) = of(&own) else { return };
+    let ends = |of_model: &SensorModel| {
+        let (models, unknown) = ends(of_model, sim);
+        let costs = models.and_then(|models| Some([of(&models[0]).ok()?, of(&models[1]).ok()?]));
+        Ends { costs, unknown }
+    };
+    let (after_ends, floor_ends) = (ends(&outcome.augmented), ends(&own));
+    let bands = |quantity: Quantity| {
+        let band = |of: &Cost| of.quantities.get(&quantity).map(|growth| growth.band95.clone());
+        Some(Bands {
+            unit: quantity.unit().into(),
+            before: band(&before)?,
+            after: band(&after)?,
+            after_ci95: after_ends.interval(&after, quantity),
+            floor: band(&floor)?,
+            floor_ci95: floor_ends.interval(&floor, quantity),
+        })
+        // A document holds no other numbers.
+        .filter(|of| [&of.before, &of.after, &of.floor].into_iter().flatten().all(|band| band.is_finite()))
+    };
+    let all = Quantity::all().iter().filter_map(|of| Some((of.to_string(), bands(*of)?)));
+    let mut notes = after.notes.clone();
+    notes.extend(before.notes.iter().filter(|note| !after.notes.contains(note)).cloned());
+    let found = GapCost { align_s: ALIGN_S, horizons_s: request.horizons_s.clone(), quantities: all.collect(), notes };
+    for cause in &mut outcome.diagnosis.causes {
+        let under = if cause.sense == Sense::Superfluous { &before } else { &after };
+        cause.cost = share(cause, under);
+    }
+    if let Some(words) = sentence(outcome, &found) {
+        outcome.diagnosis.summary += &words;
+    }
+    outcome.diagnosis.discrepancy.cost = Some(found);
+}
+
+/// Returns a corrected model without the effects that the sensor has and the model lacked.
+fn without_causes(outcome: &Outcome) -> SensorModel {
+    let mut model = outcome.augmented.clone();
+    for (channel, own) in &mut model.channels {
+        let is_cause = |name: &str| {
+            let of_sensor = |cause: &&Cause| cause.sense != Sense::Superfluous && cause.effect.name() == name;
+            outcome
+                .diagnosis
+                .causes
+                .iter()
+                .filter(of_sensor)
+                .any(|cause| cause.channels.iter().any(|of| of == channel.name()))
+        };
+        for index in (0..own.effects.len()).rev() {
+            if is_cause(own.effects[index].name()) {
+                own.remove_effect(index);
+            }
+        }
+    }
+    model
+}
+
+/// Costs with all numbers of a model at an end of their intervals.
+struct Ends {
+    costs: Option<[Cost; 2]>,
+    /// Causes and channels whose size has no interval.
+    unknown: Vec<(String, String)>,
+}
+
+impl Ends {
+    /// Returns the ends of a quantity's bands; `None` if a size that matters has no interval.
+    fn interval(&self, central: &Cost, quantity: Quantity) -> Option<Vec<[f64; 2]>> {
+        let matters = |cause: &imu_cost::Cause| {
+            let is_unknown =
+                |(name, channel): &(String, String)| *name == cause.cause && channel == cause.channel.name();
+            cause.quantity == quantity
+                && self.unknown.iter().any(is_unknown)
+                && cause.share.iter().any(|of| of.abs() > MATTERS)
+        };
+        if central.causes.iter().any(matters) {
+            return None;
+        }
+        let own = &central.quantities.get(&quantity)?.band95;
+        let [low, high] = self.costs.as_ref()?;
+        let [low, high] = [low, high].map(|of| of.quantities.get(&quantity).map(|growth| &growth.band95));
+        let (low, high) = (low?, high?);
+        if !low.iter().chain(high).all(|band| band.is_finite()) {
+            return None;
+        }
+        let all = own.iter().zip(low).zip(high);
+        Some(all.map(|((own, low), high)| [own.min(*low).min(*high), own.max(*low).max(*high)]).collect())
+    }
+}
+
+/// Returns a model with N, B, K and the sizes of its effects at the lower and at the upper ends of their 95 % intervals, and the
+/// causes and channels whose size has none. What the original model states itself is exact.
+fn ends(model: &SensorModel, sim: &SensorModel) -> (Option<[SensorModel; 2]>, Vec<(String, String)>) {
+    let mut unknown = Vec::new();
+    let Ok(value) = serde_json::to_value(model) else { return (None, unknown) };
+    let mut both = [value.clone(), value];
+    for (channel, own) in &model.channels {
+        let declared = sim.channels.get(channel);
+        let mut set = |place: &str, name: &str, ends: [f64; 2]| {
+            for (value, end) in both.iter_mut().zip(ends) {
+                let at = value.pointer_mut(&format!("/channels/{}{place}", channel.name()));
+                if let Some(Value::Object(at)) = at {
+                    at.insert(name.to_owned(), json!(end));
+                }
+            }
+        };
+        let basic = [("N", own.n), ("B", own.b), ("K", own.k)];
+        let of_sim = declared.map(|of| [of.n, of.b, of.k]);
+        for (place, (name, size)) in basic.into_iter().enumerate() {
+            let limit = own.upper_limit(name).map(|limit| [0.0, limit.max(size)]);
+            match own.interval(name).or(limit) {
+                Some(ends) => set("", name, ends),
+                None if of_sim.is_some_and(|of| of[place] == size) => {}
+                None => unknown.push((name.to_owned(), channel.name().to_owned())),
+            }
+        }
+        for (index, effect) in own.effects.iter().enumerate() {
+            if declared.is_some_and(|of| of.effects.contains(effect)) {
+                continue;
+            }
+            for parameter in effect.spec().parameters.iter().filter(|of| of.unit.starts_with('U')) {
+                let Some(size) = effect.number(parameter.name) else { continue };
+                match own.effect_interval(index, parameter.name) {
+                    Some([low, high]) if low * high > 0.0 => {
+                        let ends = if low.abs() < high.abs() { [low, high] } else { [high, low] };
+                        set(&format!("/effects/{index}"), parameter.name, ends);
+                    }
+                    _ if size == 0.0 => {}
+                    _ => unknown.push((effect.name().to_owned(), channel.name().to_owned())),
+                }
+            }
+        }
+    }
+    let read = |value: &Value| SensorModel::from_value(value, "the corrected model").ok();
+    let models = read(&both[0]).zip(read(&both[1])).map(|(low, high)| [low, high]);
+    (models, unknown)
+}
+
+/// Returns a cause's part in a cost, by quantity.
+fn share(cause: &Cause, under: &Cost) -> BTreeMap<String, CauseCost> {
+    let is_own = |of: &&imu_cost::Cause| {
+        of.cause == cause.effect.name() && cause.channels.iter().any(|channel| channel == of.channel.name())
+    };
+    let mut all = BTreeMap::new();
+    for (quantity, growth) in &under.quantities {
+        let own: Vec<&imu_cost::Cause> =
+            under.causes.iter().filter(|of| of.quantity == *quantity).filter(is_own).collect();
+        if own.is_empty() {
+            continue;
+        }
+        let places = growth.band95.iter().enumerate();
+        let share = |place: usize| own.iter().filter_map(|of| of.share.get(place)).sum::<f64>();
+        // Of a cause on two channels of the quantity, what each takes from the band is added.
+        let without = |(place, band): (usize, &f64)| {
+            let less = own.iter().filter_map(|of| of.band95_without.get(place)).map(|without| band - without);
+            (band - less.sum::<f64>()).max(0.0)
+        };
+        let of = CauseCost {
+            share: (0..growth.band95.len()).map(share).collect(),
+            band95_without: places.map(without).collect(),
+        };
+        if of.share.iter().chain(&of.band95_without).all(|value| value.is_finite()) {
+            all.insert(quantity.to_string(), of);
+        }
+    }
+    all
+}
+
+/// Returns the sentence on the quantity whose band differs most: of an angle if there is one, else of a velocity or a position.
+fn sentence(outcome: &Outcome, found: &GapCost) -> Option<String> {
+    if outcome.diagnosis.verdict == Verdict::NoGap {
+        return None;
+    }
+    let last = |values: &[f64]| values.last().copied().unwrap_or_default();
+    let differs = |unit: &str| {
+        let of_unit = Quantity::all().iter().filter(|of| of.unit() == unit);
+        let bands = of_unit.filter_map(|of| Some((*of, found.quantities.get(&of.to_string())?)));
+        let pairs = bands.map(|(of, bands)| (of, last(&bands.before), last(&bands.after)));
+        let apart = |(_, before, after): &(Quantity, f64, f64)| (after - before).abs() > MATERIAL * after.max(*before);
+        let size = |of: &(Quantity, f64, f64)| (of.2 - of.1).abs();
+        pairs.filter(apart).max_by(|one, other| size(one).total_cmp(&size(other)))
+    };
+    let (quantity, before, after) = ["rad", "m", "m/s"].into_iter().find_map(differs)?;
+    let time = format_duration(Duration::from_secs_f64(last(&found.horizons_s)));
+    let of_sensor = outcome.diagnosis.causes.iter().filter(|cause| cause.sense != Sense::Superfluous);
+    let less = of_sensor.filter_map(|cause| {
+        let own = cause.cost.get(&quantity.to_string())?;
+        Some((cause.effect.name(), after - last(&own.band95_without), last(&own.share)))
+    });
+    let main = less.filter(|(_, less, share)| *less > 0.0 && *share > MATTERS).max_by(|a, b| a.1.total_cmp(&b.1));
+    let main = main.map(|(name, less, _)| format!("; {name} makes {} of it", quantity.with_unit(less)));
+    Some(format!(
+        ". It costs {} of {quantity} after {time} without aid, where the model has {}{}",
+        quantity.with_unit(after),
+        quantity.with_unit(before),
+        main.unwrap_or_default()
+    ))
+}
