@@ -81,12 +81,11 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     };
     let own = without_causes(outcome);
     let Ok(floor) = of(&own) else { return };
-    let ends = |of_model: &SensorModel| {
-        let (models, unknown) = ends(of_model, sim);
-        let costs = models.and_then(|models| Some([of(&models[0]).ok()?, of(&models[1]).ok()?]));
-        Ends { costs, unknown }
+    let corners = |of_model: &SensorModel| {
+        let (models, unknown) = corners(of_model, sim);
+        Corners { costs: models.and_then(|models| models.iter().map(|model| of(model).ok()).collect()), unknown }
     };
-    let (after_ends, floor_ends) = (ends(&outcome.augmented), ends(&own));
+    let (after_ends, floor_ends) = (corners(&outcome.augmented), corners(&own));
     let bands = |quantity: Quantity| {
         let band = |of: &Cost| of.quantities.get(&quantity).map(|growth| growth.band95.clone());
         Some(Bands {
@@ -136,14 +135,14 @@ fn without_causes(outcome: &Outcome) -> SensorModel {
     model
 }
 
-/// Costs with all numbers of a model at an end of their intervals.
-struct Ends {
-    costs: Option<[Cost; 2]>,
+/// Costs at the corners of a model's intervals.
+struct Corners {
+    costs: Option<Vec<Cost>>,
     /// Causes and channels whose size has no interval.
     unknown: Vec<(String, String)>,
 }
 
-impl Ends {
+impl Corners {
     /// Returns the ends of a quantity's bands; `None` if a size that matters has no interval.
     fn interval(&self, central: &Cost, quantity: Quantity) -> Option<Vec<[f64; 2]>> {
         let matters = |cause: &imu_cost::Cause| {
@@ -156,63 +155,61 @@ impl Ends {
         if central.causes.iter().any(matters) {
             return None;
         }
-        let own = &central.quantities.get(&quantity)?.band95;
-        let [low, high] = self.costs.as_ref()?;
-        let [low, high] = [low, high].map(|of| of.quantities.get(&quantity).map(|growth| &growth.band95));
-        let (low, high) = (low?, high?);
-        if !low.iter().chain(high).all(|band| band.is_finite()) {
-            return None;
+        let mut ends: Vec<[f64; 2]> = central.quantities.get(&quantity)?.band95.iter().map(|own| [*own; 2]).collect();
+        for cost in self.costs.as_ref()? {
+            for ([low, high], band) in ends.iter_mut().zip(&cost.quantities.get(&quantity)?.band95) {
+                (*low, *high) = (low.min(*band), high.max(*band));
+            }
         }
-        let all = own.iter().zip(low).zip(high);
-        Some(all.map(|((own, low), high)| [own.min(*low).min(*high), own.max(*low).max(*high)]).collect())
+        Some(ends).filter(|ends| ends.iter().flatten().all(|end| end.is_finite()))
     }
 }
 
-/// Returns a model with N, B, K and the sizes of its effects at the lower and at the upper ends of their 95 % intervals, and the
-/// causes and channels whose size has none. What the original model states itself is exact.
-fn ends(model: &SensorModel, sim: &SensorModel) -> (Option<[SensorModel; 2]>, Vec<(String, String)>) {
+/// Returns a model at four corners of its 95 % intervals: N, B, K and the sizes of its effects at their lower or upper ends, and the
+/// effects' other numbers at theirs; and the causes and channels whose size has no interval. What the original model states itself is
+/// exact. Time constant and size of a course are correlated, so that both have to move.
+fn corners(model: &SensorModel, sim: &SensorModel) -> (Option<Vec<SensorModel>>, Vec<(String, String)>) {
     let mut unknown = Vec::new();
     let Ok(value) = serde_json::to_value(model) else { return (None, unknown) };
-    let mut both = [value.clone(), value];
+    let mut all = vec![value; 4];
     for (channel, own) in &model.channels {
         let declared = sim.channels.get(channel);
-        let mut set = |place: &str, name: &str, ends: [f64; 2]| {
-            for (value, end) in both.iter_mut().zip(ends) {
+        // Bit 0 of a corner's number is the end of sizes, bit 1 that of other numbers.
+        let mut set = |place: &str, name: &str, bit: usize, ends: [f64; 2]| {
+            for (corner, value) in all.iter_mut().enumerate() {
                 let at = value.pointer_mut(&format!("/channels/{}{place}", channel.name()));
                 if let Some(Value::Object(at)) = at {
-                    at.insert(name.to_owned(), json!(end));
+                    at.insert(name.to_owned(), json!(ends[(corner >> bit) & 1]));
                 }
             }
         };
-        let basic = [("N", own.n), ("B", own.b), ("K", own.k)];
         let of_sim = declared.map(|of| [of.n, of.b, of.k]);
-        for (place, (name, size)) in basic.into_iter().enumerate() {
+        for (place, (name, size)) in [("N", own.n), ("B", own.b), ("K", own.k)].into_iter().enumerate() {
             let limit = own.upper_limit(name).map(|limit| [0.0, limit.max(size)]);
             match own.interval(name).or(limit) {
-                Some(ends) => set("", name, ends),
+                Some(ends) => set("", name, 0, ends),
                 None if of_sim.is_some_and(|of| of[place] == size) => {}
                 None => unknown.push((name.to_owned(), channel.name().to_owned())),
             }
         }
-        for (index, effect) in own.effects.iter().enumerate() {
-            if declared.is_some_and(|of| of.effects.contains(effect)) {
-                continue;
-            }
-            for parameter in effect.spec().parameters.iter().filter(|of| of.unit.starts_with('U')) {
+        let found = |effect| declared.is_none_or(|of| !of.effects.contains(effect));
+        for (index, effect) in own.effects.iter().enumerate().filter(|(_, effect)| found(effect)) {
+            for parameter in effect.spec().parameters {
                 let Some(size) = effect.number(parameter.name) else { continue };
+                let is_size = parameter.unit.starts_with('U');
+                let place = format!("/effects/{index}");
                 match own.effect_interval(index, parameter.name) {
                     Some([low, high]) if low * high > 0.0 => {
                         let ends = if low.abs() < high.abs() { [low, high] } else { [high, low] };
-                        set(&format!("/effects/{index}"), parameter.name, ends);
+                        set(&place, parameter.name, usize::from(!is_size), ends);
                     }
-                    _ if size == 0.0 => {}
+                    _ if size == 0.0 || !is_size => {}
                     _ => unknown.push((effect.name().to_owned(), channel.name().to_owned())),
                 }
             }
         }
     }
-    let read = |value: &Value| SensorModel::from_value(value, "the corrected model").ok();
-    let models = read(&both[0]).zip(read(&both[1])).map(|(low, high)| [low, high]);
+    let models = all.iter().map(|value| SensorModel::from_value(value, "the corrected model").ok()).collect();
     (models, unknown)
 }
 

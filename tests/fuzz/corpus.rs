@@ -342,6 +342,7 @@ fn http() -> Vec<Vec<u8>> {
         "GET /v1/captures/latest/allan\nIf-None-Match: \"x\"",
         "GET /v1/captures/latest/noise",
         "GET /v1/jobs?state=done&limit=5",
+        "GET /v1/models/model-1/cost?horizons=1s,10s&align=5s&tolerance=heading=1deg/1min",
         "POST /v1/jobs\nContent-Type: application/json\n\n{\"kind\":\"allan\",\"capture\":1}",
         "POST /v1/captures\nContent-Type: application/json\n\n{\"duration\":\"5h\",\"name\":\"x\"}",
         "POST /v1/captures/1/pin",

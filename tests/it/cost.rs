@@ -132,7 +132,7 @@ fn limits_of_a_file_are_checked_and_errors_have_file_and_line() {
         std::fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    let good = limits("limits.txt", "# of the robot\nheading=1deg/10min\nheading=1mrad/1min # tight\n");
+    let good = limits("limits.txt", "# of the robot\nheading=2deg/10min\nheading=1mrad/1min # tight\n");
     let arguments = ["cost", "--model", &file, "--horizons", "10s", "--check", "--tolerance"];
     let table = done(&[&arguments[..], &[&good]].concat(), 4);
     assert!(table.contains("pass: heading after 10m") && table.contains("FAIL: heading after 1m"), "{table}");

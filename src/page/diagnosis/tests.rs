@@ -92,7 +92,7 @@ fn the_sentence_comes_first_and_every_part_is_there_without_anything_from_elsewh
 fn what_the_gap_costs_is_a_table_with_a_bar_for_each_cause() {
     let mut own = report();
     own["discrepancy"]["cost"] = json!({"align_s": 30, "horizons_s": [10, 600], "notes": ["no <position>"], "quantities": {
-        "heading": {"unit": "rad", "before": [1e-4, 1e-3], "after": [2e-4, 0.0174532925], "after_ci95": [[1e-4, 3e-4], [0.017, 0.018]],
+        "heading": {"unit": "rad", "before": [1e-4, 1e-3], "after": [2e-4, 0.01746], "after_ci95": [[1e-4, 3e-4], [0.017, 0.018]],
             "floor": [1e-4, 1e-3], "floor_ci95": null},
         "of_a_later_version": {"unit": "rad", "before": [1], "after": [1], "after_ci95": null, "floor": [1], "floor_ci95": null}}});
     own["causes"][0]["cost"] = json!({"heading": {"share": [0.1, 0.873], "band95_without": [1e-4, 1e-3]}});

@@ -97,7 +97,7 @@ impl Fuzz {
     }
 
     fn target(&mut self) -> String {
-        const PATHS: [&str; 30] = [
+        const PATHS: [&str; 31] = [
             "/",
             "/healthz",
             "/readyz",
@@ -128,6 +128,7 @@ impl Fuzz {
             "/%2e%2e/{}",
             "/v1/captures/{}/plots/x.svg",
             "/v1/models",
+            "/v1/models/model-1/cost",
         ];
         const NAMES: [&str; 16] = [
             "limit",

@@ -1,7 +1,7 @@
 //! Coverage of bands on simulated nights: how often the 95 % bands of the true model, of the one that a diagnosis corrected, and
 //! of the plain one hold the errors of fresh nights.
 //!
-//! `cargo run --release -p imu-cost --example coverage -- [SEEDS [NIGHTS [HOURS [RATE_HZ]]]]`: 8 worlds, each with that many sensors'
+//! `cargo run --release --example cost_coverage -- [SEEDS [NIGHTS [HOURS [RATE_HZ]]]]`: 8 worlds, each with that many sensors'
 //! records (40) of so many hours (4) at a rate (10 Hz). From each record a diagnosis corrects the plain model; the bands are then
 //! compared with that many fresh nights (25) from switch-on.
 
