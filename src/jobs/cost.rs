@@ -20,8 +20,8 @@ use std::time::Duration;
 const HORIZONS_S: [f64; 5] = [1.0, 10.0, 60.0, 600.0, 3600.0];
 const HORIZONS: usize = 3;
 const ALIGN_S: f64 = 30.0;
-/// The most samples of alignment and horizon: an hour at 800 Hz. Courses are run sample by sample.
-const SAMPLES_MAX: f64 = 3e6;
+/// The most samples of alignment and horizon: 10 min at 800 Hz. Courses are run sample by sample.
+const SAMPLES_MAX: f64 = 6e5;
 /// Bands that differ by less are not worth a sentence, as the logarithm of their ratio.
 const MATERIAL: f64 = 0.05;
 /// A size without an interval matters from this share of the mean square error on; a cause is named from it on.
