@@ -1,7 +1,7 @@
 //! MATLAB's `.mat` up to version 7 (format 5): variables that are real matrices, and those within structures. Pure.
 //!
-//! Crates that read this format were tried and left: `matfile` reads no structures, `matrw` and `mat5` take as much memory as
-//! the file claims. Elements may be compressed; all together may expand as [`most_bytes`] allows. Cells, text and objects are left out.
+//! Own code, because the entries of `matfile`, `matrw` and `mat5` in the registry promise neither structures nor bounded memory.
+//! Elements may be compressed; all together may expand as [`most_bytes`] allows. Cells, text and objects are left out.
 //! Format: MathWorks, MAT-File Format, "Level 5 MAT-Files".
 
 use super::arrays::{Array, Arrays, Form, Kind, most_bytes};
