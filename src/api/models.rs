@@ -4,7 +4,7 @@ use super::extract::{J, P, Q};
 use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
-use crate::jobs::JobError;
+use crate::jobs::{EFFECTS_MAX, JobError, check_size};
 use crate::store::{ModelEntry, ModelRow, StoreError};
 use axum::Json;
 use axum::extract::State;
@@ -98,7 +98,7 @@ pub(super) async fn delete(State(state): State<ApiState>, P(id): P) -> Result<St
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct CostQuery {
-    /// Times without aid, increasing, separated by commas; at most 12.
+    /// Times without aid, increasing, separated by commas; with the limits at most 12.
     #[param(default = "1s,10s,1min,10min,1h")]
     horizons: Option<String>,
     /// Time at rest before, over which the bias is taken as a mean.
@@ -118,15 +118,18 @@ impl CostQuery {
         if let Some(text) = &self.horizons {
             request.horizons_s = text.split(',').map(|one| time("horizons", one)).collect::<Result<_, _>>()?;
         }
-        if request.horizons_s.len() > HORIZONS_MAX {
-            let found = request.horizons_s.len();
-            return Err(ApiError::bad_request(format!("`horizons`: {found} times, expected at most {HORIZONS_MAX}")));
-        }
         if let Some(text) = &self.align {
             request.align_s = time("align", text)?;
         }
         if let Some(text) = &self.tolerance {
             request.tolerances = Tolerance::parse(text).map_err(JobError::from)?;
+        }
+        // A limit has a horizon of its own.
+        let found = request.horizons_s.len() + request.tolerances.len();
+        if found > HORIZONS_MAX {
+            let text =
+                format!("{found} times and limits, expected at most {HORIZONS_MAX} in `horizons` and `tolerance`");
+            return Err(ApiError::bad_request(text));
         }
         Ok(request)
     }
@@ -149,6 +152,7 @@ pub(super) async fn cost(
     let found = state.compute(move |reader, _| {
         let row = reader.model(number(&id)?)?;
         let model = SensorModel::from_value(&serde_json::from_str(&row.body)?, &id)?;
+        check_size(&model, EFFECTS_MAX)?;
         let longest_s = request.horizons_s.iter().chain(request.tolerances.iter().map(|of| &of.horizon_s));
         let longest_s = request.align_s + longest_s.copied().fold(0.0, f64::max);
         let internal_hz = model.internal_rate_hz(model.rate_hz);

@@ -237,7 +237,10 @@ impl From<JobError> for ApiError {
                 Self::new(ProblemType::AnalysisFailed, error.to_string())
             }
             JobError::Cost(
-                error @ (CostError::NoClosedForm { .. } | CostError::NoChannel { .. } | CostError::Model(_)),
+                error @ (CostError::NoClosedForm { .. }
+                | CostError::Size { .. }
+                | CostError::NoChannel { .. }
+                | CostError::Model(_)),
             ) => Self::new(ProblemType::AnalysisFailed, error.to_string()),
             JobError::Cost(error) => Self::bad_request(error.to_string()),
             error @ JobError::TooLarge(_) => Self::new(ProblemType::TooLarge, error.to_string()),

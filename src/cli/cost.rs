@@ -99,8 +99,10 @@ impl Real {
     /// Measures the growth of errors. Without another temperature the recording's own counts.
     fn measured(&self, sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Result<Measured> {
         let Gridded { recording, from_s, left_out, .. } = &self.gridded;
-        let temperature = request.temperature.clone().or_else(|| jobs::temperatures(recording, request.begin_s));
-        let request = Request { temperature, ..request.clone() };
+        // The recording begins at switch-on, or `--after` it; the part that is compared begins later.
+        let begin_s = request.begin_s + from_s;
+        let temperature = request.temperature.clone().or_else(|| jobs::temperatures(recording, begin_s));
+        let request = Request { begin_s, temperature, ..request.clone() };
         let mut found =
             measured(&jobs::rest(recording), &self.name, sensor, &request).map_err(|error| match error {
                 MeasureError::Cost(error) => refused(path, &error),
@@ -123,7 +125,9 @@ fn cost_of(sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Resu
 
 fn refused(path: &Path, error: &CostError) -> anyhow::Error {
     match error {
-        CostError::Model(_) | CostError::NoChannel { .. } => failed(format!("{}: {error}", path.display())),
+        CostError::Model(_) | CostError::NoChannel { .. } | CostError::NoClosedForm { .. } => {
+            failed(format!("{}: {error}", path.display()))
+        }
         _ => usage(error.to_string()),
     }
 }

@@ -10,10 +10,12 @@ use imu_core::units::format_duration;
 use imu_cost::{Cost, CostError, Quantity, Request, Rest, cost};
 use imu_diagnosis::report::{Bands, Cause, CauseCost, GapCost, Sense};
 use imu_diagnosis::{Outcome, Recording, Verdict};
+use imu_model::effects::Effect;
 use imu_model::motion::Temperatures;
 use imu_model::simulator::SensorModel;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Horizons of a diagnosis, s; the last three that the record allows.
@@ -36,9 +38,37 @@ pub fn rest(recording: &Recording) -> Rest<'_> {
 /// Returns the temperature of a recording that begins at `begin_s`, if it was measured.
 pub fn temperatures(recording: &Recording, begin_s: f64) -> Option<Temperatures> {
     let own = recording.temperature_c.as_ref()?;
-    let before = (begin_s * recording.rate_hz).round() as usize;
-    let all: Vec<f64> = std::iter::repeat_n(f64::NAN, before).chain(own.iter().copied()).collect();
-    Temperatures::of_samples(&all, recording.rate_hz)
+    // Means over a second, so that what lies before takes little memory.
+    let seconds = own.chunks((recording.rate_hz.round() as usize).max(1)).map(|part| {
+        let there = part.iter().filter(|value| value.is_finite());
+        there.clone().sum::<f64>() / there.count() as f64
+    });
+    let all: Vec<f64> = std::iter::repeat_n(f64::NAN, begin_s.round() as usize).chain(seconds).collect();
+    Temperatures::of_samples(&all, 1.0)
+}
+
+/// Effects of a model whose cost is computed while a request waits, and as a part of a diagnosis.
+pub const EFFECTS_MAX: usize = 40;
+const EFFECTS_MAX_OF_DIAGNOSIS: usize = 120;
+
+/// Refuses a model whose cost would take too long beside other work.
+///
+/// # Errors
+/// [`CostError::Size`] with the numbers.
+pub fn check_size(model: &SensorModel, effects_max: usize) -> Result<(), CostError> {
+    const LINES_PER_EFFECT: usize = 5;
+    let lines_max = LINES_PER_EFFECT * effects_max;
+    let effects = || model.channels.values().flat_map(|of| &of.effects);
+    let lists = |effect: &Arc<dyn Effect>| {
+        let mut parameters = effect.parameters().into_iter();
+        let lines = parameters.find(|(name, _)| *name == "amplitudes").map(|(_, value)| value);
+        lines.and_then(|of| of.as_array().map(Vec::len)).unwrap_or(1)
+    };
+    let (found, lines) = (effects().count(), effects().map(lists).sum::<usize>());
+    match found > effects_max || lines > lines_max {
+        true => Err(CostError::Size { found, lines, effects_max, lines_max }),
+        false => Ok(()),
+    }
 }
 
 /// Reads the longest part of a plan's samples at rest ([`gridded`]).
@@ -68,6 +98,12 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     if horizons_s.is_empty() {
         return;
     }
+    for model in [sim, &outcome.augmented] {
+        if let Err(error) = check_size(model, EFFECTS_MAX_OF_DIAGNOSIS) {
+            outcome.diagnosis.notes.push(format!("the cost of the gap was not computed: {error}"));
+            return;
+        }
+    }
     let temperature = temperatures(recording, 0.0);
     let request = Request { align_s: ALIGN_S, horizons_s, temperature, simulate: false, ..Request::default() };
     let of = |model: &SensorModel| cost(model, &model.name, &request);
@@ -79,8 +115,14 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
             return;
         }
     };
-    let own = without_causes(outcome);
-    let Ok(floor) = of(&own) else { return };
+    let own = without_effects(outcome, sim, &|_, _| true);
+    let floor = match of(&own) {
+        Ok(floor) => floor,
+        Err(error) => {
+            outcome.diagnosis.notes.push(format!("the cost of the gap was not computed: {error}"));
+            return;
+        }
+    };
     let corners = |of_model: &SensorModel| {
         let (models, unknown) = corners(of_model, sim);
         Corners { costs: models.and_then(|models| models.iter().map(|model| of(model).ok()).collect()), unknown }
@@ -103,9 +145,22 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     let mut notes = after.notes.clone();
     notes.extend(before.notes.iter().filter(|note| !after.notes.contains(note)).cloned());
     let found = GapCost { align_s: ALIGN_S, horizons_s: request.horizons_s.clone(), quantities: all.collect(), notes };
-    for cause in &mut outcome.diagnosis.causes {
-        let under = if cause.sense == Sense::Superfluous { &before } else { &after };
-        cause.cost = share(cause, under);
+    let causes: Vec<BTreeMap<String, CauseCost>> = outcome
+        .diagnosis
+        .causes
+        .iter()
+        .map(|cause| {
+            if cause.sense == Sense::Superfluous {
+                return share(cause, &before, None);
+            }
+            let is_it = |name: &str, channel: &str| {
+                cause.effect.name() == name && cause.channels.iter().any(|of| of == channel)
+            };
+            share(cause, &after, of(&without_effects(outcome, sim, &is_it)).ok().as_ref())
+        })
+        .collect();
+    for (cause, found) in outcome.diagnosis.causes.iter_mut().zip(causes) {
+        cause.cost = found;
     }
     if let Some(words) = sentence(outcome, &found) {
         outcome.diagnosis.summary += &words;
@@ -113,21 +168,20 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     outcome.diagnosis.discrepancy.cost = Some(found);
 }
 
-/// Returns a corrected model without the effects that the sensor has and the model lacked.
-fn without_causes(outcome: &Outcome) -> SensorModel {
+/// Returns the corrected model without the effects of its causes that `is_meant` accepts by name and channel. Effects that the
+/// original model states alike stay.
+fn without_effects(outcome: &Outcome, sim: &SensorModel, is_meant: &dyn Fn(&str, &str) -> bool) -> SensorModel {
     let mut model = outcome.augmented.clone();
     for (channel, own) in &mut model.channels {
+        let declared = sim.channels.get(channel);
         let is_cause = |name: &str| {
-            let of_sensor = |cause: &&Cause| cause.sense != Sense::Superfluous && cause.effect.name() == name;
-            outcome
-                .diagnosis
-                .causes
-                .iter()
-                .filter(of_sensor)
-                .any(|cause| cause.channels.iter().any(|of| of == channel.name()))
+            let mut of_sensor = outcome.diagnosis.causes.iter().filter(|cause| cause.sense != Sense::Superfluous);
+            of_sensor.any(|cause| cause.effect.name() == name && cause.channels.iter().any(|of| of == channel.name()))
         };
         for index in (0..own.effects.len()).rev() {
-            if is_cause(own.effects[index].name()) {
+            let effect = &own.effects[index];
+            let is_known = declared.is_some_and(|of| of.effects.contains(effect));
+            if !is_known && is_cause(effect.name()) && is_meant(effect.name(), channel.name()) {
                 own.remove_effect(index);
             }
         }
@@ -195,8 +249,15 @@ fn corners(model: &SensorModel, sim: &SensorModel) -> (Option<Vec<SensorModel>>,
         let found = |effect| declared.is_none_or(|of| !of.effects.contains(effect));
         for (index, effect) in own.effects.iter().enumerate().filter(|(_, effect)| found(effect)) {
             for parameter in effect.spec().parameters {
-                let Some(size) = effect.number(parameter.name) else { continue };
                 let is_size = parameter.unit.starts_with('U');
+                let Some(size) = effect.number(parameter.name) else {
+                    // A list or another effect: its sizes have no interval here.
+                    let is_given = effect.parameters().iter().any(|(name, _)| *name == parameter.name);
+                    if is_given && (is_size || parameter.name == "of") {
+                        unknown.push((effect.name().to_owned(), channel.name().to_owned()));
+                    }
+                    continue;
+                };
                 let place = format!("/effects/{index}");
                 match own.effect_interval(index, parameter.name) {
                     Some([low, high]) if low * high > 0.0 => {
@@ -213,8 +274,9 @@ fn corners(model: &SensorModel, sim: &SensorModel) -> (Option<Vec<SensorModel>>,
     (models, unknown)
 }
 
-/// Returns a cause's part in a cost, by quantity.
-fn share(cause: &Cause, under: &Cost) -> BTreeMap<String, CauseCost> {
+/// Returns a cause's part in a cost, by quantity; `bare` is the cost without the cause. Without it, a quantity on which the cause
+/// acts through several channels is left out. If a channel has an effect of the same kind that is no cause, the share is of both.
+fn share(cause: &Cause, under: &Cost, bare: Option<&Cost>) -> BTreeMap<String, CauseCost> {
     let is_own = |of: &&imu_cost::Cause| {
         of.cause == cause.effect.name() && cause.channels.iter().any(|channel| channel == of.channel.name())
     };
@@ -222,20 +284,15 @@ fn share(cause: &Cause, under: &Cost) -> BTreeMap<String, CauseCost> {
     for (quantity, growth) in &under.quantities {
         let own: Vec<&imu_cost::Cause> =
             under.causes.iter().filter(|of| of.quantity == *quantity).filter(is_own).collect();
-        if own.is_empty() {
-            continue;
-        }
-        let places = growth.band95.iter().enumerate();
         let share = |place: usize| own.iter().filter_map(|of| of.share.get(place)).sum::<f64>();
-        // Of a cause on two channels of the quantity, what each takes from the band is added.
-        let without = |(place, band): (usize, &f64)| {
-            let less = own.iter().filter_map(|of| of.band95_without.get(place)).map(|without| band - without);
-            (band - less.sum::<f64>()).max(0.0)
+        let without = match (&own[..], bare) {
+            ([], _) => continue,
+            (_, Some(bare)) => bare.quantities.get(quantity).map(|growth| growth.band95.clone()),
+            ([only], None) => Some(only.band95_without.clone()),
+            _ => None,
         };
-        let of = CauseCost {
-            share: (0..growth.band95.len()).map(share).collect(),
-            band95_without: places.map(without).collect(),
-        };
+        let Some(band95_without) = without else { continue };
+        let of = CauseCost { share: (0..growth.band95.len()).map(share).collect(), band95_without };
         if of.share.iter().chain(&of.band95_without).all(|value| value.is_finite()) {
             all.insert(quantity.to_string(), of);
         }
@@ -243,7 +300,7 @@ fn share(cause: &Cause, under: &Cost) -> BTreeMap<String, CauseCost> {
     all
 }
 
-/// Returns the sentence on the quantity whose band differs most: of an angle if there is one, else of a velocity or a position.
+/// Returns the sentence on the quantity whose band differs most: of an angle if there is one, else of a position, else of a velocity.
 fn sentence(outcome: &Outcome, found: &GapCost) -> Option<String> {
     if outcome.diagnosis.verdict == Verdict::NoGap {
         return None;
@@ -265,11 +322,11 @@ fn sentence(outcome: &Outcome, found: &GapCost) -> Option<String> {
         Some((cause.effect.name(), after - last(&own.band95_without), last(&own.share)))
     });
     let main = less.filter(|(_, less, share)| *less > 0.0 && *share > MATTERS).max_by(|a, b| a.1.total_cmp(&b.1));
-    let main = main.map(|(name, less, _)| format!("; {name} makes {} of it", quantity.with_unit(less)));
+    let main = main.map(|(name, less, _)| format!(" ({} of it: {name})", quantity.with_unit(less)));
     Some(format!(
-        ". It costs {} of {quantity} after {time} without aid, where the model has {}{}",
+        ". After {time} without aid, 95 % of the sensor's {quantity} errors are within {}{}; the model states {}",
         quantity.with_unit(after),
-        quantity.with_unit(before),
-        main.unwrap_or_default()
+        main.unwrap_or_default(),
+        quantity.with_unit(before)
     ))
 }

@@ -182,8 +182,8 @@ fn a_diagnosis_has_the_cost_of_the_gap() {
     assert_eq!(cause["effect"], "warm_up");
     assert!(cause["cost"]["heading"]["share"][2].as_f64().unwrap() > 0.9, "{cause}");
     let summary = found["summary"].as_str().unwrap();
-    assert!(summary.contains("of heading after 10m without aid, where the model has "), "{summary}");
-    assert!(summary.contains("; warm_up makes "), "{summary}");
+    assert!(summary.contains("After 10m without aid, 95 % of the sensor's heading errors are within "), "{summary}");
+    assert!(summary.contains(" of it: warm_up); the model states "), "{summary}");
     assert!(std::fs::read_to_string(&page).unwrap().contains("What it costs without aid"));
     let table = done(&["diagnose", "--real", &desk, "--sim", &plain], 0);
     assert!(table.contains("without the causes"), "{table}");

@@ -257,7 +257,12 @@ fn add_upper(cost: &mut Cost, model: &SensorModel, request: &Request) -> Result<
     }
     if raised {
         let request = Request { tolerances: Vec::new(), ..request.clone() };
-        for (quantity, growth) in self::cost(&upper, &cost.model, &request)?.quantities {
+        let upper = match self::cost(&upper, &cost.model, &request) {
+            // A larger K may bring a limit within reach. What was computed stays.
+            Err(CostError::NoClosedForm { .. }) => return Ok(()),
+            found => found?,
+        };
+        for (quantity, growth) in upper.quantities {
             if let Some(own) = cost.quantities.get_mut(&quantity) {
                 own.band95_upper = Some(growth.band95);
             }

@@ -168,18 +168,33 @@ pub fn measured(
     let last = runs.iter().flat_map(|(_, of)| of.iter().map(|[_, to]| *to)).max().unwrap_or(0);
     let begins = begins(is_moving, last, shortest);
     let mut predictions = Vec::with_capacity(begins.len());
-    let mut notes = Vec::new();
+    let mut notes: Vec<String> = Vec::new();
+    let mut note = |text: String| {
+        if !notes.contains(&text) {
+            notes.push(text);
+        }
+    };
+    // The band at the upper end of K is not compared.
+    let bare = SensorModel { provenance: None, ..model.clone() };
     for begin in &begins {
         let fitting = horizons.iter().filter(|horizon| !is_moving || begin + align + *horizon <= last).count();
         let horizons_s = request.horizons_s[..fitting].to_vec();
         let begin_s = request.begin_s + *begin as f64 / model.rate_hz;
-        let found = cost(model, real, &Request { begin_s, horizons_s, ..request.clone() })?;
+        let found = match cost(&bare, real, &Request { begin_s, horizons_s, ..request.clone() }) {
+            Ok(found) => found,
+            Err(error @ CostError::NoClosedForm { .. }) => {
+                note(format!("no band of pieces that begin at {begin_s:.0} s: {error}"));
+                predictions.push(Predicted::new());
+                continue;
+            }
+            Err(error) => return Err(error.into()),
+        };
         let square = |growth: &crate::Growth| {
             let moments = growth.mean.iter().zip(&growth.sd).map(|(mean, sd)| mean * mean + sd * sd);
             moments.zip(growth.band95.iter().copied()).collect()
         };
         predictions.push(found.quantities.iter().map(|(of, growth)| (*of, square(growth))).collect::<Predicted>());
-        notes = found.notes;
+        found.notes.into_iter().for_each(&mut note);
     }
     if is_moving {
         notes.push(format!(
@@ -239,7 +254,9 @@ fn changes(model: &SensorModel, temperature_is_constant: bool) -> bool {
     let sources = USED.into_iter().filter_map(|channel| ChannelSources::new(model, channel));
     let mut all = sources.flat_map(|of| of.sources);
     all.any(|source| match source.law {
-        Law::Stationary | Law::Simulated => false,
+        Law::Stationary => false,
+        // Stays at given times, or a level over time.
+        Law::Simulated => source.effect.parameters().iter().any(|(name, _)| ["intervals", "level"].contains(name)),
         Law::Modulated(_) | Law::Gated { .. } => true,
         Law::Course => match source.effect.kind() {
             EffectKind::RateRamp => false,
@@ -354,21 +371,26 @@ fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
     })
 }
 
-/// Returns how many independent errors give as good a mean square: Σρ² over the lags at which the correlation ρ of
-/// disjoint pieces exceeds chance.
+/// Returns how many independent errors give as good a mean square. The errors of successive disjoint pieces may be correlated, and
+/// all may have a part in common, such as the drift of a ramp. Both correlations are estimated with the bias that a short row has,
+/// and the smaller number counts.
 fn independent(disjoint: &[&Piece]) -> f64 {
     let count = disjoint.len() as f64;
     let square = disjoint.iter().map(|piece| piece.error.powi(2)).sum::<f64>() / count;
     if square <= 0.0 {
         return count;
     }
-    let chance = 2.0 / count.sqrt();
-    let correlation = |lag: usize| {
-        let pairs = disjoint.iter().zip(&disjoint[lag..]).filter(|(one, other)| one.run == other.run);
-        pairs.map(|(one, other)| one.error * other.error).sum::<f64>() / (count * square)
-    };
-    let lags = (1..disjoint.len() / 2).map(correlation).take_while(|of| of.abs() > chance);
-    (count / (1.0 + 2.0 * lags.map(|of| of * of).sum::<f64>())).max(1.0)
+    let pairs = disjoint.iter().zip(&disjoint[1..]).filter(|(one, other)| one.run == other.run);
+    let (number, sum): (f64, f64) =
+        pairs.fold((0.0, 0.0), |(number, sum), (one, other)| (number + 1.0, sum + one.error * other.error));
+    // A half standard error on top: of few pieces the correlation itself is hardly known.
+    let next = (sum / (number.max(1.0) * square) + 0.5 / count.sqrt()).clamp(0.0, 0.999);
+    let mean = disjoint.iter().map(|piece| piece.error).sum::<f64>() / count;
+    let common = ((count * mean * mean / square - 1.0) / (count - 1.0)).clamp(0.0, 1.0);
+    // Squares of normal errors have the square of the correlation.
+    let of_chain = count * (1.0 - next * next) / (1.0 + next * next);
+    let of_common = count / (1.0 + (count - 1.0) * common * common);
+    of_chain.min(of_common).max(1.0)
 }
 
 /// Returns the 95 % interval of a share among a number of independent trials, which need not be whole.
@@ -507,5 +529,41 @@ mod tests {
         let other = [(Channel::MagX, vec![0.0; 2000])];
         let error = measured(&rest(&other, &[]), "night", &model, &request(&[1.0])).unwrap_err().to_string();
         assert!(error.contains("gyro_x"), "{error}");
+    }
+
+    /// Errors with a part in common, such as the drift of a ramp that the model lacks, are few whatever their number.
+    #[test]
+    fn correlated_pieces_count_as_few() {
+        let pieces = |errors: &[f64]| -> f64 {
+            let piece = |(begin, error): (usize, &f64)| Piece { begin, run: 0, error: *error, predicted: (1.0, 2.0) };
+            let all: Vec<Piece> = errors.iter().enumerate().map(piece).collect();
+            independent(&all.iter().collect::<Vec<&Piece>>())
+        };
+        for count in [5, 6, 12, 40] {
+            assert_eq!(pieces(&vec![3.0; count]), 1.0, "{count} alike");
+        }
+        let mut state = 1_u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        };
+        // The average over rows, since a row of a few errors shows its correlation badly.
+        let mut average = |count: usize, common: f64, next: f64| -> f64 {
+            let rows = 200;
+            let of_row = |_| {
+                let (own, mut before) = (uniform(), uniform());
+                let errors: Vec<f64> = (0..count)
+                    .map(|_| {
+                        before = next * before + (1.0 - next * next).sqrt() * uniform();
+                        common.sqrt() * own + (1.0 - common).sqrt() * before
+                    })
+                    .collect();
+                pieces(&errors)
+            };
+            (0..rows).map(of_row).sum::<f64>() / f64::from(rows)
+        };
+        assert!(average(40, 0.0, 0.0) > 30.0 && average(12, 0.0, 0.0) > 7.0);
+        assert!(average(40, 0.9, 0.0) < 8.0 && average(12, 0.9, 0.0) < 4.0);
+        assert!(average(40, 0.0, 0.8) < 14.0);
     }
 }

@@ -172,6 +172,21 @@ pub enum CostError {
         /// The longest time, s.
         most_s: f64,
     },
+    /// The model has too many effects to be computed beside other work.
+    #[error(
+        "the model has {found} effects with {lines} lines: expected at most {effects_max} with {lines_max} here; \
+         use `vn100d cost --model`"
+    )]
+    Size {
+        /// Effects.
+        found: usize,
+        /// Lines of combs, and one for each other effect.
+        lines: usize,
+        /// The most effects.
+        effects_max: usize,
+        /// The most lines.
+        lines_max: usize,
+    },
     /// A tolerance cannot be read.
     #[error("the tolerance `{found}`: expected {expected}")]
     Tolerance {

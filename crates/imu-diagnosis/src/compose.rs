@@ -141,7 +141,7 @@ fn without_minor(named: Vec<Named>, causes: &[Cause], places: &[Place]) -> (Vec<
     for (index, cause) in causes.iter().enumerate() {
         let own = |channel: &String| (most(Of::Cause(index), channel), beside(index, channel));
         let is_minor = |(nats, (largest, _)): (f64, (f64, _))| nats > 0.0 && nats < MINOR * largest;
-        if cause.effect.spec().is_fact() || !cause.channels.iter().map(own).all(is_minor) {
+        if cause.channels.is_empty() || cause.effect.spec().is_fact() || !cause.channels.iter().map(own).all(is_minor) {
             continue;
         }
         minor.insert((cause.effect.name(), cause.sense));

@@ -3,6 +3,7 @@
 use clap::Args;
 use imu_core::units::parse_duration;
 use imu_cost::{CostError, Tolerance};
+use std::io::Read as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -64,11 +65,19 @@ enum ToleranceError {
 }
 
 fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
-    if text.contains('=') {
+    if text.contains('=') && !std::path::Path::new(text).is_file() {
         return Tolerance::parse(text).map(Tolerances).map_err(ToleranceError::Text);
     }
     let file = || text.to_owned();
-    let lines = std::fs::read_to_string(text).map_err(|error| ToleranceError::Unreadable { file: file(), error })?;
+    /// Bytes of a file that are read.
+    const MOST: u64 = 1 << 20;
+    let unreadable = |error| ToleranceError::Unreadable { file: file(), error };
+    let is_file = std::fs::metadata(text).map_err(unreadable)?.is_file();
+    if !is_file {
+        return Err(unreadable(std::io::Error::other("it is no regular file")));
+    }
+    let mut lines = String::new();
+    std::fs::File::open(text).and_then(|of| of.take(MOST).read_to_string(&mut lines)).map_err(unreadable)?;
     let read = Tolerance::parse_lines(&lines).map_err(|error| ToleranceError::File { file: file(), error })?;
     Ok(Tolerances(read))
 }
