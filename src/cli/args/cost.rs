@@ -59,7 +59,7 @@ enum ToleranceError {
     #[error(transparent)]
     Text(CostError),
     #[error("{file}: {error}")]
-    File { file: String, error: CostError },
+    File { file: String, error: Box<CostError> },
     #[error("{file}: neither NAME=LIMIT/DURATION nor a file that can be read: {error}")]
     Unreadable { file: String, error: std::io::Error },
 }
@@ -78,6 +78,7 @@ fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
     }
     let mut lines = String::new();
     std::fs::File::open(text).and_then(|of| of.take(MOST).read_to_string(&mut lines)).map_err(unreadable)?;
-    let read = Tolerance::parse_lines(&lines).map_err(|error| ToleranceError::File { file: file(), error })?;
+    let read = Tolerance::parse_lines(&lines)
+        .map_err(|error| ToleranceError::File { file: file(), error: Box::new(error) })?;
     Ok(Tolerances(read))
 }
