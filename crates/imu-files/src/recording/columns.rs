@@ -11,8 +11,9 @@ use super::header::{Column, Target, clean, known_column, shown, target};
 use super::info::Conversion;
 use super::mapping::{ColumnMap, Foreign};
 use super::propose::proposal;
+use super::siblings::Siblings;
 use super::stamps::{STAMPS_MAX, parse_date, parse_stamp};
-use super::vocabulary::{Meaning, meaning};
+use super::vocabulary::Meaning;
 use imu_core::sample::Channel;
 use imu_core::units::NANOS_PER_SECOND;
 use std::path::Path;
@@ -43,6 +44,9 @@ enum Use {
     Nothing,
 }
 
+/// The rank of a column that gives way to any other of its channel.
+const SECOND_RANK: u8 = 3;
+
 /// The unit of times by the program that wrote the table, known by another of its columns: the name of the time, the
 /// beginning or the whole of the other name, the places.
 const PROGRAMS: [(&str, &str, usize); 6] = [
@@ -69,13 +73,14 @@ impl Columns {
     ) -> Result<Self, RecordingError> {
         let mut mapped_pairs = Vec::new();
         let mut uses = Vec::new();
+        let siblings = Siblings::of(names);
         for (index, name) in names.iter().map(|name| clean(name)).enumerate() {
             let mapped = map.of(index + 1, name);
             mapped_pairs.extend(mapped.map(|(pair, _)| pair));
             uses.push(match mapped {
                 Some((_, target_name)) => told(target_name),
                 None if unnamed => Use::Nothing,
-                None => of_name(name),
+                None => of_name(name, &siblings),
             });
         }
         let missing = map.foreign().enumerate().find(|(pair, _)| !mapped_pairs.contains(pair));
@@ -137,14 +142,24 @@ impl Columns {
     ) -> Result<(), RecordingError> {
         let is_told = |kind: &Use| matches!(kind, Use::Time { told: true, .. } | Use::Part { told: true, .. });
         let by_user = uses.iter().any(is_told);
-        let parts = uses.iter().filter(|kind| matches!(kind, Use::Part { .. }) && (!by_user || is_told(kind))).count();
+        let parts: Vec<(usize, usize)> = uses
+            .iter()
+            .enumerate()
+            .filter(|(_, kind)| !by_user || is_told(kind))
+            .filter_map(|(index, kind)| if let Use::Part { places, .. } = kind { Some((*places, index)) } else { None })
+            .collect();
+        let is_pair = matches!(parts[..], [(one, _), (other, _)] if one.max(other) == 9 && one.min(other) == 0);
+        if by_user && !parts.is_empty() && !is_pair {
+            let columns = parts.iter().map(|(_, index)| called(*index)).collect::<Vec<_>>().join(", ");
+            return Err(RecordingError::Parts { file: file.to_owned(), columns });
+        }
         let mut part_slot = None;
         let mut first_told = None;
         let mut unknown = Vec::new();
         for (index, kind) in uses.iter().enumerate().filter(|(_, kind)| !by_user || is_told(kind)) {
             let name = names.get(index).map(|name| clean(name)).unwrap_or_default();
             let places = match *kind {
-                Use::Part { places, .. } if parts == 2 => {
+                Use::Part { places, .. } if is_pair => {
                     let slot = *part_slot.get_or_insert_with(|| {
                         self.stamps.push(called(index));
                         self.stamps.len() - 1
@@ -192,13 +207,13 @@ fn told(name: &str) -> Use {
     }
 }
 
-fn of_name(name: &str) -> Use {
+fn of_name(name: &str, siblings: &Siblings) -> Use {
     if let Some((channel, unit, factor)) = known_column(name) {
         return Use::Channel { channel, unit, factor, rank: 1 };
     }
-    match meaning(name) {
+    match siblings.meaning(name) {
         Some(Meaning::Value { channel, unit, factor, second }) => {
-            Use::Channel { channel, unit, factor, rank: if second { 3 } else { 2 } }
+            Use::Channel { channel, unit, factor, rank: if second { SECOND_RANK } else { 2 } }
         }
         Some(Meaning::Time { places }) => Use::Time { places, told: false },
         Some(Meaning::Part { places }) => Use::Part { places, told: false },
@@ -206,22 +221,25 @@ fn of_name(name: &str) -> Use {
     }
 }
 
-/// Leaves out columns of a channel that another column of it replaces.
+/// Leaves out columns of a channel that another column replaces: one of the channel, or of its triad if the column gives way,
+/// so that no triad is of both.
 fn give_way(uses: &mut [Use]) {
-    let best = |channel: Channel, uses: &[Use]| {
+    let best = |is_same: &dyn Fn(Channel) -> bool, uses: &[Use]| {
         let ranks = uses.iter().filter_map(|kind| match kind {
-            Use::Channel { channel: other, rank, .. } if *other == channel => Some(*rank),
+            Use::Channel { channel, rank, .. } if is_same(*channel) => Some(*rank),
             _ => None,
         });
         ranks.min()
     };
     let all = uses.to_vec();
     for kind in uses {
-        if let Use::Channel { channel, rank, .. } = *kind
-            && best(channel, &all).is_some_and(|best| best < rank)
-            // Of equal certainty are the names of docs/formats.md and those of the vocabulary.
-            && (best(channel, &all) == Some(0) || rank == 3)
-        {
+        let Use::Channel { channel, rank, .. } = *kind else { continue };
+        let of_channel = best(&|other| other == channel, &all);
+        let in_triad =
+            |other: Channel| other == channel || (channel.triad().is_some() && other.triad() == channel.triad());
+        // Of equal certainty are the names of docs/formats.md and those of the vocabulary.
+        let is_told = rank > 0 && of_channel == Some(0);
+        if is_told || (rank == SECOND_RANK && best(&in_triad, &all) < Some(SECOND_RANK)) {
             *kind = Use::Nothing;
         }
     }
@@ -236,10 +254,10 @@ fn by_program(name: &str, names: &[String]) -> Option<usize> {
     found.map(|(.., places)| places)
 }
 
-/// Times that state their own unit, by its places: the earliest ones and the longest step between two, s. Milliseconds
-/// and microseconds since 1970 must not be the micro- and nanoseconds of a clock that has run for two weeks.
+/// Times that state their own unit, by its places: the earliest ones and the longest step between two, s. Seconds,
+/// milliseconds and microseconds since 1970 must not be a smaller unit of a clock that has run for days or weeks.
 const SINCE_1970: [(usize, i64, f64); 4] =
-    [(9, 100_000_000, 60.0), (6, 1_262_304_000, 0.5), (3, 1_262_304_000, 0.5), (0, 100_000_000, 60.0)];
+    [(9, 1_262_304_000, 0.5), (6, 1_262_304_000, 0.5), (3, 1_262_304_000, 0.5), (0, 100_000_000, 60.0)];
 /// Seconds since 1970 until the year 2100.
 const UNIX_TO_S: i64 = 4_102_444_800;
 
@@ -267,5 +285,37 @@ pub(super) fn foreign(names: &[String], file: &Path, rows: FirstRows<'_>) -> Rec
         file: file.to_owned(),
         found: shown(names),
         proposal: proposal(names, &rows(), file),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_uptime_of_a_sensor_is_no_time_since_1970() {
+        let places = |first: i64, step: i64| {
+            let rows: Vec<Vec<String>> = (0..9).map(|row| vec![(first + step * row).to_string()]).collect();
+            by_values(&rows, 0)
+        };
+        // Milliseconds of 28 hours, and of 20 days.
+        assert_eq!(places(100_000_000, 10), None);
+        assert_eq!(places(1_728_000_000, 10), None);
+        assert_eq!(places(1_700_000_000_000, 10), Some(6));
+        assert_eq!(places(1_700_000_000_000_000_000, 10_000_000), Some(0));
+    }
+
+    #[test]
+    fn a_time_of_parts_has_one_of_seconds_and_one_of_nanoseconds() {
+        let names = ["a", "b", "gyro_x_rad_s"].map(str::to_owned);
+        let find = |pairs: &str| {
+            let map = ColumnMap::parse(&[pairs]).unwrap_or_default();
+            Columns::find(&names, false, &map, Path::new("table"), &Vec::new)
+        };
+        assert_eq!(find("a=time_secs,b=time_nsecs").map(|columns| columns.stamps.len()).ok(), Some(1));
+        for pairs in ["a=time_secs,b=time_secs", "a=time_nsecs,b=time_nsecs", "a=time_secs"] {
+            let error = find(pairs).map(|_| ()).unwrap_err().to_string();
+            assert!(error.contains("one column of time_secs and one of time_nsecs"), "{error}");
+        }
     }
 }

@@ -117,6 +117,14 @@ pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
     }
 }
 
+/// Returns whether a line has a raw message.
+fn is_message(line: &str) -> bool {
+    line.split_once("$VN").is_some_and(|(_, behind)| {
+        let letters = behind.bytes().take_while(u8::is_ascii_uppercase).count();
+        letters > 1 && behind.as_bytes().get(letters) == Some(&b',')
+    })
+}
+
 /// Determines the kind of `input`.
 ///
 /// # Errors
@@ -150,8 +158,8 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     let mut heads =
         lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());
     let heading = heads.find(|line| !Header::is_comment(line, map)).unwrap_or_default();
-    // A table may have the raw line as a column, or mention `$VN` in a comment.
-    if Header::names_channels(&heading, map) {
+    // A table may have the raw line as a column, or mention `$VN` in a comment; a message is no header.
+    if !is_message(&heading) && Header::names_channels(&heading, map) {
         return Ok(Kind::Csv);
     }
     if lines().take(LOOK_AT_LINES).any(|line| line.windows(3).any(|window| window == b"$VN")) {

@@ -130,6 +130,14 @@ pub enum RecordingError {
         /// The later one.
         second: String,
     },
+    /// The user's parts of a time make none.
+    #[error("{}: a time takes one column of time_secs and one of time_nsecs, not {columns}", file.display())]
+    Parts {
+        /// The file.
+        file: PathBuf,
+        /// The columns that were given.
+        columns: String,
+    },
     /// A column that the user named does not exist.
     #[error(
         "{}: no column is {column}; its columns are: {found}. Name one of them, or its position from 1 as in '#3=gyro_x_dps'",
@@ -165,7 +173,7 @@ pub enum RecordingError {
         what: String,
     },
     /// Columns were given for a recording that has none.
-    #[error("{} is {found}, which has no columns to be told: leave --columns out", file.display())]
+    #[error("{} is {found}, which has no columns to map: leave --columns out", file.display())]
     ColumnsOfNoCsv {
         /// The file.
         file: PathBuf,

@@ -46,6 +46,7 @@ mod placing;
 mod propose;
 mod quantum;
 mod ros;
+mod siblings;
 mod stamps;
 mod survey;
 mod table;

@@ -4,6 +4,7 @@
 //! Earth's field, times increase. A proposal is printed, never applied: nothing but the user can know a unit. Pure.
 
 use super::header::{clean, suffixes};
+use super::siblings::Siblings;
 use super::vocabulary::{Meaning, meaning};
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::STANDARD_GRAVITY_M_S2;
@@ -168,7 +169,8 @@ impl<'a> Table<'a> {
 
     /// Returns the pairs for a table whose names state quantities without units.
     fn named(&self, file: &Path) -> Vec<String> {
-        let meanings: Vec<Option<Meaning>> = self.names.iter().map(|name| meaning(clean(name))).collect();
+        let siblings = Siblings::of(self.names);
+        let meanings: Vec<Option<Meaning>> = self.names.iter().map(|name| siblings.meaning(clean(name))).collect();
         let place = |wanted: Meaning| meanings.iter().position(|found| *found == Some(wanted));
         let times = (0..meanings.len()).filter(|index| matches!(meanings[*index], Some(Meaning::Time { .. })));
         let mut pairs: Vec<String> = times.filter_map(|index| self.time(index)).take(1).collect();

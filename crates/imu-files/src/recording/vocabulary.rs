@@ -115,7 +115,7 @@ const NOT_MEASURED: [&str; 43] = [
 const SECOND: [&str; 6] = ["uncomp", "uncompensated", "uncal", "uncalibrated", "raw", "linear"];
 
 /// Spellings of units by quantity, without space and in lower case ([`plain_unit`]), and the suffix of the unit's column.
-const UNITS: [(Quantity, &str, &[&str]); 27] = [
+const UNITS: [(Quantity, &str, &[&str]); 22] = [
     (Of(Triad::Gyro), "_rad_s", &["rad/s", "rads-1", "rads^-1", "rad_s", "rads", "rad/sec"]),
     (Of(Triad::Gyro), "_deg_s", &["deg/s", "degs-1", "degs^-1", "deg_s", "dps", "deg/sec"]),
     (Of(Triad::Gyro), "_mdps", &["mdps", "mdeg/s", "mdeg_s"]),
@@ -142,12 +142,15 @@ const UNITS: [(Quantity, &str, &[&str]); 27] = [
     (Single(Channel::Pressure), "_hpa", &["hpa", "mbar"]),
     (Single(Channel::Pressure), "_pa", &["pa", "pascal"]),
     (Single(Channel::Pressure), "_bar", &["bar"]),
-    // PX4's messages, and fields of messages whose definitions state their units.
-    (Of(Triad::Gyro), "_rad_s", &["gyro_rad["]),
-    (Of(Triad::Accel), "_m_s2", &["accelerometer_m_s2["]),
-    (Of(Triad::Mag), "_gauss", &["magnetometer_ga["]),
-    (Single(Channel::Pressure), "_pa", &["baro_pressure_pa"]),
-    (Single(Channel::Temperature), "_c", &["baro_temp_celcius"]),
+];
+
+/// Whole names of PX4's messages, whose definitions state their units; of an array without its index.
+const WHOLE: [(&str, Quantity, &str); 5] = [
+    ("gyro_rad", Of(Triad::Gyro), "_rad_s"),
+    ("accelerometer_m_s2", Of(Triad::Accel), "_m_s2"),
+    ("magnetometer_ga", Of(Triad::Mag), "_gauss"),
+    ("baro_pressure_pa", Single(Channel::Pressure), "_pa"),
+    ("baro_temp_celcius", Single(Channel::Temperature), "_c"),
 ];
 
 /// Fields of ROS messages whose definitions state their units: `sensor_msgs` (SI), and `vectornav_msgs` (those of
@@ -167,6 +170,10 @@ pub(super) const FIELDS: [(&str, Quantity, &str); 13] = [
     ("uncompaccel", Of(Triad::Accel), "_m_s2"),
     ("uncompmag", Of(Triad::Mag), "_gauss"),
 ];
+
+/// Fields of VectorNav's IMU group whose names alone state no unit.
+const IMU_GROUP: [(&str, Quantity, &str); 2] =
+    [("accel", Of(Triad::Accel), "_m_s2"), ("mag", Of(Triad::Mag), "_gauss")];
 
 /// Units of time, and the decimal places from each to a nanosecond.
 const TIMES: [(&[&str], usize); 4] = [
@@ -333,14 +340,23 @@ pub(super) fn meaning(name: &str) -> Option<Meaning> {
 
 /// Returns the meaning of a field of a ROS message: a path with `.` or `/`.
 fn of_field(name: &str) -> Option<Meaning> {
+    one_of(name, &FIELDS)
+}
+
+/// Returns the meaning of a field of a message of VectorNav's IMU group, whose compensated values have plain names.
+pub(super) fn of_imu_group(name: &str) -> Option<Meaning> {
+    one_of(name, &IMU_GROUP)
+}
+
+fn one_of(name: &str, fields: &[(&str, Quantity, &'static str)]) -> Option<Meaning> {
     let parts: Vec<&str> = name.split(['.', '/']).filter(|part| !part.is_empty()).collect();
     let (last, before) = parts.split_last()?;
     let axis = ["x", "y", "z"].into_iter().position(|axis| axis == *last);
-    FIELDS.into_iter().find_map(|(field, quantity, suffix)| {
+    fields.iter().find_map(|(field, quantity, suffix)| {
         let second = field.starts_with("uncomp");
         match (quantity, axis) {
-            (Of(triad), Some(axis)) if before.last() == Some(&field) => value(triad.channels()[axis], suffix, second),
-            (Single(channel), None) if *last == field => value(channel, suffix, second),
+            (Of(triad), Some(axis)) if before.last() == Some(field) => value(triad.channels()[axis], suffix, second),
+            (Single(channel), None) if last == field => value(*channel, suffix, second),
             _ => None,
         }
     })
@@ -353,11 +369,8 @@ fn of_words(text: &str) -> Option<Meaning> {
         return None;
     }
     let second = SECOND.iter().any(|word| name.has(word));
-    let mut suffix = None;
-    if let Some((before, _)) = text.split_once('[').filter(|_| name.index.is_some()) {
-        suffix = units(&format!("{before}[")).next();
-    }
-    suffix = suffix.or_else(|| units(text).next());
+    let whole = text.split_once('[').filter(|_| name.index.is_some()).map_or(text, |(before, _)| before);
+    let suffix = WHOLE.into_iter().find(|(known, ..)| *known == whole).map(|(_, quantity, suffix)| (quantity, suffix));
     let angle = ["yaw", "pitch", "roll"].iter().position(|angle| name.has(angle));
     let mut axis = name.index.filter(|index| *index < 3);
     let mut of_axis_word = None;
@@ -566,6 +579,13 @@ mod tests {
             ("gyro_x_adev_rad_s", "-"),
             ("temperature", "temperature ?"),
             ("yaw", "-"),
+            // A unit alone is no quantity.
+            ("c", "-"),
+            ("pa", "-"),
+            ("kpa", "-"),
+            ("bar", "-"),
+            ("mbar", "-"),
+            ("celsius", "-"),
             ("note", "-"),
             ("", "-"),
         ] {
