@@ -96,6 +96,11 @@ impl Input {
         self.keep_on.clone()
     }
 
+    /// Returns the bytes that the rows of a file of this size may take.
+    pub(super) fn allowed_bytes(&self, file_bytes: u64) -> u64 {
+        self.expansion.allowed_bytes(file_bytes)
+    }
+
     /// Returns a meter for a separate reading.
     pub(super) fn meter(&self) -> Rc<Meter> {
         Meter::new(self.keep_on.clone(), self.expansion)
@@ -103,9 +108,15 @@ impl Input {
 
     /// Returns the file itself, if it is one and is not compressed.
     pub(super) fn plain_file(&self) -> Result<Option<File>, RecordingError> {
-        let mut head = [0; 4];
-        let is_compressed = self.bytes.is_some() || self.read_plain(&mut head)? < 4 || is_compressed(&head);
-        if is_compressed { Ok(None) } else { open_regular(&self.path).map(Some) }
+        let mut head = [0; 16];
+        if self.bytes.is_some() {
+            return Ok(None);
+        }
+        let count = self.read_plain(&mut head)?;
+        match packing(head.get(..count).unwrap_or_default()) {
+            Some(_) => Ok(None),
+            None => open_regular(&self.path).map(Some),
+        }
     }
 
     fn read_plain(&self, head: &mut [u8]) -> Result<usize, RecordingError> {
@@ -128,11 +139,11 @@ impl Input {
     }
 
     /// Returns the arrays of the content, which are kept: it is read several times.
-    pub(super) fn arrays(&self, form: fn(&[u8]) -> Result<Arrays, String>) -> Result<Arc<Arrays>, RecordingError> {
+    pub(super) fn arrays(&self, form: fn(Vec<u8>) -> Result<Arrays, String>) -> Result<Arc<Arrays>, RecordingError> {
         if let Some(arrays) = self.arrays.get() {
             return Ok(Arc::clone(arrays));
         }
-        let arrays = Arc::new(form(&self.whole()?).map_err(|what| broken(self, what))?);
+        let arrays = Arc::new(form(self.whole()?).map_err(|what| broken(self, what))?);
         Ok(Arc::clone(self.arrays.get_or_init(|| arrays)))
     }
 
@@ -152,14 +163,12 @@ impl Input {
         // Opening a directory succeeds; reading it does not.
         let head = bytes.fill_buf().map_err(|source| super::detect::read_error(&self.path, 0, source))?;
         let read_error = |source| super::detect::read_error(&self.path, 0, source);
-        let expanded: Box<dyn Read> = match head {
-            [0x1F, 0x8B, ..] => Box::new(MultiGzDecoder::new(bytes)),
-            [b'B', b'Z', b'h', b'1'..=b'9', 0x31, 0x41, 0x59, 0x26, ..] => Box::new(MultiBzDecoder::new(bytes)),
-            [0xFD, b'7', b'z', b'X', b'Z', 0, ..] => Box::new(XzReader::new_mem_limit(bytes, true, XZ_MEMORY_KIB)),
-            [0x28, 0xB5, 0x2F, 0xFD, ..] => {
-                Box::new(zstd::stream::read::Decoder::with_buffer(bytes).map_err(read_error)?)
-            }
-            _ => return Ok((utf16::decoded(Box::new(bytes)).map_err(read_error)?, meter)),
+        let expanded: Box<dyn Read> = match packing(head) {
+            Some(Packing::Gzip) => Box::new(MultiGzDecoder::new(bytes)),
+            Some(Packing::Bzip2) => Box::new(MultiBzDecoder::new(bytes)),
+            Some(Packing::Xz) => Box::new(XzReader::new_mem_limit(bytes, true, XZ_MEMORY_KIB)),
+            Some(Packing::Zstd) => Box::new(zstd::stream::read::Decoder::with_buffer(bytes).map_err(read_error)?),
+            None => return Ok((utf16::decoded(Box::new(bytes)).map_err(read_error)?, meter)),
         };
         let expanded = Expanded { bytes: expanded, meter: Rc::clone(&meter) };
         let expanded = Box::new(BufReader::with_capacity(BUFFER_BYTES, expanded));
@@ -167,11 +176,23 @@ impl Input {
     }
 }
 
-/// Returns whether a file begins as compressed data do that [`Input::open`] expands.
-fn is_compressed(head: &[u8]) -> bool {
-    [&[0x1F, 0x8B][..], b"BZh", &[0xFD, b'7', b'z'], &[0x28, 0xB5, 0x2F, 0xFD]]
-        .iter()
-        .any(|magic| head.starts_with(magic))
+/// A form of compressed data that [`Input::open`] expands.
+enum Packing {
+    Gzip,
+    Bzip2,
+    Xz,
+    Zstd,
+}
+
+/// Returns the form of compressed data by their first bytes.
+fn packing(head: &[u8]) -> Option<Packing> {
+    match head {
+        [0x1F, 0x8B, ..] => Some(Packing::Gzip),
+        [b'B', b'Z', b'h', b'1'..=b'9', 0x31, 0x41, 0x59, 0x26, ..] => Some(Packing::Bzip2),
+        [0xFD, b'7', b'z', b'X', b'Z', 0, ..] => Some(Packing::Xz),
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => Some(Packing::Zstd),
+        _ => None,
+    }
 }
 
 /// Opens a recording's file, which is read several times. A pipe returns its bytes only once, and opening one would

@@ -48,6 +48,13 @@ pub(super) struct Expansion {
     pub(super) most_bytes: u64,
 }
 
+impl Expansion {
+    /// Returns the bytes that this many of the file may become.
+    pub(super) fn allowed_bytes(self, file_bytes: u64) -> u64 {
+        file_bytes.saturating_mul(self.ratio).saturating_add(self.free_bytes).min(self.most_bytes)
+    }
+}
+
 /// The limits for recordings (docs/cli.md).
 pub(super) const EXPANSION: Expansion = Expansion { free_bytes: 256 << 20, ratio: 100, most_bytes: 1 << 40 };
 
@@ -106,8 +113,7 @@ impl Meter {
             return Err(refusal);
         }
         let (file_bytes, expanded_bytes) = (self.file_bytes.get(), self.expanded_bytes.get());
-        let Expansion { free_bytes, ratio, most_bytes } = self.expansion;
-        let allowed = file_bytes.saturating_mul(ratio).saturating_add(free_bytes).min(most_bytes);
+        let allowed = self.expansion.allowed_bytes(file_bytes);
         let moved = file_bytes.saturating_add(expanded_bytes);
         let refusal = if expanded_bytes > allowed {
             Refusal::Expands { file_bytes, allowed_bytes: allowed }

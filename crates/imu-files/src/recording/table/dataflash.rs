@@ -1,9 +1,10 @@
 //! Dataflash: the log of ArduPilot (`.BIN`).
 //!
-//! The table is the message of which most columns are channels, `IMU` as a rule. Its labels have no units; they are those of
-//! ArduPilot's documentation of log messages ([`UNITS`]). Of several sensors the first in the file is read. `VIBE` holds levels
-//! of vibration, not samples. Damaged data are passed over to the next message. No kept crate reports damage.
-//! Format: <https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html>, AP_Logger/LogStructure.h.
+//! The table is the message of which most columns are channels, `IMU` as a rule. Its labels have no units; they are
+//! those of ArduPilot's documentation of log messages ([`UNITS`]). Of several sensors the first in the file is
+//! read. `VIBE` holds levels of vibration, not samples. Damaged data are passed over to the next message. Crates
+//! for this format were not tried. Format:
+//! <https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html>, AP_Logger/LogStructure.h.
 
 use super::super::error::RecordingError;
 use super::super::input::Input;
@@ -185,6 +186,13 @@ fn kind(code: char) -> Option<(Option<Kind>, usize)> {
 impl Table for DataflashTable {
     fn names(&self) -> &[String] {
         &self.names
+    }
+
+    fn left_out(&self) -> Vec<String> {
+        let others = self.messages.iter().filter(|(number, _)| **number != self.chosen && **number != FMT);
+        let mut names: Vec<String> = others.map(|(_, message)| message.name.clone()).collect();
+        names.sort();
+        super::left_out("messages", &names).into_iter().collect()
     }
 
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {

@@ -4,7 +4,7 @@
 //! Elements may be compressed; all together may expand as [`most_bytes`] allows. Cells, text and objects are left out.
 //! Format: MathWorks, MAT-File Format, "Level 5 MAT-Files".
 
-use super::arrays::{Array, Arrays, Form, Kind, most_bytes};
+use super::arrays::{Array, Arrays, Budget, Form, Kind};
 use flate2::read::ZlibDecoder;
 use std::io::Read as _;
 
@@ -29,10 +29,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Arrays, String> {
         Some(found) => return Err(format!("byte 126 has {found:?} where a MAT-file has IM or MI")),
         None => return Err(format!("it ends after {} bytes, within the head of {HEAD_BYTES}", bytes.len())),
     };
-    let mut arrays = Vec::new();
+    let mut found = Found { arrays: Vec::new(), left_out: Vec::new(), budget: Budget::of(bytes.len()), big_endian };
     let mut elements = Elements { bytes, at: HEAD_BYTES, big_endian };
-    let most = most_bytes(bytes.len());
-    let mut left = most as u64;
     while elements.at < bytes.len() {
         let at = elements.at;
         let place = |what: String| format!("at byte {at}: {what}");
@@ -40,24 +38,22 @@ pub(super) fn read(bytes: &[u8]) -> Result<Arrays, String> {
         match kind {
             COMPRESSED => {
                 let mut expanded = Vec::new();
-                let expand = ZlibDecoder::new(content).take(left + 1).read_to_end(&mut expanded);
+                let expand = ZlibDecoder::new(content).take(found.budget.left() as u64 + 1).read_to_end(&mut expanded);
                 expand.map_err(|error| place(format!("a compressed variable is damaged: {error}")))?;
-                left = left
-                    .checked_sub(expanded.len() as u64)
-                    .ok_or_else(|| format!("its arrays take more than {most} bytes"))?;
+                found.budget.take(expanded.len())?;
                 let (kind, content) = Elements { bytes: &expanded, at: 0, big_endian }.next().map_err(place)?;
                 if kind == MATRIX {
-                    matrix(content, big_endian, "", 0, &mut arrays).map_err(place)?;
+                    found.matrix(content, "", 0).map_err(place)?;
                 }
             }
-            MATRIX => matrix(content, big_endian, "", 0, &mut arrays).map_err(place)?,
+            MATRIX => found.matrix(content, "", 0).map_err(place)?,
             _ => {}
         }
     }
-    if arrays.is_empty() {
+    if found.arrays.is_empty() {
         Err("it has no variable that is a matrix of real numbers".to_owned())
     } else {
-        Arrays::of(arrays)
+        Arrays::of(found.arrays, found.left_out)
     }
 }
 
@@ -112,45 +108,62 @@ fn kind(code: u32, big_endian: bool) -> Option<Kind> {
     Some(Kind { form, size, big_endian })
 }
 
-/// Reads a matrix, or the fields of a structure.
-fn matrix(bytes: &[u8], big_endian: bool, within: &str, depth: usize, arrays: &mut Vec<Array>) -> Result<(), String> {
-    let mut parts = Elements { bytes, at: 0, big_endian };
-    if bytes.is_empty() || depth > DEPTH_MAX {
-        return Ok(());
-    }
-    let (_, flags) = parts.next()?;
-    let flags = Elements { bytes: flags, at: 0, big_endian }.word(0).unwrap_or_default();
-    let (class, is_complex) = (flags as u8, flags & 0x800 != 0);
-    let (_, sides) = parts.next()?;
-    let sides: Vec<usize> = (0..sides.len() / 4)
-        .filter_map(|side| Elements { bytes: sides, at: 0, big_endian }.word(4 * side))
-        .map(|side| side as usize)
-        .collect();
-    let (_, own) = parts.next()?;
-    let own = String::from_utf8_lossy(own);
-    let name = [within, own.as_ref()].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(".");
-    if class == STRUCTURE {
-        let (_, length) = parts.next()?;
-        let length = Elements { bytes: length, at: 0, big_endian }.word(0).unwrap_or(0) as usize;
-        let (_, names) = parts.next()?;
-        // One structure, not an array of them.
-        if length == 0 || sides.iter().any(|side| *side != 1) {
+/// What is found in a file.
+struct Found {
+    arrays: Vec<Array>,
+    left_out: Vec<String>,
+    budget: Budget,
+    big_endian: bool,
+}
+
+impl Found {
+    /// Reads a matrix, or the fields of a structure.
+    fn matrix(&mut self, bytes: &[u8], within: &str, depth: usize) -> Result<(), String> {
+        let big_endian = self.big_endian;
+        let mut parts = Elements { bytes, at: 0, big_endian };
+        if bytes.is_empty() {
             return Ok(());
         }
-        for field in names.chunks_exact(length) {
-            let (_, content) = parts.next()?;
-            let field = String::from_utf8_lossy(field.split(|byte| *byte == 0).next().unwrap_or_default());
-            matrix(content, big_endian, format!("{name}.{field}").trim_matches('.'), depth + 1, arrays)?;
+        if depth > DEPTH_MAX {
+            self.left_out.push(within.to_owned());
+            return Ok(());
         }
-        return Ok(());
+        let (_, flags) = parts.next()?;
+        let flags = Elements { bytes: flags, at: 0, big_endian }.word(0).unwrap_or_default();
+        let (class, is_complex) = (flags as u8, flags & 0x800 != 0);
+        let (_, sides) = parts.next()?;
+        let sides: Vec<usize> = (0..sides.len() / 4)
+            .filter_map(|side| Elements { bytes: sides, at: 0, big_endian }.word(4 * side))
+            .map(|side| side as usize)
+            .collect();
+        let (_, own) = parts.next()?;
+        let own = String::from_utf8_lossy(own);
+        let name = [within, own.as_ref()].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(".");
+        if class == STRUCTURE {
+            let (_, length) = parts.next()?;
+            let length = Elements { bytes: length, at: 0, big_endian }.word(0).unwrap_or(0) as usize;
+            let (_, names) = parts.next()?;
+            // One structure, not an array of them.
+            if length == 0 || sides.iter().any(|side| *side != 1) {
+                self.left_out.push(name);
+                return Ok(());
+            }
+            for field in names.chunks_exact(length) {
+                let (_, content) = parts.next()?;
+                let field = String::from_utf8_lossy(field.split(|byte| *byte == 0).next().unwrap_or_default());
+                self.matrix(content, format!("{name}.{field}").trim_matches('.'), depth + 1)?;
+            }
+            return Ok(());
+        }
+        if !NUMERIC.contains(&class) || is_complex {
+            self.left_out.push(name);
+            return Ok(());
+        }
+        let (code, numbers) = parts.next()?;
+        let kind = kind(code, big_endian)
+            .ok_or_else(|| format!("variable {name:?} has numbers of type {code}, which is none of the format"))?;
+        let data = kind.data(numbers, &mut self.budget)?;
+        self.arrays.push(Array { name, sides, by_columns: true, data });
+        Ok(())
     }
-    if !NUMERIC.contains(&class) || is_complex {
-        return Ok(());
-    }
-    let (code, numbers) = parts.next()?;
-    let data = kind(code, big_endian).and_then(|kind| kind.data(numbers));
-    let data =
-        data.ok_or_else(|| format!("variable {name:?} has numbers of type {code}, which is none of the format"))?;
-    arrays.push(Array { name, sides, by_columns: true, data });
-    Ok(())
 }

@@ -90,21 +90,38 @@ trait Table {
     fn is_unnamed(&self) -> bool {
         false
     }
+    /// Returns what of the file is no column of it.
+    fn left_out(&self) -> Vec<String> {
+        Vec::new()
+    }
     /// Reads the next row into `cells`, one for each name.
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError>;
 }
 
 fn open(kind: Kind, input: &Input) -> Result<Box<dyn Table>, RecordingError> {
-    let form: fn(&[u8]) -> Result<Arrays, String> = match kind {
+    let form: fn(Vec<u8>) -> Result<Arrays, String> = match kind {
         Kind::Parquet => return Ok(Box::new(parquet::ParquetTable::open(input)?)),
         Kind::Ulog => return Ok(Box::new(ulog::UlogTable::open(input)?)),
         Kind::Dataflash => return Ok(Box::new(dataflash::DataflashTable::open(input)?)),
-        Kind::Npz => npy::npz,
-        Kind::Mat => mat5::read,
+        Kind::Npz => |bytes| npy::npz(&bytes),
+        Kind::Mat => |bytes| mat5::read(&bytes),
         Kind::Hdf5 => hdf5::read,
-        _ => npy::npy,
+        _ => |bytes| npy::npy(&bytes),
     };
     Ok(Box::new(arrays::ArraysTable::new(input.arrays(form)?)))
+}
+
+/// Names that are shown of what is left out.
+const SHOWN: usize = 20;
+
+/// Returns what is left out of one kind, as one text.
+fn left_out(kind: &str, names: &[String]) -> Option<String> {
+    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len() {
+        0 => None,
+        all if all > SHOWN => Some(format!("{kind} {shown} and {} more", all - SHOWN)),
+        _ => Some(format!("{kind} {shown}")),
+    }
 }
 
 /// Returns the error of a file that cannot be read as a table.
@@ -137,7 +154,8 @@ impl TableRows {
             }
             rows
         };
-        let columns = Columns::find(table.names(), table.is_unnamed(), input.columns(), input.path(), &first_rows)?;
+        let mut columns = Columns::find(table.names(), table.is_unnamed(), input.columns(), input.path(), &first_rows)?;
+        columns.ignored.extend(table.left_out());
         Ok(Self { table, columns, cells: Vec::new(), number: 0, decimals: Decimals::default() })
     }
 

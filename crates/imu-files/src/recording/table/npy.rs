@@ -5,21 +5,24 @@
 //! with a grammar of Python (npyz: 20 crates more), so the header is read here.
 //! Format: <https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>.
 
-use super::arrays::{Array, Arrays, Form, Kind, most_bytes};
+use super::arrays::{Array, Arrays, Budget, Form, Kind};
 use std::io::{Cursor, Read as _};
 
 /// The first bytes of a `.npy`.
 const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// The most columns of a field that is itself an array.
+const INNER_MAX: usize = 64;
 
 /// Reads a `.npy`.
 ///
 /// # Errors
 /// What was found and what would be right.
 pub(super) fn npy(bytes: &[u8]) -> Result<Arrays, String> {
-    let header = Header::read(bytes)?;
+    let (header, mut budget) = (Header::read(bytes)?, Budget::of(bytes.len()));
     match header.fields()? {
-        Type::Plain(kind) => Arrays::of(vec![header.array(String::new(), kind, bytes)?]),
-        Type::Fields(fields) => header.columns(&fields, bytes),
+        Type::Plain(kind) => Arrays::of(vec![header.array(String::new(), kind, bytes, &mut budget)?], Vec::new()),
+        Type::Fields(fields) => header.columns(&fields, bytes, &mut budget),
     }
 }
 
@@ -30,30 +33,31 @@ pub(super) fn npy(bytes: &[u8]) -> Result<Arrays, String> {
 pub(super) fn npz(bytes: &[u8]) -> Result<Arrays, String> {
     let mut archive =
         zip::ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("its ZIP archive is damaged: {error}"))?;
-    let mut arrays = Vec::new();
-    let most = most_bytes(bytes.len());
-    let mut left = most as u64;
+    let (mut arrays, mut left_out) = (Vec::new(), Vec::new());
+    let mut budget = Budget::of(bytes.len());
     for index in 0..archive.len() {
         let mut file = archive.by_index(index).map_err(|error| format!("entry {index} of its archive: {error}"))?;
         let name = file.name().map_err(|error| format!("entry {index} of its archive: {error}"))?.into_owned();
         let Some(bare) = name.strip_suffix(".npy") else { continue };
         let mut content = Vec::new();
         file.by_ref()
-            .take(left + 1)
+            .take(budget.left() as u64 + 1)
             .read_to_end(&mut content)
             .map_err(|error| format!("{name} in it is damaged: {error}"))?;
-        left =
-            left.checked_sub(content.len() as u64).ok_or_else(|| format!("its arrays take more than {most} bytes"))?;
+        budget.take(content.len())?;
         let header = Header::read(&content).map_err(|what| format!("{name} in it: {what}"))?;
         // Text and objects beside the numbers are left out.
-        if let Ok(Type::Plain(kind)) = header.fields() {
-            arrays.push(header.array(bare.to_owned(), kind, &content).map_err(|what| format!("{name} in it: {what}"))?);
-        }
+        let Ok(Type::Plain(kind)) = header.fields() else {
+            left_out.push(bare.to_owned());
+            continue;
+        };
+        let array = header.array(bare.to_owned(), kind, &content, &mut budget);
+        arrays.push(array.map_err(|what| format!("{name} in it: {what}"))?);
     }
     if arrays.is_empty() {
         return Err("it is a ZIP archive without arrays of NumPy; unpack it and name the recording in it".to_owned());
     }
-    Arrays::of(arrays)
+    Arrays::of(arrays, left_out)
 }
 
 /// The type of an array's elements.
@@ -84,7 +88,7 @@ impl<'a> Header<'a> {
                 .map(|length| length.iter().rev().fold(0_usize, |sum, byte| (sum << 8) | usize::from(*byte)))
         };
         let (begin, length) = if version == 1 { (10, length(8..10)) } else { (12, length(8..12)) };
-        let at = begin + length.ok_or_else(short)?;
+        let at = length.and_then(|length| length.checked_add(begin)).ok_or_else(short)?;
         let text = std::str::from_utf8(bytes.get(begin..at).ok_or_else(short)?)
             .map_err(|_| "its header is no text".to_owned())?;
         let odd = || format!("its header {:?} lacks descr, fortran_order or shape", text.trim());
@@ -117,11 +121,15 @@ impl<'a> Header<'a> {
                 None => (1, inner),
             };
             let size = kind(code).map(|(kind, _)| kind.size).or_else(|| size_of_text(code)).ok_or_else(|| odd(code))?;
-            for index in 0..count.min(64) {
-                let called = if count == 1 { name.to_owned() } else { format!("{name}[{index}]") };
-                fields.push((called, kind(code).map(|(kind, _)| kind), at + index * size));
+            let end = count.checked_mul(size).and_then(|bytes| bytes.checked_add(at)).ok_or_else(|| odd(self.descr))?;
+            // A field of too many columns is left out, as an array of them is.
+            let read = if count > INNER_MAX { 1 } else { count };
+            for index in 0..read {
+                let called = if count == 1 || read < count { name.to_owned() } else { format!("{name}[{index}]") };
+                let known = kind(code).map(|(kind, _)| kind).filter(|_| read == count);
+                fields.push((called, known, at + index * size));
             }
-            at += count.saturating_mul(size);
+            at = end;
             rest = behind.split_once(')').ok_or_else(|| odd(self.descr))?.1;
         }
         fields.push((String::new(), None, at));
@@ -132,31 +140,38 @@ impl<'a> Header<'a> {
     fn content(&self, size: usize, bytes: &'a [u8]) -> Result<&'a [u8], String> {
         let wanted = self.sides.iter().try_fold(size, |all, side| all.checked_mul(*side));
         let there = bytes.len().saturating_sub(self.at);
-        let end = wanted.filter(|wanted| *wanted <= there).map(|wanted| self.at + wanted);
+        let end = wanted.filter(|wanted| *wanted <= there).and_then(|wanted| self.at.checked_add(wanted));
         end.and_then(|end| bytes.get(self.at..end)).ok_or_else(|| {
             format!("it was cut: its header states {:?} elements of {size} bytes, but {there} bytes follow", self.sides)
         })
     }
 
-    fn array(&self, name: String, kind: Kind, bytes: &[u8]) -> Result<Array, String> {
-        let data =
-            kind.data(self.content(kind.size, bytes)?).ok_or_else(|| "it has integers beyond 63 bits".to_owned())?;
+    fn array(&self, name: String, kind: Kind, bytes: &[u8], budget: &mut Budget) -> Result<Array, String> {
+        let data = kind.data(self.content(kind.size, bytes)?, budget)?;
         Ok(Array { name, sides: self.sides.clone(), by_columns: self.by_columns, data })
     }
 
     /// Returns the fields of a structured array as columns.
-    fn columns(&self, fields: &[(String, Option<Kind>, usize)], bytes: &[u8]) -> Result<Arrays, String> {
+    fn columns(
+        &self,
+        fields: &[(String, Option<Kind>, usize)],
+        bytes: &[u8],
+        budget: &mut Budget,
+    ) -> Result<Arrays, String> {
         let Some(((_, _, size), fields)) = fields.split_last() else { return Err("it has no fields".to_owned()) };
         let content = self.content(*size, bytes)?;
-        let mut columns = Vec::new();
+        let (mut columns, mut left_out) = (Vec::new(), Vec::new());
         for (name, kind, at) in fields {
-            let Some(kind) = kind else { continue };
+            let Some(kind) = kind else {
+                left_out.push(name.clone());
+                continue;
+            };
             let rows = content.chunks_exact((*size).max(1)).filter_map(|row| row.get(*at..at + kind.size));
             let packed: Vec<u8> = rows.flatten().copied().collect();
-            let data = kind.data(&packed).ok_or_else(|| format!("field {name:?} has integers beyond 63 bits"))?;
+            let data = kind.data(&packed, budget).map_err(|what| format!("field {name:?}: {what}"))?;
             columns.push((name.clone(), data));
         }
-        Ok(Arrays::of_columns(columns, content.len() / (*size).max(1)))
+        Ok(Arrays::of_columns(columns, content.len() / (*size).max(1), left_out))
     }
 }
 
@@ -207,6 +222,12 @@ mod tests {
         bytes.extend(text.as_bytes());
         assert!(npy(&bytes).unwrap_err().contains("it was cut"));
         assert!(npy(&bytes[..20]).unwrap_err().contains("within the header"));
+        for descr in ["[('a', '<f8', (99999999999, 99999999999))]", "[('a', '<f8', (65,)), ('b', '<f8')]"] {
+            let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': (9,), }}");
+            let bytes = [b"\x93NUMPY\x01\x00", &[text.len() as u8, 0][..], text.as_bytes(), &[0; 5000]].concat();
+            let found = npy(&bytes);
+            assert_eq!(found.is_ok(), descr.contains("65"), "{found:?}");
+        }
         let objects = String::from_utf8_lossy(&bytes).replace("<f8", "|O").into_bytes();
         assert!(npy(&objects).is_err());
     }

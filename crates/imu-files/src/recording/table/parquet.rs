@@ -1,10 +1,12 @@
 //! Parquet: the columns of numbers and times of a file, by groups of rows.
 //!
-//! Numbers of any width and times of Arrow are read; other columns (text, lists) stay empty and are not used. Memory is
+//! Numbers of any width and times of Arrow are read; other columns (text, lists) are not decoded. Memory is
 //! bounded by a group of rows. Codecs: none, Snappy, gzip, zstd, LZ4.
 
+use super::super::detect::{read_error, refused};
 use super::super::error::RecordingError;
 use super::super::input::Input;
+use super::super::meter::Refusal;
 use super::{Cell, Next, Table, broken};
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{
@@ -14,7 +16,9 @@ use arrow_array::types::{
 };
 use arrow_array::{Array as _, ArrayRef, RecordBatch};
 use arrow_schema::{DataType, TimeUnit};
+use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::file::reader::ChunkReader;
 
 /// Rows that are decoded at a time.
 const BATCH_ROWS: usize = 4096;
@@ -22,6 +26,8 @@ const BATCH_ROWS: usize = 4096;
 pub(super) struct ParquetTable {
     input: Input,
     names: Vec<String>,
+    /// For each name the column of the batches, if it can be read.
+    places: Vec<Option<usize>>,
     batches: ParquetRecordBatchReader,
     batch: Option<RecordBatch>,
     row: usize,
@@ -32,22 +38,41 @@ impl ParquetTable {
         let damaged = |error: parquet::errors::ParquetError| {
             broken(input, format!("its Parquet is damaged or was cut (the table of contents is at its end): {error}"))
         };
-        let builder = match input.plain_file()? {
+        match input.plain_file()? {
             Some(file) => {
-                ParquetRecordBatchReaderBuilder::try_new(file).map_err(damaged)?.with_batch_size(BATCH_ROWS).build()
+                let file_bytes = file.metadata().map_err(|source| read_error(input.path(), 0, source))?.len();
+                Self::of(input, file_bytes, ParquetRecordBatchReaderBuilder::try_new(file).map_err(damaged)?)
             }
             None => {
                 let bytes = bytes::Bytes::from(input.whole()?);
-                ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(damaged)?.with_batch_size(BATCH_ROWS).build()
+                let file_bytes = bytes.len() as u64;
+                Self::of(input, file_bytes, ParquetRecordBatchReaderBuilder::try_new(bytes).map_err(damaged)?)
             }
-        };
-        let batches = builder.map_err(damaged)?;
-        let names = arrow_array::RecordBatchReader::schema(&batches)
-            .fields()
-            .iter()
-            .map(|field| field.name().clone())
-            .collect();
-        Ok(Self { input: input.clone(), names, batches, batch: None, row: 0 })
+        }
+    }
+
+    /// Reads the columns of numbers and times, unless the file states more rows than one of its size can have.
+    fn of<T: ChunkReader + 'static>(
+        input: &Input,
+        file_bytes: u64,
+        builder: ParquetRecordBatchReaderBuilder<T>,
+    ) -> Result<Self, RecordingError> {
+        let (mut names, mut places, mut read) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, field) in builder.schema().fields().iter().enumerate() {
+            names.push(field.name().clone());
+            places.push(is_read(field.data_type()).then_some(read.len()));
+            read.extend(is_read(field.data_type()).then_some(index));
+        }
+        let groups = builder.metadata().row_groups().iter();
+        let rows = groups.fold(0_u64, |rows, group| rows.saturating_add(u64::try_from(group.num_rows()).unwrap_or(0)));
+        let allowed_bytes = input.allowed_bytes(file_bytes);
+        if rows.saturating_mul(8 * read.len() as u64) > allowed_bytes {
+            return Err(refused(input.path(), Refusal::Expands { file_bytes, allowed_bytes }));
+        }
+        let mask = ProjectionMask::roots(builder.parquet_schema(), read);
+        let batches = builder.with_projection(mask).with_batch_size(BATCH_ROWS).build();
+        let batches = batches.map_err(|error| broken(input, format!("its Parquet is damaged: {error}")))?;
+        Ok(Self { input: input.clone(), names, places, batches, batch: None, row: 0 })
     }
 }
 
@@ -62,9 +87,15 @@ impl Table for ParquetTable {
                 && self.row < batch.num_rows()
             {
                 cells.clear();
-                cells.extend(batch.columns().iter().map(|column| cell(column, self.row)));
+                let column = |place: &Option<usize>| batch.columns().get((*place)?);
+                cells.extend(
+                    self.places.iter().map(|place| column(place).map_or(Cell::Absent, |column| cell(column, self.row))),
+                );
                 self.row += 1;
                 return Ok(Next::Row);
+            }
+            if !self.input.keep_on().is_wanted() {
+                return Err(refused(self.input.path(), Refusal::Unwanted));
             }
             match self.batches.next() {
                 None => return Ok(Next::End),
@@ -73,6 +104,11 @@ impl Table for ParquetTable {
             }
         }
     }
+}
+
+/// Returns whether [`cell`] reads a type.
+fn is_read(kind: &DataType) -> bool {
+    matches!(kind, DataType::Float64 | DataType::Float32 | DataType::Timestamp(..)) || kind.is_integer()
 }
 
 fn cell(column: &ArrayRef, row: usize) -> Cell {
@@ -106,5 +142,34 @@ fn cell(column: &ArrayRef, row: usize) -> Cell {
             date(column.as_primitive::<TimestampSecondType>().value(row), 1_000_000_000)
         }
         _ => Cell::Absent,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::meter::Expansion;
+    use super::*;
+    use arrow_array::{Float64Array, StringArray};
+    use std::sync::Arc;
+
+    #[test]
+    fn columns_of_text_are_not_decoded_and_more_rows_than_the_file_can_have_are_refused() {
+        let numbers: ArrayRef = Arc::new(Float64Array::from(vec![1.5; 10_000]));
+        let notes: ArrayRef = Arc::new(StringArray::from(vec!["note"; 10_000]));
+        let batch = RecordBatch::try_from_iter([("note", notes), ("gyro_x_rad_s", numbers)]).unwrap();
+        let mut bytes = Vec::new();
+        let mut writer = parquet::arrow::ArrowWriter::try_new(&mut bytes, batch.schema(), None).unwrap();
+        writer.write(&batch).unwrap();
+        writer.close().unwrap();
+        let input = Input::memory("a.parquet", bytes);
+        let mut table = ParquetTable::open(&input).unwrap();
+        let mut cells = Vec::new();
+        assert!(matches!(table.next_row(&mut cells), Ok(Next::Row)));
+        assert_eq!(
+            (table.names(), cells),
+            (&["note".to_owned(), "gyro_x_rad_s".to_owned()][..], vec![Cell::Absent, Cell::Number(1.5)])
+        );
+        let small = input.expanding(Expansion { free_bytes: 1000, ratio: 1, most_bytes: 1 << 40 });
+        assert!(matches!(ParquetTable::open(&small), Err(RecordingError::Expands { .. })));
     }
 }
