@@ -4,16 +4,19 @@
 //! The folder of a bag stands for the file in it. The samples of KITTI are joined to one table in memory, with the units of
 //! its `dataformat.txt`; a file that is missing or has another number of values is a rejected row.
 
+use super::detect::read_error;
 use super::error::RecordingError;
 use super::header::known_column;
-use super::input::Input;
+use super::input::{Input, open_regular};
 use super::propose::{OXTS_COLUMNS, of_oxts};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 /// The most samples of KITTI that are read: days at its 10 or 100 Hz.
 const OXTS_MOST: usize = 1_000_000;
-/// The longest file of one sample, bytes.
+/// The longest file of one sample and of all dates, bytes.
 const OXTS_BYTES: u64 = 4096;
+const STAMPS_BYTES: u64 = 64 << 20;
 
 /// Returns whether a folder is a recording.
 pub fn is_recording_folder(path: &Path) -> bool {
@@ -80,14 +83,23 @@ pub fn bag_file(folder: &Path) -> Result<PathBuf, RecordingError> {
     Err(RecordingError::Folder { folder: folder.to_owned(), found })
 }
 
+/// Reads the text of a file, at most a byte more than `most`; bytes that are none become marks.
+fn text(file: &Path, most: u64) -> Result<String, RecordingError> {
+    let mut bytes = Vec::new();
+    let read = open_regular(file)?.take(most + 1).read_to_end(&mut bytes);
+    read.map_err(|source| read_error(file, 0, source))?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
 /// Returns KITTI's samples as a CSV.
 fn oxts(folder: &Path) -> Result<String, RecordingError> {
-    let open = |file: &Path| {
-        let file = file.to_owned();
-        move |source| RecordingError::Open { file, source }
-    };
     let stamps = folder.join("timestamps.txt");
-    let dates = std::fs::read_to_string(&stamps).map_err(open(&stamps))?;
+    let dates = text(&stamps, STAMPS_BYTES)?;
+    let found = dates.lines().take(OXTS_MOST + 1).count();
+    if found > OXTS_MOST || dates.len() as u64 > STAMPS_BYTES {
+        let what = format!("it has more than {OXTS_MOST} samples, or lines longer than dates; split it");
+        return Err(RecordingError::Table { file: stamps, what });
+    }
     let mut names = vec![String::new(); OXTS_COLUMNS];
     for pair in of_oxts(0) {
         if let Some((position, name)) = pair.trim_start_matches('#').split_once('=')
@@ -98,14 +110,36 @@ fn oxts(folder: &Path) -> Result<String, RecordingError> {
         }
     }
     let mut table = format!("time_s,{}\n", names.join(","));
-    for (index, date) in dates.lines().take(OXTS_MOST).enumerate() {
+    for (index, date) in dates.lines().enumerate() {
         let file = folder.join("data").join(format!("{index:010}.txt"));
-        let values = match std::fs::metadata(&file) {
-            Ok(found) if found.len() <= OXTS_BYTES => std::fs::read_to_string(&file).map_err(open(&file))?,
-            _ => String::new(),
-        };
+        // A file that is missing, too long or no file at all is a row without values, which is rejected.
+        let values = text(&file, OXTS_BYTES).ok().filter(|text| text.len() as u64 <= OXTS_BYTES).unwrap_or_default();
         let values: Vec<&str> = values.split_ascii_whitespace().collect();
         table.push_str(&format!("{},{}\n", date.trim(), values.join(",")));
     }
     Ok(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sample_that_is_no_text_or_no_file_is_a_row_without_values() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        std::fs::create_dir_all(data.join("0000000002.txt")).unwrap();
+        std::fs::write(folder.path().join("timestamps.txt"), "2011-09-26 13:02:25.9\n".repeat(4)).unwrap();
+        std::fs::write(data.join("0000000000.txt"), "1 2 3").unwrap();
+        std::fs::write(data.join("0000000001.txt"), [0xFF, 0xFE, b' ', b'1']).unwrap();
+        let pipe = data.join("0000000003.txt");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+        let table = oxts(folder.path()).unwrap();
+        let rows: Vec<&str> = table.lines().skip(1).collect();
+        assert_eq!(rows.len(), 4);
+        assert!(rows[0].ends_with(",1,2,3"), "{table}");
+        assert!(rows[2].ends_with(",") && rows[3].ends_with(","), "{table}");
+        std::fs::write(folder.path().join("timestamps.txt"), "\n".repeat(OXTS_MOST + 1)).unwrap();
+        assert!(oxts(folder.path()).unwrap_err().to_string().contains("more than 1000000 samples"));
+    }
 }
