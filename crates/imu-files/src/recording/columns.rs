@@ -25,6 +25,8 @@ pub(super) struct Columns {
     pub(super) list: Vec<Column>,
     /// Names of those that are not used.
     pub(super) ignored: Vec<String>,
+    /// Names of those used that give way to others of their channel, of which there are none.
+    pub(super) second: Vec<String>,
     pub(super) conversions: Vec<Conversion>,
     /// The names of the stamps, by slot.
     pub(super) stamps: Vec<String>,
@@ -115,7 +117,7 @@ impl Columns {
     ) -> Result<(), RecordingError> {
         let mut seen: Vec<(Channel, usize)> = Vec::new();
         for (index, kind) in uses.iter().enumerate() {
-            let Use::Channel { channel, unit, factor, .. } = *kind else {
+            let Use::Channel { channel, unit, factor, rank } = *kind else {
                 self.list.push(Column::Ignored);
                 continue;
             };
@@ -124,6 +126,7 @@ impl Columns {
                 return Err(RecordingError::DuplicateColumn { file: file.to_owned(), first, second, channel });
             }
             seen.push((channel, index));
+            self.second.extend((rank == SECOND_RANK).then(|| called(index)));
             if unit != channel.unit() {
                 self.conversions.push(Conversion { channel, column: called(index), original_unit: unit, factor });
             }

@@ -299,6 +299,12 @@ impl RecordingInfo {
         let found = &self.findings;
         remarks.extend(self.absent());
         remarks.extend(self.mixed_units());
+        if !self.second_columns.is_empty() {
+            remarks.push(format!(
+                "by their names these columns are uncompensated, raw or without gravity, and no others give their channels: {}",
+                self.second_columns.join(", ")
+            ));
+        }
         remarks.extend(self.quantisation());
         if found.repeated_samples as f64 > REPEATED_FROM * self.samples as f64 {
             remarks.push(format!(

@@ -87,6 +87,8 @@ pub struct RecordingInfo {
     pub conversions: Vec<Conversion>,
     /// Columns that belong to no channel and are ignored. For raw lines: the text before `$VN` that is no stamp.
     pub ignored_columns: Vec<String>,
+    /// Columns that are used although their names say that they are uncompensated, raw or without gravity.
+    pub second_columns: Vec<String>,
     /// The source of the times.
     pub stamps: Stamps,
     /// The selected stamps, if there are any.

@@ -1,14 +1,16 @@
 //! Recordings: files of samples that other programs wrote, read as if they had been captured.
 //!
-//! In: a path to a table (docs/formats.md; CSV, Parquet, arrays, logs of PX4 and ArduPilot) or raw `$VN…` lines, either also compressed, raw bytes of a VN-100, a ROS 1
-//! or ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a first pass over the file, then its samples one by one
-//! ([`Recording::items`]), [`Record`](imu_core::sample::Record)s ([`account`]), or whole columns ([`load_columns`]).
+//! In: a path to a table (docs/formats.md; CSV, Parquet, arrays, logs of PX4 and ArduPilot) or raw `$VN…` lines, either
+//! also compressed, raw bytes of a VN-100, a ROS 1 or ROS 2 bag, or an MCAP file. Out: a [`RecordingInfo`] from a first
+//! pass over the file, then its samples one by one ([`Recording::items`]), [`Record`](imu_core::sample::Record)s
+//! ([`account`]), or whole columns ([`load_columns`]).
 //!
-//! Guarantees: memory does not grow with the file (except with [`load_columns`]). Compressed data expands to no more
-//! than [`RecordingError::Expands`] states. A reading that is no longer wanted ends within 64 KiB ([`KeepOn`]). No line
-//! is dropped without being counted, with its number, cause and text. Samples are never reordered: one whose stamp is
-//! not later than the one before is rejected as a duplicate, one whose stamp lies ahead of those that follow as
-//! malformed. Values are those of the text, converted only if the column's unit is not the channel's.
+//! Guarantees: memory does not grow with the file (except with [`load_columns`], and for arrays and KITTI's
+//! folders). Compressed data expands to no more than [`RecordingError::Expands`] states. A reading that is no
+//! longer wanted ends within 64 KiB ([`KeepOn`]). No line is dropped without being counted, with its number, cause
+//! and text. Samples are never reordered: one whose stamp is not later than the one before is rejected as a
+//! duplicate, one whose stamp lies ahead of those that follow as malformed. Values are those of the text, converted
+//! only if the column's unit is not the channel's.
 //!
 //! Times: of several stamps the smoothest is used ([`choice`]). A sample's `device_time_ns` is its stamp counted from
 //! the first one. Its UTC is the stamp if stamps are seconds since 1970, else counted from [`Options::started_utc_ns`].
@@ -186,6 +188,7 @@ impl Recording {
             decimals: source.rows().decimals().clone(),
             conversions,
             ignored_columns,
+            second_columns: source.columns().map(|columns| columns.second.clone()).unwrap_or_default(),
             stamps,
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
             findings: Findings {
