@@ -181,7 +181,7 @@ fn print_summary(report: &ImportReport) -> std::io::Result<()> {
     let rate_hz = format!("{:.4}", report.rate_hz);
     let rate_hz = if report.rate_hz < 0.01 { report.rate_hz.to_string() } else { rate_hz };
     let rate_hz = if rate_hz.contains('.') { rate_hz.trim_end_matches('0').trim_end_matches('.') } else { &rate_hz };
-    let assumed = if report.rate_assumed { " (assumed: neither stamps nor --rate tell it)" } else { "" };
+    let assumed = if report.rate_assumed { " (assumed: neither stamps nor --rate states it)" } else { "" };
     let rate = format!("{rate_hz} Hz{assumed}");
     let how = if report.new { "is capture" } else { "was imported before, as capture" };
     let ImportReport { file, capture, samples, missing, gaps, .. } = report;

@@ -1,11 +1,12 @@
 //! CSV: a header line that names channels and units, rows of numbers (docs/formats.md).
 //!
-//! Columns may stand in any order and be separated by comma, semicolon, tab or space ([`super::header`]); values are
-//! converted to the channel's unit once, here. Where the comma does not separate columns it may be the decimal sign: the
-//! first number with a sign decides, and a row with the other sign is rejected. Other columns are ignored and reported by name. A blank cell or NaN leaves its
-//! channel absent. A row is rejected if it has another number of cells, or a cell that is no number or no stamp. A line
-//! that ends within quotation marks is also rejected: a cell does not run over a line's end, or an open mark would
-//! consume the rows behind it. A rejected row's stamp still shows its time.
+//! Columns may stand in any order and be separated by comma, semicolon, tab or space ([`super::header`]); values
+//! are converted to the channel's unit once, here. Where the comma does not separate columns it may be the decimal
+//! sign: the first number with a sign decides, and a row with the other sign is rejected. Other columns are ignored
+//! and reported by name. A blank cell or NaN leaves its channel absent. A row is rejected if it has another number
+//! of cells, or a cell that is no number or no stamp. A line that ends within quotation marks is also rejected: a
+//! cell does not run over a line's end, or an open mark would consume the rows behind it. A rejected row's stamp
+//! still shows its time.
 //!
 //! Rows of plain numbers are read in place; only those with quotation marks are copied. Memory is bounded by the
 //! longest row, 64 KiB.

@@ -182,3 +182,15 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     let found = first.chars().take(SHOWN_CHARS).collect();
     Err(RecordingError::Unrecognised { file: file.to_owned(), found })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_raw_message_is_no_header() {
+        let kind = |text: &str| detect(&Input::memory("a", text.as_bytes())).ok();
+        assert_eq!(kind("$VNIMU,gyro_x_rad_s,1*00\n$VNIMU,2,3*00\n"), Some(Kind::VnText));
+        assert_eq!(kind("time_s,gyro_x_rad_s,$VN line\n0,1,2\n"), Some(Kind::Csv));
+    }
+}

@@ -1,9 +1,9 @@
 //! A CSV's first lines: they determine the delimiter and what each column contains.
 //!
-//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), by the [vocabulary](super::vocabulary)
-//! of other programs, or by the user's map ([`ColumnMap`]). Comma, semicolon, tab and space separate columns. Of several in the header line the one that identifies
-//! the most columns is used. Lines before the header that begin with `#` or `%` are comments, which may state a rate.
-//! Pure.
+//! A column is identified by channel and unit suffix (`gyro_x_rad_s`, `accel_z_mg`), by the
+//! [vocabulary](super::vocabulary) of other programs, or by the user's map ([`ColumnMap`]). Comma, semicolon, tab
+//! and space separate columns. Of several in the header line the one that identifies the most columns is used.
+//! Lines before the header that begin with `#` or `%` are comments, which may state a rate. Pure.
 
 use super::columns::Columns;
 use super::error::RecordingError;

@@ -1,7 +1,8 @@
 //! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
 //!
 //! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are
-//! stamps in seconds, or nanoseconds since 1970; [`super::choice`] selects one of several. Other text there is ignored and reported.
+//! stamps in seconds, or nanoseconds since 1970; [`super::choice`] selects one of several. Other text there is
+//! ignored and reported.
 //!
 //! The checksum decides, by the same decoder that reads a port. A line whose checksum fails is rejected, and nothing in
 //! it is guessed. Only a complete good message behind a spliced one is still a sample. Valid messages without a
@@ -91,7 +92,9 @@ impl VnRows {
         let Some(start) = line.windows(START.len()).position(|window| window == START) else {
             // The end of a quoted cell that holds the message's line end, or the header of a table of messages.
             let is_rest = line.iter().all(|byte| matches!(byte, b'"' | b'\''));
-            let is_header = || number == 1 && foreign_names(&String::from_utf8_lossy(line)).is_some();
+            // A row of numbers is no header.
+            let is_word = |names: Vec<String>| names.iter().any(|name| name.contains(char::is_alphabetic));
+            let is_header = || number == 1 && foreign_names(&String::from_utf8_lossy(line)).is_some_and(is_word);
             if is_rest || is_header() {
                 return Row::Aside;
             }
@@ -210,4 +213,16 @@ fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
         }
     }
     (stamps, false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_first_line_of_numbers_is_counted_and_a_header_is_not() {
+        let first = |text: &str| VnRows::open(&Input::memory("a", text.as_bytes()), None).unwrap().next_row().unwrap();
+        assert!(matches!(first("1,2,3,4,5\n"), Some(Row::Rejected(_))));
+        assert!(matches!(first("time,data\n"), Some(Row::Aside)));
+    }
 }

@@ -1,11 +1,12 @@
 //! Definitions: converts the text of a message's type to its [`Layout`]. Pure.
 //!
-//! A definition is the text of the message's type, followed by those of all types in it, each behind a line of `=` and
-//! `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the definitions that
-//! the user gave ([`MessageDefinition`]), then from the [standard ones](imu_core::ros_messages). The wanted types, at any
-//! depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`, and the groups of `vectornav_msgs`. Also
-//! wanted are fields that the user names by their dotted paths, numbers named as a CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The content
-//! of arrays is skipped.
+//! A definition is the text of the message's type, followed by those of all types in it, each behind a line of `=`
+//! and `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the
+//! definitions that the user gave ([`MessageDefinition`]), then from the [standard ones](imu_core::ros_messages).
+//! The wanted types, at any depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`, and
+//! the groups of `vectornav_msgs`. Also wanted are fields that the user names by their dotted paths, numbers named
+//! as a CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The
+//! content of arrays is skipped.
 //!
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
