@@ -228,10 +228,10 @@ fn a_strong_leaning_band_beside_a_comb_is_no_filter() {
     wrong.none();
 }
 
-/// An error in the form of a very strong effect gains as much as a weak effect does. What gains less than a thousandth of the
+/// An error in the form of a very strong effect gains as much as a weak effect does. What gains less than a two-thousandth of the
 /// largest effect of its channel is an alternative with the reason, and stays in the corrected model.
 #[test]
-fn what_gains_a_thousandth_of_another_effect_is_an_alternative() {
+fn what_gains_a_small_part_of_another_effect_is_an_alternative() {
     let filter = json!({"effect": "low_pass", "cutoff_hz": 9.0, "order": 4});
     let mut wrong = Wrong::default();
     for (sigma, is_cause) in [(0.2, false), (1.5, true)] {

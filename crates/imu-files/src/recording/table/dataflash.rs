@@ -3,7 +3,7 @@
 //! The table is the message of which most columns are channels, `IMU` as a rule. Its labels have no units; they are
 //! those of ArduPilot's documentation of log messages ([`UNITS`]). Of several sensors the first in the file is
 //! read. `VIBE` holds levels of vibration, not samples. Damaged data are passed over to the next message. Crates
-//! for this format were not tried. Format:
+//! for this format were not looked at. Format:
 //! <https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html>, AP_Logger/LogStructure.h.
 
 use super::super::error::RecordingError;
