@@ -321,6 +321,6 @@ fn statements_about_foreign_columns_and_messages_reach_the_daemon() {
     // Without its package the type is another reading of the file.
     let (other, outcome) = of(&[bag, "--message-definition", definition]);
     assert_eq!(other[0]["new"], true, "{outcome}");
-    assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][0], "TurnX(dps)=gyro_x_dps");
+    assert_eq!(world.get("/v1/captures/table")["configuration"]["columns"][1], "TurnX(dps)=gyro_x_dps");
     assert_eq!(daemon.terminate(), Some(0));
 }
