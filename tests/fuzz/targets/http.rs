@@ -74,7 +74,7 @@ impl World {
     }
 }
 
-/// Stores a capture of two segments with a gap between them.
+/// Stores a capture of two segments with a gap between them, and a model.
 fn fill(store: &Store) {
     let mut capture = NewCapture::new("fuzz", CaptureState::Imported);
     capture.started_utc_ns = Some(START_NS);
@@ -116,6 +116,9 @@ fn fill(store: &Store) {
         }
     }
     import.finish(None).expect("a capture");
+    let model =
+        r#"{"format": "vn100d-sensor-model-1", "name": "unit", "rate_hz": 40, "channels": {"gyro_z": {"N": 1e-4}}}"#;
+    store.keep_model("unit", 40.0, model.to_owned()).expect("a model");
 }
 
 /// The input: `METHOD path?query`, lines of headers, an empty line, a body.
