@@ -37,14 +37,8 @@ pub fn rest(recording: &Recording) -> Rest<'_> {
 
 /// Returns the temperature of a recording that begins at `begin_s`, if it was measured.
 pub fn temperatures(recording: &Recording, begin_s: f64) -> Option<Temperatures> {
-    let own = recording.temperature_c.as_ref()?;
-    // Means over a second, so that what lies before takes little memory.
-    let seconds = own.chunks((recording.rate_hz.round() as usize).max(1)).map(|part| {
-        let there = part.iter().filter(|value| value.is_finite());
-        there.clone().sum::<f64>() / there.count() as f64
-    });
-    let all: Vec<f64> = std::iter::repeat_n(f64::NAN, begin_s.round() as usize).chain(seconds).collect();
-    Temperatures::of_samples(&all, 1.0)
+    let course = Temperatures::of_samples(recording.temperature_c.as_ref()?, recording.rate_hz)?;
+    Some(course.delayed(begin_s))
 }
 
 /// Effects of a model whose cost is computed while a request waits, and as a part of a diagnosis.

@@ -63,6 +63,11 @@ impl Temperatures {
         (!rows.is_empty()).then_some(Self { rows })
     }
 
+    /// Returns the same course, begun `by_s` later.
+    pub fn delayed(self, by_s: f64) -> Self {
+        Self { rows: self.rows.into_iter().map(|(time_s, value)| (time_s + by_s, value)).collect() }
+    }
+
     /// Returns whether the temperature is the same at all times.
     pub fn is_constant(&self) -> bool {
         self.rows.windows(2).all(|pair| pair[0].1 == pair[1].1)
@@ -96,6 +101,12 @@ mod tests {
         let found = Temperatures::of_samples(&[20.0, 22.0, f64::NAN, 25.0], 2.0).unwrap();
         assert_eq!([0.25, 1.25].map(|time_s| found.at(time_s)), [21.0, 25.0]);
         assert_eq!(Temperatures::of_samples(&[f64::NAN], 2.0), None);
+    }
+
+    #[test]
+    fn a_delayed_course_holds_its_first_value_before_it() {
+        let found = Temperatures::of_samples(&[20.0, 22.0, 25.0, 25.0], 2.0).unwrap().delayed(1e9);
+        assert_eq!([0.0, 1e9 + 0.25, 1e9 + 0.75, 1e9 + 1.25].map(|time_s| found.at(time_s)), [21.0, 21.0, 23.0, 25.0]);
     }
 
     #[test]
