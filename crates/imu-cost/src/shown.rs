@@ -5,13 +5,13 @@ use imu_core::units::RAD_PER_DEG;
 
 /// Returns a number with three significant digits.
 pub fn number(value: f64) -> String {
-    match value.abs() {
-        0.0 => "0".to_owned(),
-        size if (1e-3..1e5).contains(&size) => {
-            let digits = (2.0 - size.log10().floor()).max(0.0) as usize;
-            format!("{value:.digits$}")
-        }
-        _ => format!("{value:.2e}"),
+    // The exponent after rounding: 0.99999 is 1.00.
+    let rounded = format!("{value:.2e}");
+    let exponent = rounded.split_once('e').and_then(|(_, exponent)| exponent.parse::<i32>().ok());
+    match exponent {
+        _ if value == 0.0 => "0".to_owned(),
+        Some(exponent @ -3..=4) => format!("{value:.*}", usize::try_from(2 - exponent).unwrap_or(0)),
+        _ => rounded,
     }
 }
 
@@ -43,6 +43,7 @@ mod tests {
     fn numbers_have_three_significant_digits() {
         let shown = [0.0, 1.0, 0.123_45, 12_345.0, -99.9, 1.234e-5, 2.5e7].map(number);
         assert_eq!(shown, ["0", "1.00", "0.123", "12345", "-99.9", "1.23e-5", "2.50e7"]);
+        assert_eq!([0.999_99, 9.996, 0.000_999_9, 99_999.0].map(number), ["1.00", "10.0", "0.00100", "1.00e5"]);
         assert_eq!(Quantity::Heading.with_unit(RAD_PER_DEG), "1.00°");
         assert_eq!(Quantity::PositionX.with_unit(12_300.0), "12.3 km");
     }
