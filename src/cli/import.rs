@@ -9,9 +9,7 @@ use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
 use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
 use anyhow::Context as _;
-use imu_files::recording::{
-    ColumnMap, Input, MessageDefinition, bag_file, detect, is_recording_folder, open_regular, unmerged_log,
-};
+use imu_files::recording::{ColumnMap, Input, MessageDefinition, detect, open_regular, recording_file, unmerged_log};
 use std::io::Write as _;
 use std::path::Path;
 
@@ -37,9 +35,7 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
-        // A bag's folder stands for the file in it.
-        let of_bag = is_recording_folder(file) && !file.join("data").is_dir();
-        let file = &if of_bag { bag_file(file)? } else { file.clone() };
+        let file = &recording_file(file)?;
         let report = match &writer {
             Writer::Own(store) => import_here(store, file, args, &stated)?,
             Writer::Daemon { base_url, token } => send((base_url, token), file, args, &stated)?,

@@ -7,9 +7,8 @@ use crate::store::{CaptureRow, Reader};
 use anyhow::Context as _;
 use imu_files::recording::{
     ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording, RecordingInfo,
-    is_recording_folder, is_type_name, open_regular,
+    is_recording_folder, is_type_name, read_small,
 };
-use std::io::Read as _;
 use std::path::Path;
 
 /// The input of a command.
@@ -48,7 +47,7 @@ pub(super) fn file(named: &str) -> Option<&Path> {
     Some(Path::new(named)).filter(|path| path.is_file() || is_recording_folder(path))
 }
 
-/// Maximum number of bytes read as a message's definition, which must be smaller.
+/// Maximum number of bytes of a message's definition.
 const DEFINITION_BYTES: u64 = 1 << 20;
 
 /// Returns what the user states about recordings.
@@ -85,10 +84,7 @@ fn definition(given: &str) -> anyhow::Result<MessageDefinition> {
         Some((name, file)) if is_type_name(name.trim()) && !Path::new(given).is_file() => (Some(name), Path::new(file)),
         _ => (None, Path::new(given)),
     };
-    let unreadable = || format!("--message-definition: {} cannot be read", file.display());
-    let mut bytes = Vec::new();
-    open_regular(file)?.take(DEFINITION_BYTES).read_to_end(&mut bytes).with_context(unreadable)?;
-    let text = String::from_utf8_lossy(&bytes);
+    let text = read_small(file, DEFINITION_BYTES).context("--message-definition")?;
     let stem = file.file_stem().map(|stem| stem.to_string_lossy()).unwrap_or_default();
     let definition = MessageDefinition::new(name.unwrap_or(&stem), &text).map_err(no_definition);
     definition.with_context(|| format!("--message-definition {given}"))

@@ -3,8 +3,8 @@
 use clap::Args;
 use imu_core::units::parse_duration;
 use imu_cost::{CostError, Tolerance};
-use std::io::Read as _;
-use std::path::PathBuf;
+use imu_files::recording::{RecordingError, read_small};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Arguments of `cost`.
@@ -60,25 +60,38 @@ enum ToleranceError {
     Text(CostError),
     #[error("{file}: {error}")]
     File { file: String, error: Box<CostError> },
-    #[error("{file}: neither NAME=LIMIT/DURATION nor a file that can be read: {error}")]
-    Unreadable { file: String, error: std::io::Error },
+    #[error("neither NAME=LIMIT/DURATION nor a file that can be read: {0}")]
+    Unreadable(#[from] RecordingError),
 }
 
+/// Maximum number of bytes of a file of limits.
+const LIMITS_BYTES: u64 = 1 << 20;
+
 fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
-    if text.contains('=') && !std::path::Path::new(text).is_file() {
+    if text.contains('=') && !Path::new(text).is_file() {
         return Tolerance::parse(text).map(Tolerances).map_err(ToleranceError::Text);
     }
-    let file = || text.to_owned();
-    /// Bytes of a file that are read.
-    const MOST: u64 = 1 << 20;
-    let unreadable = |error| ToleranceError::Unreadable { file: file(), error };
-    let is_file = std::fs::metadata(text).map_err(unreadable)?.is_file();
-    if !is_file {
-        return Err(unreadable(std::io::Error::other("it is no regular file")));
+    let lines = read_small(Path::new(text), LIMITS_BYTES)?;
+    let of_file = |error| ToleranceError::File { file: text.to_owned(), error: Box::new(error) };
+    Tolerance::parse_lines(&lines).map(Tolerances).map_err(of_file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_limits_is_read_whole_or_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("limits");
+        let named = file.to_str().unwrap();
+        let line = "heading=1deg/10min\n";
+        std::fs::write(&file, line.repeat(3)).unwrap();
+        assert_eq!(tolerances(named).unwrap().0.len(), 3);
+        std::fs::write(&file, line.repeat(LIMITS_BYTES as usize / line.len() + 1)).unwrap();
+        let message = tolerances(named).unwrap_err().to_string();
+        assert!(message.contains(named) && message.contains("longer than 1048576 bytes"), "{message}");
+        let message = tolerances(folder.path().to_str().unwrap()).unwrap_err().to_string();
+        assert!(message.contains("a folder"), "{message}");
     }
-    let mut lines = String::new();
-    std::fs::File::open(text).and_then(|of| of.take(MOST).read_to_string(&mut lines)).map_err(unreadable)?;
-    let read = Tolerance::parse_lines(&lines)
-        .map_err(|error| ToleranceError::File { file: file(), error: Box::new(error) })?;
-    Ok(Tolerances(read))
 }

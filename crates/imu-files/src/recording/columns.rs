@@ -41,8 +41,8 @@ pub(super) type FirstRows<'a> = &'a dyn Fn() -> Vec<Vec<String>>;
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Use {
     Channel { channel: Channel, unit: &'static str, factor: f64, rank: u8 },
-    Time { places: Option<usize>, told: bool },
-    Part { places: usize, told: bool },
+    Time { places: Option<usize>, stated: bool },
+    Part { places: usize, stated: bool },
     Nothing,
 }
 
@@ -80,7 +80,7 @@ impl Columns {
             let mapped = map.of(index + 1, name);
             mapped_pairs.extend(mapped.map(|(pair, _)| pair));
             uses.push(match mapped {
-                Some((_, target_name)) => told(target_name),
+                Some((_, target_name)) => of_user(target_name),
                 None if unnamed => Use::Nothing,
                 None => of_name(name, &siblings),
             });
@@ -143,12 +143,12 @@ impl Columns {
         called: &dyn Fn(usize) -> String,
         rows: FirstRows<'_>,
     ) -> Result<(), RecordingError> {
-        let is_told = |kind: &Use| matches!(kind, Use::Time { told: true, .. } | Use::Part { told: true, .. });
-        let by_user = uses.iter().any(is_told);
+        let is_stated = |kind: &Use| matches!(kind, Use::Time { stated: true, .. } | Use::Part { stated: true, .. });
+        let by_user = uses.iter().any(is_stated);
         let parts: Vec<(usize, usize)> = uses
             .iter()
             .enumerate()
-            .filter(|(_, kind)| !by_user || is_told(kind))
+            .filter(|(_, kind)| !by_user || is_stated(kind))
             .filter_map(|(index, kind)| if let Use::Part { places, .. } = kind { Some((*places, index)) } else { None })
             .collect();
         let is_pair = matches!(parts[..], [(one, _), (other, _)] if one.max(other) == 9 && one.min(other) == 0);
@@ -157,9 +157,9 @@ impl Columns {
             return Err(RecordingError::Parts { file: file.to_owned(), columns });
         }
         let mut part_slot = None;
-        let mut first_told = None;
+        let mut first_stated = None;
         let mut unknown = Vec::new();
-        for (index, kind) in uses.iter().enumerate().filter(|(_, kind)| !by_user || is_told(kind)) {
+        for (index, kind) in uses.iter().enumerate().filter(|(_, kind)| !by_user || is_stated(kind)) {
             let name = names.get(index).map(|name| clean(name)).unwrap_or_default();
             let places = match *kind {
                 Use::Part { places, .. } if is_pair => {
@@ -170,8 +170,8 @@ impl Columns {
                     self.list[index] = Column::Stamp { places, slot };
                     continue;
                 }
-                Use::Time { places: Some(places), told } => {
-                    let first = if told || known_time(name) { first_told.replace(index) } else { None };
+                Use::Time { places: Some(places), stated } => {
+                    let first = if stated || known_time(name) { first_stated.replace(index) } else { None };
                     if let Some(first) = first {
                         let (first, second) = (called(first), called(index));
                         return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second });
@@ -201,10 +201,10 @@ fn known_time(name: &str) -> bool {
     matches!(target(name), Some(Target::Stamp { .. }))
 }
 
-fn told(name: &str) -> Use {
+fn of_user(name: &str) -> Use {
     match target(name) {
-        Some(Target::Stamp { places }) => Use::Time { places: Some(places), told: true },
-        Some(Target::Part { places }) => Use::Part { places, told: true },
+        Some(Target::Stamp { places }) => Use::Time { places: Some(places), stated: true },
+        Some(Target::Part { places }) => Use::Part { places, stated: true },
         Some(Target::Value { channel, unit, factor }) => Use::Channel { channel, unit, factor, rank: 0 },
         None => Use::Nothing,
     }
@@ -218,8 +218,8 @@ fn of_name(name: &str, siblings: &Siblings) -> Use {
         Some(Meaning::Value { channel, unit, factor, second }) => {
             Use::Channel { channel, unit, factor, rank: if second { SECOND_RANK } else { 2 } }
         }
-        Some(Meaning::Time { places }) => Use::Time { places, told: false },
-        Some(Meaning::Part { places }) => Use::Part { places, told: false },
+        Some(Meaning::Time { places }) => Use::Time { places, stated: false },
+        Some(Meaning::Part { places }) => Use::Part { places, stated: false },
         _ => Use::Nothing,
     }
 }
@@ -241,8 +241,8 @@ fn give_way(uses: &mut [Use]) {
         let in_triad =
             |other: Channel| other == channel || (channel.triad().is_some() && other.triad() == channel.triad());
         // Of equal certainty are the names of docs/formats.md and those of the vocabulary.
-        let is_told = rank > 0 && of_channel == Some(0);
-        if is_told || (rank == SECOND_RANK && best(&in_triad, &all) < Some(SECOND_RANK)) {
+        let is_stated = rank > 0 && of_channel == Some(0);
+        if is_stated || (rank == SECOND_RANK && best(&in_triad, &all) < Some(SECOND_RANK)) {
             *kind = Use::Nothing;
         }
     }

@@ -4,12 +4,10 @@
 //! The folder of a bag stands for the file in it. The samples of KITTI are joined to one table in memory, with the units of
 //! its `dataformat.txt`; a file that is missing or has another number of values is a rejected row.
 
-use super::detect::read_error;
 use super::error::RecordingError;
 use super::header::known_column;
-use super::input::{Input, open_regular};
+use super::input::{Input, read_small};
 use super::propose::{OXTS_COLUMNS, of_oxts};
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 /// The most samples of KITTI that are read: days at its 10 or 100 Hz.
@@ -60,11 +58,18 @@ pub(super) fn resolved(input: Input) -> Result<Input, RecordingError> {
     Ok(input.with_path(file))
 }
 
-/// Returns the only file of a bag.
+/// Returns the file that a path stands for: of a bag's folder the file in it, else the path itself.
 ///
 /// # Errors
-/// [`RecordingError::Folder`] if there is none or there are several.
-pub fn bag_file(folder: &Path) -> Result<PathBuf, RecordingError> {
+/// [`RecordingError::Folder`] if a bag's folder has no such file, or several.
+pub fn recording_file(path: &Path) -> Result<PathBuf, RecordingError> {
+    match is_recording_folder(path) && !is_oxts(path) {
+        true => bag_file(path),
+        false => Ok(path.to_owned()),
+    }
+}
+
+fn bag_file(folder: &Path) -> Result<PathBuf, RecordingError> {
     let open = |source| RecordingError::Open { file: folder.to_owned(), source };
     let mut all: Vec<PathBuf> =
         std::fs::read_dir(folder).map_err(open)?.filter_map(|entry| Some(entry.ok()?.path())).collect();
@@ -83,21 +88,13 @@ pub fn bag_file(folder: &Path) -> Result<PathBuf, RecordingError> {
     Err(RecordingError::Folder { folder: folder.to_owned(), found })
 }
 
-/// Reads the text of a file, at most a byte more than `most`; bytes that are none become marks.
-fn text(file: &Path, most: u64) -> Result<String, RecordingError> {
-    let mut bytes = Vec::new();
-    let read = open_regular(file)?.take(most + 1).read_to_end(&mut bytes);
-    read.map_err(|source| read_error(file, 0, source))?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
-}
-
 /// Returns KITTI's samples as a CSV.
 fn oxts(folder: &Path) -> Result<String, RecordingError> {
     let stamps = folder.join("timestamps.txt");
-    let dates = text(&stamps, STAMPS_BYTES)?;
+    let dates = read_small(&stamps, STAMPS_BYTES)?;
     let found = dates.lines().take(OXTS_MOST + 1).count();
-    if found > OXTS_MOST || dates.len() as u64 > STAMPS_BYTES {
-        let what = format!("it has more than {OXTS_MOST} samples, or lines longer than dates; split it");
+    if found > OXTS_MOST {
+        let what = format!("it has more than {OXTS_MOST} samples; split it");
         return Err(RecordingError::Table { file: stamps, what });
     }
     let mut names = vec![String::new(); OXTS_COLUMNS];
@@ -113,7 +110,7 @@ fn oxts(folder: &Path) -> Result<String, RecordingError> {
     for (index, date) in dates.lines().enumerate() {
         let file = folder.join("data").join(format!("{index:010}.txt"));
         // A file that is missing, too long or no file at all is a row without values, which is rejected.
-        let values = text(&file, OXTS_BYTES).ok().filter(|text| text.len() as u64 <= OXTS_BYTES).unwrap_or_default();
+        let values = read_small(&file, OXTS_BYTES).unwrap_or_default();
         let values: Vec<&str> = values.split_ascii_whitespace().collect();
         table.push_str(&format!("{},{}\n", date.trim(), values.join(",")));
     }

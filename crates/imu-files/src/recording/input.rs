@@ -195,6 +195,21 @@ fn packing(head: &[u8]) -> Option<Packing> {
     }
 }
 
+/// Reads a text that a user wrote by hand, of at most `most_bytes`; bytes that are not UTF-8 become marks.
+///
+/// # Errors
+/// Those of [`open_regular`], or [`RecordingError::Table`] if the file is longer.
+pub fn read_small(path: &Path, most_bytes: u64) -> Result<String, RecordingError> {
+    let mut bytes = Vec::new();
+    let read = open_regular(path)?.take(most_bytes.saturating_add(1)).read_to_end(&mut bytes);
+    read.map_err(|source| super::detect::read_error(path, 0, source))?;
+    if bytes.len() as u64 > most_bytes {
+        let what = format!("it is longer than {most_bytes} bytes; split it");
+        return Err(RecordingError::Table { file: path.to_owned(), what });
+    }
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
 /// Opens a recording's file, which is read several times. A pipe returns its bytes only once, and opening one would
 /// wait for its writer.
 ///

@@ -402,7 +402,7 @@ fn of_words(text: &str) -> Option<Meaning> {
         return value(Triad::Attitude.channels()[angle], suffix, second);
     }
     let joined = format!(" {} ", name.words.join(" "));
-    let said = |quantity: Quantity| {
+    let is_named = |quantity: Quantity| {
         of_axis_word == Some(quantity)
             || WORDS.iter().any(|(words, known)| *known == quantity && joined.contains(&format!(" {words} ")))
             || suffix.is_some_and(|(known, _)| known == quantity)
@@ -411,14 +411,14 @@ fn of_words(text: &str) -> Option<Meaning> {
         Of(triad) => axis.map(|axis| triad.channels()[axis]),
         Single(channel) => Some(channel),
     };
-    let stated = spelled.iter().find(|(quantity, _)| said(*quantity));
+    let stated = spelled.iter().find(|(quantity, _)| is_named(*quantity));
     if let Some((quantity, suffix)) = stated {
         return value(channel(*quantity)?, suffix, second);
     }
     if name.unit.is_some() {
         return None;
     }
-    let quantity = WORDS.iter().map(|(_, quantity)| *quantity).find(|quantity| said(*quantity)).or(of_axis_word);
+    let quantity = WORDS.iter().map(|(_, quantity)| *quantity).find(|quantity| is_named(*quantity)).or(of_axis_word);
     match quantity {
         Some(quantity) => channel(quantity).map(|channel| Meaning::Unitless { channel }),
         None => axis.filter(|_| name.words.is_empty()).map(Meaning::Axis),
@@ -482,7 +482,7 @@ fn time(text: &str) -> Option<Meaning> {
 mod tests {
     use super::*;
 
-    fn said(name: &str) -> String {
+    fn meaning_of(name: &str) -> String {
         match meaning(name) {
             Some(Meaning::Value { channel, unit, second, .. }) => {
                 format!("{channel} {unit}{}", if second { " second" } else { "" })
@@ -541,7 +541,7 @@ mod tests {
             ("GyrX", "gyro_x ?"),
             ("orientation.x", "-"),
         ] {
-            assert_eq!(said(name), expected, "{name}");
+            assert_eq!(meaning_of(name), expected, "{name}");
         }
     }
 
@@ -589,7 +589,7 @@ mod tests {
             ("note", "-"),
             ("", "-"),
         ] {
-            assert_eq!(said(name), expected, "{name}");
+            assert_eq!(meaning_of(name), expected, "{name}");
         }
     }
 }

@@ -306,7 +306,7 @@ impl Types<'_> {
                 let wide = field.kind == "float64";
                 let is_float = wide || field.kind == "float32";
                 let own = meaning.channel(name).filter(|(channel, _)| is_float && !self.map.has(*channel));
-                match self.told(name, is_float, meaning).or(own) {
+                match self.of_user(name, is_float, meaning).or(own) {
                     // A second sensor in one message does not overwrite the first.
                     Some((channel, unit)) if !has(ops, channel) => ops.push(Op::Value { channel, wide, unit }),
                     _ if meaning == Meaning::Header && field.kind == "time" => ops.push(Op::Stamp),
@@ -329,7 +329,7 @@ impl Types<'_> {
     }
 
     /// Returns what the user's map states about a number.
-    fn told(&mut self, name: &str, is_float: bool, meaning: Meaning) -> Option<(Channel, Unit)> {
+    fn of_user(&mut self, name: &str, is_float: bool, meaning: Meaning) -> Option<(Channel, Unit)> {
         if !is_float || meaning == Meaning::Array {
             return None;
         }

@@ -199,7 +199,7 @@ fn a_file_that_was_cut_is_read_as_far_as_it_goes() {
     let whole = mcap(&[(IMU.0, IMU.1, Some(IMU_DEFINITION))], &messages, true, 50);
     let cut = load(whole[..whole.len() / 2].to_vec(), Options::default()).unwrap();
     assert!((50..350).contains(&cut.samples) && cut.samples.is_multiple_of(50), "{}", cut.samples);
-    assert_eq!(cut.info.rejected[&DiscardCause::Malformed], 1, "the end is told");
+    assert_eq!(cut.info.rejected[&DiscardCause::Malformed], 1, "the end is reported");
     // A damaged chunk costs only itself.
     let chunk = whole.windows(4).position(|window| window == [0x28, 0xB5, 0x2F, 0xFD]).unwrap();
     let mut damaged = whole;

@@ -12,7 +12,7 @@ use super::super::vocabulary::{Meaning, meaning};
 use super::arrays::{Form, Kind};
 use super::blocks::Blocks;
 use super::{Cell, Next, Table, broken};
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 /// The first bytes of a message.
 const SYNC: [u8; 2] = [0xA3, 0x95];
@@ -68,6 +68,8 @@ pub(super) struct DataflashTable {
     /// The column of the sensor's number, and the number that is read.
     instance: Option<usize>,
     sensor: Option<i64>,
+    /// The other numbers of sensors in the part that was looked at.
+    further: BTreeSet<i64>,
 }
 
 impl DataflashTable {
@@ -107,7 +109,42 @@ impl DataflashTable {
         };
         let instance = message.fields.iter().position(|(label, ..)| label == "I");
         let names = names(message);
-        Ok(Self { blocks: Blocks::open(input)?, chosen, names, instance, sensor: None, messages })
+        let (sensor, further) = (None, BTreeSet::new());
+        let mut table = Self { blocks: Blocks::open(input)?, chosen, names, instance, sensor, further, messages };
+        table.count_sensors()?;
+        table.blocks = Blocks::open(input)?;
+        Ok(table)
+    }
+}
+
+impl DataflashTable {
+    /// Notes the numbers of all sensors in the first part of the file; the first one is read.
+    fn count_sensors(&mut self) -> Result<(), RecordingError> {
+        while self.instance.is_some()
+            && self.blocks.at < LOOK_AT
+            && let Some(found) = next(&mut self.blocks, &self.messages)?
+        {
+            let Ok((number, content)) = found else { continue };
+            let sensor = self.chosen_message(number).and_then(|message| self.sensor_of(message, &content));
+            if let Some(sensor) = sensor
+                && *self.sensor.get_or_insert(sensor) != sensor
+            {
+                self.further.insert(sensor);
+            }
+        }
+        Ok(())
+    }
+
+    fn chosen_message(&self, number: u8) -> Option<&Message> {
+        self.messages.get(&number).filter(|_| number == self.chosen)
+    }
+
+    fn sensor_of(&self, message: &Message, content: &[u8]) -> Option<i64> {
+        let (_, at, kind) = message.fields.get(self.instance?)?;
+        match (*kind)?.number(content.get(*at..)?)? {
+            Cell::Whole(sensor) => Some(sensor),
+            _ => None,
+        }
     }
 }
 
@@ -192,7 +229,12 @@ impl Table for DataflashTable {
         let others = self.messages.iter().filter(|(number, _)| **number != self.chosen && **number != FMT);
         let mut names: Vec<String> = others.map(|(_, message)| message.name.clone()).collect();
         names.sort();
-        super::left_out("messages", &names).into_iter().collect()
+        let mut all: Vec<String> = super::left_out("messages", &names).into_iter().collect();
+        if let Some(message) = self.chosen_message(self.chosen).filter(|_| !self.further.is_empty()) {
+            let sensors: Vec<String> = self.further.iter().map(i64::to_string).collect();
+            all.extend(super::left_out(&format!("further sensors of {}:", message.name), &sensors));
+        }
+        all
     }
 
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {
@@ -202,19 +244,57 @@ impl Table for DataflashTable {
                 Some(Err(what)) => return Ok(Next::Damaged(what)),
                 Some(Ok(message)) => message,
             };
-            let Some(message) = self.messages.get(&number).filter(|_| number == self.chosen) else { continue };
+            let Some(message) = self.chosen_message(number) else { continue };
+            if let Some(sensor) = self.sensor_of(message, &content)
+                && self.sensor.is_some_and(|first| first != sensor)
+            {
+                continue;
+            }
             cells.clear();
             cells.extend(
                 message.fields.iter().map(|(_, at, kind)| {
                     kind.and_then(|kind| kind.number(content.get(*at..)?)).unwrap_or(Cell::Absent)
                 }),
             );
-            if let Some(Cell::Whole(sensor)) = self.instance.and_then(|place| cells.get(place).copied())
-                && *self.sensor.get_or_insert(sensor) != sensor
-            {
-                continue;
-            }
             return Ok(Next::Row);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns a declaration of a message of `length` bytes.
+    fn declared(number: u8, length: u8, name: &str, format: &str, labels: &str) -> Vec<u8> {
+        let mut bytes = vec![SYNC[0], SYNC[1], FMT, number, length];
+        for (text, size) in [(name, 4), (format, 16), (labels, 64)] {
+            let mut padded = text.as_bytes().to_vec();
+            padded.resize(size, 0);
+            bytes.extend(padded);
+        }
+        bytes
+    }
+
+    #[test]
+    fn the_first_sensor_is_read_and_further_ones_are_named() {
+        let mut bytes = declared(FMT, FMT_BYTES as u8, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns");
+        bytes.extend(declared(9, 16, "IMU", "QBf", "TimeUS,I,GyrX"));
+        for time_us in 0..4_u64 {
+            for sensor in [1_u8, 0, 2] {
+                bytes.extend([SYNC[0], SYNC[1], 9]);
+                bytes.extend((1000 * time_us).to_le_bytes());
+                bytes.push(sensor);
+                bytes.extend(f32::from(sensor).to_le_bytes());
+            }
+        }
+        let mut table = DataflashTable::open(&Input::memory("a.bin", bytes)).unwrap();
+        assert_eq!(table.left_out(), ["further sensors of IMU: 0, 2"]);
+        let (mut cells, mut rows) = (Vec::new(), Vec::new());
+        while matches!(table.next_row(&mut cells), Ok(Next::Row)) {
+            rows.push(cells.clone());
+        }
+        assert_eq!(rows.len(), 4);
+        assert_eq!(rows[3], [Cell::Whole(3000), Cell::Whole(1), Cell::Number(1.0)]);
     }
 }

@@ -26,8 +26,8 @@ const BATCH_ROWS: usize = 4096;
 pub(super) struct ParquetTable {
     input: Input,
     names: Vec<String>,
-    /// For each name the column of the batches, if it can be read.
-    places: Vec<Option<usize>>,
+    /// The columns that cannot be read, with their types.
+    undecoded: Vec<String>,
     batches: ParquetRecordBatchReader,
     batch: Option<RecordBatch>,
     row: usize,
@@ -57,11 +57,14 @@ impl ParquetTable {
         file_bytes: u64,
         builder: ParquetRecordBatchReaderBuilder<T>,
     ) -> Result<Self, RecordingError> {
-        let (mut names, mut places, mut read) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut names, mut read, mut undecoded) = (Vec::new(), Vec::new(), Vec::new());
         for (index, field) in builder.schema().fields().iter().enumerate() {
-            names.push(field.name().clone());
-            places.push(is_read(field.data_type()).then_some(read.len()));
-            read.extend(is_read(field.data_type()).then_some(index));
+            if is_read(field.data_type()) {
+                names.push(field.name().clone());
+                read.push(index);
+            } else {
+                undecoded.push(format!("{} ({})", field.name(), field.data_type()));
+            }
         }
         let groups = builder.metadata().row_groups().iter();
         let rows = groups.fold(0_u64, |rows, group| rows.saturating_add(u64::try_from(group.num_rows()).unwrap_or(0)));
@@ -72,7 +75,7 @@ impl ParquetTable {
         let mask = ProjectionMask::roots(builder.parquet_schema(), read);
         let batches = builder.with_projection(mask).with_batch_size(BATCH_ROWS).build();
         let batches = batches.map_err(|error| broken(input, format!("its Parquet is damaged: {error}")))?;
-        Ok(Self { input: input.clone(), names, places, batches, batch: None, row: 0 })
+        Ok(Self { input: input.clone(), names, undecoded, batches, batch: None, row: 0 })
     }
 }
 
@@ -81,16 +84,17 @@ impl Table for ParquetTable {
         &self.names
     }
 
+    fn left_out(&self) -> Vec<String> {
+        super::left_out("columns", &self.undecoded).into_iter().collect()
+    }
+
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {
         loop {
             if let Some(batch) = &self.batch
                 && self.row < batch.num_rows()
             {
                 cells.clear();
-                let column = |place: &Option<usize>| batch.columns().get((*place)?);
-                cells.extend(
-                    self.places.iter().map(|place| column(place).map_or(Cell::Absent, |column| cell(column, self.row))),
-                );
+                cells.extend(batch.columns().iter().map(|column| cell(column, self.row)));
                 self.row += 1;
                 return Ok(Next::Row);
             }
@@ -124,7 +128,8 @@ fn cell(column: &ArrayRef, row: usize) -> Cell {
         DataType::Int16 => Cell::Whole(i64::from(column.as_primitive::<Int16Type>().value(row))),
         DataType::Int8 => Cell::Whole(i64::from(column.as_primitive::<Int8Type>().value(row))),
         DataType::UInt64 => {
-            i64::try_from(column.as_primitive::<UInt64Type>().value(row)).map_or(Cell::Absent, Cell::Whole)
+            let value = column.as_primitive::<UInt64Type>().value(row);
+            i64::try_from(value).map_or_else(|_| Cell::of(value as f64), Cell::Whole)
         }
         DataType::UInt32 => Cell::Whole(i64::from(column.as_primitive::<UInt32Type>().value(row))),
         DataType::UInt16 => Cell::Whole(i64::from(column.as_primitive::<UInt16Type>().value(row))),
@@ -165,10 +170,8 @@ mod tests {
         let mut table = ParquetTable::open(&input).unwrap();
         let mut cells = Vec::new();
         assert!(matches!(table.next_row(&mut cells), Ok(Next::Row)));
-        assert_eq!(
-            (table.names(), cells),
-            (&["note".to_owned(), "gyro_x_rad_s".to_owned()][..], vec![Cell::Absent, Cell::Number(1.5)])
-        );
+        assert_eq!((table.names(), cells), (&["gyro_x_rad_s".to_owned()][..], vec![Cell::Number(1.5)]));
+        assert!(table.left_out()[0].contains("columns note (Utf8)"), "{:?}", table.left_out());
         let small = input.expanding(Expansion { free_bytes: 1000, ratio: 1, most_bytes: 1 << 40 });
         assert!(matches!(ParquetTable::open(&small), Err(RecordingError::Expands { .. })));
     }
