@@ -142,7 +142,8 @@ impl CostQuery {
     (status = 200, body = Object, description = "`vn100d-cost-1`"),
     (status = 400, body = Problem, content_type = "application/problem+json", description = "Times or limits make no sense"),
     (status = 422, body = Problem, content_type = "application/problem+json",
-     description = "The model has no channel of an integration, or no quantity with a closed form")))]
+     description = "The model has no channel of an integration, or no quantity with a closed form"),
+    (status = 404, body = Problem, content_type = "application/problem+json", description = "There is no such model")))]
 pub(super) async fn cost(
     State(state): State<ApiState>,
     P(id): P,
