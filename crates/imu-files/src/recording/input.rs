@@ -204,7 +204,7 @@ pub fn read_small(path: &Path, most_bytes: u64) -> Result<String, RecordingError
     let read = open_regular(path)?.take(most_bytes.saturating_add(1)).read_to_end(&mut bytes);
     read.map_err(|source| super::detect::read_error(path, 0, source))?;
     if bytes.len() as u64 > most_bytes {
-        let what = format!("it is longer than {most_bytes} bytes; split it");
+        let what = format!("it is longer than {most_bytes} bytes; shorten it");
         return Err(RecordingError::Table { file: path.to_owned(), what });
     }
     Ok(String::from_utf8_lossy(&bytes).into_owned())

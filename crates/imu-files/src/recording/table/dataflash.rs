@@ -244,9 +244,9 @@ impl Table for DataflashTable {
                 Some(Err(what)) => return Ok(Next::Damaged(what)),
                 Some(Ok(message)) => message,
             };
-            let Some(message) = self.chosen_message(number) else { continue };
+            let Some(message) = self.messages.get(&number).filter(|_| number == self.chosen) else { continue };
             if let Some(sensor) = self.sensor_of(message, &content)
-                && self.sensor.is_some_and(|first| first != sensor)
+                && *self.sensor.get_or_insert(sensor) != sensor
             {
                 continue;
             }
