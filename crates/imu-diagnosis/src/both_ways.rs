@@ -107,6 +107,25 @@ fn what_the_sensor_has_otherwise_is_a_size() {
     }
 }
 
+/// A long window with noise behind it would stand for B and K that are too small in the model.
+#[test]
+fn a_filter_that_the_sensor_lacks_is_no_longer_window() {
+    let mut wrong = super::cliffs::Wrong::default();
+    for (b, k, seed) in
+        [(30.0, 1.0, 1), (20.0, 20.0, 2), (10.0, 30.0, 3), (1.0, 20.0, 4), (30.0, 30.0, 5), (30.0, 0.03, 6)]
+    {
+        let declared = json!({"effect": "moving_average", "window": 2, "white_behind": 2e-5});
+        let mut truth = super::round_trip::model(None);
+        truth.channels.values_mut().for_each(|of| (of.b, of.k) = (b * of.b, k * of.k));
+        let found = super::cliffs::diagnosed(&recording(&truth, seed, 40_000), &model(Some(&declared)));
+        let named: Vec<_> = found.diagnosis.causes.iter().map(|of| (of.effect.name(), of.sense)).collect();
+        wrong.expect(named == [("moving_average", Sense::Superfluous)], || {
+            format!("B × {b}, K × {k} seed {seed}: {named:?}")
+        });
+    }
+    wrong.none();
+}
+
 #[test]
 fn a_tone_at_another_frequency_is_the_models_elsewhere() {
     let tone = |frequency_hz: f64| json!({"effect": "tone", "frequency_hz": frequency_hz, "amplitude": 0.004});

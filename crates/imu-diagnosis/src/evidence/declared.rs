@@ -1,7 +1,7 @@
 //! Declared effects: whether a series has the spectral effects of its model, with the model's numbers.
 
 use super::{Candidate, Kind, line, spectral};
-use crate::law::Shape;
+use crate::law::{Data, Shape};
 use crate::report::Sense;
 use crate::series::Series;
 
@@ -25,9 +25,11 @@ pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> 
                 spectral::with_term(&bare, term.shape, [numbers]).map(|found| spectral::candidate(&bare, kind, found))
             });
             let leaning = leaning.flatten().map(|of| Candidate { gain: of.gain - Shape::LEANING, ..of });
-            let found = near.into_iter().chain(anywhere).chain(leaning);
-            let otherwise = found.reduce(|a, b| if b.gain > a.gain { b } else { a });
-            match otherwise.filter(|of| of.gain > worth(kind)) {
+            let is_filter = matches!(kind, Kind::LowPass | Kind::MovingAverage);
+            let is_worth =
+                |of: &Candidate| of.gain > worth(kind) && (!is_filter || gain_of_any_levels(&bare, of) > worth(kind));
+            let found = near.into_iter().chain(anywhere).chain(leaning).filter(is_worth);
+            match found.reduce(|a, b| if b.gain > a.gain { b } else { a }) {
                 Some(of) => Candidate { gain: left_out + of.gain, of_model: Some((*place, Sense::Size)), ..of },
                 None => Candidate {
                     kind,
@@ -38,6 +40,12 @@ pub fn all(series: &Series<'_>, doubtful: bool, worth: impl Fn(Kind) -> f64) -> 
             }
         })
         .collect()
+}
+
+/// Returns the gain of a filter if B and K may have any size. A filter of another length would stand for levels that are off.
+fn gain_of_any_levels(bare: &Series<'_>, of: &Candidate) -> f64 {
+    let free = Data { priors: &[None, None, None], ..bare.data() };
+    of.explanation.law.fit(free).log_posterior - bare.explanation.law.fit_from_several(free).log_posterior
 }
 
 fn of_kind(series: &Series<'_>, kind: Kind) -> Option<Candidate> {
