@@ -192,7 +192,7 @@ struct Written<'a> {
 /// interruption.
 const KEPT_MAX: usize = 4 << 20;
 /// Version of the checkpoint. One of another version is not used.
-const VERSION: u8 = 5;
+const VERSION: u8 = 6;
 
 /// The progress of the work.
 struct Progress<'a> {
@@ -228,9 +228,10 @@ impl<'a> Progress<'a> {
 
     /// Stores the progress; returns `false` if the job is no longer wanted.
     fn note(&mut self, share: f64) -> bool {
-        self.share = share;
+        // Channels may be searched again.
+        self.share = self.share.max(share);
         if self.ended.is_none() {
-            self.ended = self.keeper.progress(share).err();
+            self.ended = self.keeper.progress(self.share).err();
         }
         self.ended.is_none()
     }

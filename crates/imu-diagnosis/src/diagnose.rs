@@ -21,6 +21,7 @@ use super::recording::Recording;
 use super::remainder::MATERIAL;
 use super::report::Diagnosis;
 use super::search::{self, FREE, Step};
+use super::searched_again::{Without, budget, with_fewer, with_one_filter};
 use super::series::{Series, Setting};
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
@@ -134,6 +135,8 @@ pub(super) struct Findings {
     pub(super) after: Tiles,
     pub(super) statistics: Vec<(Statistic, f64)>,
     pub(super) scores: Scores,
+    /// ln of the density of all samples under the explanation, nats.
+    pub(super) nats: f64,
     /// Standard deviation of the white part, U per sample.
     pub(super) white: f64,
     /// The record's mean without the explained part, U.
@@ -178,13 +181,25 @@ pub fn diagnose(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> R
     let prices = Prices::new(&tails, ready.channels.len(), options.level, wanted);
     let halves = Halves::new(samples, ready.courses.temperature(), RATE_LAG_S * sim.rate_hz);
     let count = ready.channels.len();
-    let explained = |index: usize| {
-        let explain = |work: &mut Parts<'_>| explain(&ready, sim, index, &prices, &halves, options.believed, work);
-        let mut of = Parts::whole(options.workers, index, explain);
+    let explained = |number: usize, index: usize, prices: &Prices| {
+        let explain = |work: &mut Parts<'_>| explain(&ready, sim, index, prices, &halves, options.believed, work);
+        let mut of = Parts::whole(options.workers, number, explain);
         of.prepared.samples.clone_from(&ready.channels[index].samples);
         of
     };
-    let mut channels = gathered(options.workers, count, explained).ok_or(DiagnosisError::CalledOff)?;
+    let all = |index: usize| explained(index, index, &prices);
+    let mut channels = gathered(options.workers, count, all).ok_or(DiagnosisError::CalledOff)?;
+    let again = |tries: &[Without]| {
+        let without = |number: usize| {
+            let (index, kinds) = &tries[number];
+            let prices = Prices::new(&tails, count, options.level, |of| !kinds.contains(&of) && wanted(of));
+            explained(number, *index, &prices)
+        };
+        gathered(options.workers, tries.len(), without)
+    };
+    let mut budget = budget(samples);
+    with_fewer(&mut channels, &mut budget, &again).ok_or(DiagnosisError::CalledOff)?;
+    with_one_filter(&mut channels, &mut budget, &again).ok_or(DiagnosisError::CalledOff)?;
     let whitened = |index: usize| whitened(&ready, sim, &channels[index]);
     let whitened = gathered(options.workers, count, whitened).ok_or(DiagnosisError::CalledOff)?;
     let pairs = channels.len() * channels.len().saturating_sub(1) / 2;
@@ -370,6 +385,7 @@ fn explain(
     };
     let scores = work.next(|| holdout::scores(whole));
     debug_assert_eq!(scores.effects.len(), BLOCKS);
+    let nats = holdout::nats(&series, &known);
     let spread = Spread::of(&series);
     let white = series.white() * prepared.scale;
     let level = prepared.level + series.mean * prepared.scale
@@ -395,6 +411,7 @@ fn explain(
         after,
         statistics,
         scores,
+        nats,
         white,
         level,
         lines,

@@ -144,6 +144,12 @@ fn besides(series: &Series<'_>, known: &Explanation, found: &Explanation, carrie
     sum
 }
 
+/// Returns ln of the density of all samples under their explanation, nats.
+pub(super) fn nats(series: &Series<'_>, known: &Explanation) -> f64 {
+    let found = &series.explanation;
+    series.density(1).iter().sum::<f64>() + besides(series, known, found, known.outliers.len())
+}
+
 /// Scores the second half.
 pub fn scores(whole: Whole<'_>) -> Scores {
     /// Ratio of the shares of a band that is absent from the first half.

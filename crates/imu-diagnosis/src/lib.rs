@@ -91,12 +91,14 @@ pub mod prices;
 mod recording;
 mod refinement;
 mod remainder;
+mod reordered;
 pub mod report;
 mod response;
 #[cfg(test)]
 mod round_trip;
 mod rounded;
 mod search;
+mod searched_again;
 mod sentence;
 mod series;
 mod shared;

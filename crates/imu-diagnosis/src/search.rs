@@ -8,6 +8,7 @@ use super::hidden;
 use super::law::{Data, Priors, Shape};
 use super::polish::{polish, scedasticity};
 use super::prices::Prices;
+use super::reordered::reordered;
 use super::report::Sense;
 use super::series::Series;
 use super::taken_back::{
@@ -46,7 +47,7 @@ impl Step {
 }
 
 /// Nats by which a filter with a cutoff has to exceed a boxcar.
-const BOXCAR: f64 = 6.0;
+pub(super) const BOXCAR: f64 = 6.0;
 
 /// Pairs of a complex kind and a simple one; the complex kind has to be better by some nats.
 const SIMPLER: [(Kind, Kind, f64); 18] = [
@@ -172,6 +173,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
     }
     other_filter(series, prices, &mut steps);
     one_slope(series, prices, &mut steps);
+    reordered(series, prices, &mut steps);
     weak_steps(series, &mut steps, start.courses.len());
     take_back(series, prices, &mut steps);
     same_as_the_models(series, prices, &mut steps);
@@ -191,7 +193,7 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
 
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model states. White noise of the model's
 /// size and a process of short correlation look like the noise behind a filter and the noise that the filter passes.
-fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
+pub(super) fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
     /// ln of the ratio up to which a larger N² raises no doubt, and the power below which the model has no white noise.
     const AS_LARGE: f64 = 2.5;
     const NONE: f64 = -50.0;
@@ -205,7 +207,7 @@ fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
 
 /// Returns whether a candidate is slow noise that is no larger than the part of a level following the temperature that
 /// rounded readings do not show.
-fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
+pub(super) fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
     /// Limit as a part of a step of the readings.
     const UNRESOLVED: f64 = 0.4;
     let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
@@ -218,7 +220,7 @@ fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
 }
 
 /// Subtracts the doubt from the gains of filters.
-fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
+pub(super) fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
     for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
         of.gain -= louder_before(series, &of.explanation);
     }
@@ -273,7 +275,7 @@ fn believe_again(series: &mut Series<'_>) {
 
 /// Gives narrow bands an asymmetry if it is worth its price: the part far from a strong line would look like a filter or like
 /// further noise.
-fn lean(series: &mut Series<'_>) {
+pub(super) fn lean(series: &mut Series<'_>) {
     for at in 0..series.explanation.law.terms.len() {
         let term = &series.explanation.law.terms[at];
         if term.shape != Shape::Resonance || term.numbers.len() != Shape::SYMMETRIC {
@@ -327,12 +329,12 @@ fn samples_again(
     // Peaks like those among the other samples, or not worth their price, are examined together with all other samples.
     let is_of_rest = is_named(Kind::Spikes) || is_named(Kind::HeavyTails);
     match (!is_of_rest).then(|| evidence::outlier::spikes_at(series, peaks)).flatten() {
-        Some(of) => {
+        Some(of) if of.gain > prices.of(Kind::Spikes) => {
             series.explanation = of.explanation;
             let price = prices.of(Kind::Spikes);
             steps.push(Step { kind: Kind::Spikes, gain: of.gain, price, others: Vec::new(), of_model: None });
         }
-        None => {
+        _ => {
             *steps = before;
             restore_samples(series, steps, start, &[]);
             choose_samples(series, prices, steps);
@@ -403,7 +405,7 @@ fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
 
 /// Returns the candidate to be added next from those that were not named yet. `None` if no candidate is worth its
 /// price.
-fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
+pub(super) fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
     // An effect is named once: several effects of a kind would be a failure to explain it.
     let curve = |kind: Kind| kind == Kind::TemperatureCurve;
     let apart = |step: &Step, of: &Candidate| curve(step.kind) != curve(of.kind);
@@ -551,6 +553,11 @@ fn stretch_instead(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Ste
     *series = bare;
     steps[at] = Step { kind, gain, price: prices.of(kind), others: Vec::new(), of_model: None };
     steps.retain(|step| !is_own(step, Kind::HeavyTails) && !is_own(step, Kind::Bursts));
+}
+
+/// Returns the step that adds a candidate.
+pub(super) fn step_of(of: &Candidate, prices: &Prices) -> Step {
+    Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: of.of_model }
 }
 
 /// Nats by which an effect that the model lacks has to exceed another reading of the model's own effects.

@@ -109,6 +109,21 @@ pub(super) fn all_and_conditional(series: &mut Series<'_>) -> Vec<Candidate> {
     found
 }
 
+/// Returns the gain of each effect that is a term of the law.
+pub(super) fn of_spectrum(series: &Series<'_>) -> Vec<Candidate> {
+    let others = [spectral::gauss_markov(series), spectral::quantization_noise(series), spectral::slope(series)];
+    line::resonance(series).into_iter().chain(others.into_iter().flatten()).chain(filters(series)).collect()
+}
+
+/// Returns the gain of each kind of filter.
+pub(super) fn filters(series: &Series<'_>) -> Vec<Candidate> {
+    let low_pass = spectral::low_pass(series);
+    // If no filter of any order gains, none of another shape does.
+    let hopeless = low_pass.as_ref().is_some_and(|candidate| candidate.gain < spectral::HOPELESS);
+    let moving_average = if hopeless { None } else { spectral::moving_average(series) };
+    low_pass.into_iter().chain(moving_average).collect()
+}
+
 /// Returns the gain of each effect of the library for a series.
 pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     let mut found = Vec::new();
@@ -123,13 +138,7 @@ pub fn all(series: &mut Series<'_>) -> Vec<Candidate> {
     found.extend(gated);
     found.extend(spectral::gauss_markov(series));
     found.extend(spectral::quantization_noise(series));
-    let low_pass = spectral::low_pass(series);
-    // If no filter of any order gains, none of another shape does.
-    let hopeless = low_pass.as_ref().is_some_and(|candidate| candidate.gain < spectral::HOPELESS);
-    found.extend(low_pass);
-    if !hopeless {
-        found.extend(spectral::moving_average(series));
-    }
+    found.extend(filters(series));
     found.extend(spectral::slope(series));
     found.extend(of_squares(series));
     found
