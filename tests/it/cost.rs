@@ -147,7 +147,12 @@ fn limits_of_a_file_are_checked_and_errors_have_file_and_line() {
     }
     let ended = vn100d(&[&arguments[..], &["nowhere.txt"]].concat());
     let error = String::from_utf8_lossy(&ended.stderr).into_owned();
-    assert!(ended.status.code() == Some(2) && error.contains("nowhere.txt: neither NAME=LIMIT/DURATION"), "{error}");
+    assert!(
+        ended.status.code() == Some(2)
+            && error.contains("neither NAME=LIMIT/DURATION")
+            && error.contains("nowhere.txt"),
+        "{error}"
+    );
 }
 
 #[test]
