@@ -195,7 +195,7 @@ fn packing(head: &[u8]) -> Option<Packing> {
     }
 }
 
-/// Reads a text that a user wrote by hand, of at most `most_bytes`; bytes that are not UTF-8 become marks.
+/// Reads a whole text of at most `most_bytes`; bytes that are not UTF-8 become marks.
 ///
 /// # Errors
 /// Those of [`open_regular`], or [`RecordingError::Table`] if the file is longer.
