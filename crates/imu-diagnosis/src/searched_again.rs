@@ -95,7 +95,8 @@ pub(super) fn with_one_filter(channels: &mut [Findings], budget: &mut usize, aga
     };
     let tries = pair.map(swapped);
     let count = tries.iter().map(Vec::len).sum::<usize>();
-    if tries.iter().any(Vec::is_empty) || count > *budget {
+    let decides = tries.iter().flatten().any(|(at, _)| !is_coarse(&channels[*at]));
+    if tries.iter().any(Vec::is_empty) || !decides || count > *budget {
         return Some(());
     }
     *budget -= count;
@@ -228,11 +229,25 @@ mod tests {
         wrong.none();
     }
 
+    /// On coarse channels alone neither kind may replace the other.
+    #[test]
+    fn coarse_channels_alone_keep_their_filters() {
+        let coarse = json!({"effect": "resolution", "step": 0.6 * WHITE});
+        let boxcar = json!({"effect": "moving_average", "window": 2, "white_behind": 2e-5});
+        let mut wrong = Wrong::default();
+        for (cutoff_hz, seed) in [(8.0, 2), (9.0, 3)] {
+            let low_pass = json!({"effect": "low_pass", "cutoff_hz": cutoff_hz, "order": 1, "white_behind": 2e-5});
+            let effects = [vec![low_pass, coarse.clone()], Vec::new(), vec![boxcar.clone(), coarse.clone()]];
+            expect(&mut wrong, &effects, seed, &["low_pass", "moving_average", "resolution"]);
+        }
+        wrong.none();
+    }
+
     /// The filter that makes two others necessary, in an order in which neither is worth its price alone.
     #[test]
     fn a_boxcar_and_a_low_pass_filter_are_both_found() {
         let mut wrong = Wrong::default();
-        for (window, cutoff_hz, order, seed) in [(6, 12.0, 1, 1), (3, 7.6, 2, 4)] {
+        for (window, cutoff_hz, order, seed) in [(6, 12.0, 1, 1), (4, 8.0, 2, 2), (8, 10.0, 1, 3), (3, 7.6, 2, 4)] {
             let effects = vec![
                 json!({"effect": "resonance", "frequency_hz": 5.1, "bandwidth_hz": 0.1, "sigma": 0.5 * WHITE}),
                 json!({"effect": "moving_average", "window": window}),
