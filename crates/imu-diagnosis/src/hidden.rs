@@ -7,7 +7,7 @@ use super::evidence::Kind::{
 };
 use super::evidence::{self, Candidate};
 use super::prices::Prices;
-use super::search::{Step, leave_rises_out, more_tones};
+use super::search::{Step, leave_rises_out, more_tones, step_of};
 use super::series::Series;
 
 /// Effects that may look like other effects as long as they are not known, with the kinds that they may look like. A
@@ -46,7 +46,7 @@ pub(super) fn instead(
         of.of_model.is_none() && hides && !is_known && of.gain > prices.of(of.kind) + LARGE
     };
     all.into_iter().filter(may_be).find_map(|of| {
-        let own = Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: None };
+        let own = step_of(&of, prices);
         // Blocks of the record show such a sine under any law.
         if of.kind == Intermittent {
             return Some((own, of));

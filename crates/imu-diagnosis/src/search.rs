@@ -330,9 +330,8 @@ fn samples_again(
     let is_of_rest = is_named(Kind::Spikes) || is_named(Kind::HeavyTails);
     match (!is_of_rest).then(|| evidence::outlier::spikes_at(series, peaks)).flatten() {
         Some(of) if of.gain > prices.of(Kind::Spikes) => {
+            steps.push(step_of(&of, prices));
             series.explanation = of.explanation;
-            let price = prices.of(Kind::Spikes);
-            steps.push(Step { kind: Kind::Spikes, gain: of.gain, price, others: Vec::new(), of_model: None });
         }
         _ => {
             *steps = before;
@@ -478,10 +477,9 @@ fn one_slope(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
         *series = kept;
         return;
     };
-    series.adopt(slope.explanation);
     steps.retain(|step| !replaced(step.kind));
-    let price = prices.of(Kind::Slope);
-    steps.push(Step { kind: Kind::Slope, gain: slope.gain, price, others: Vec::new(), of_model: None });
+    steps.push(step_of(&slope, prices));
+    series.adopt(slope.explanation);
 }
 
 /// Samples beyond a limit are drawn as if there were no filter until one is known, and that may make the filter look like the
@@ -523,8 +521,8 @@ pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut V
         if tone.gain / evidence::line::surroundings(series, cycles) < price + CLEAR {
             break;
         }
+        steps.push(step_of(&tone, prices));
         series.adopt(tone.explanation);
-        steps.push(Step { kind: Kind::Tone, gain: tone.gain, price, others: Vec::new(), of_model: None });
     }
 }
 
@@ -548,10 +546,9 @@ fn stretch_instead(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Ste
     let stretch = stretches.into_iter().find(|of| of.kind == Kind::VarianceInterval);
     let least = course.as_ref().map_or(0.0, worth).max(0.0);
     let Some(stretch) = stretch.filter(|of| worth(of) > least) else { return };
-    let (kind, gain) = (stretch.kind, stretch.gain);
+    steps[at] = step_of(&stretch, prices);
     bare.adopt(stretch.explanation);
     *series = bare;
-    steps[at] = Step { kind, gain, price: prices.of(kind), others: Vec::new(), of_model: None };
     steps.retain(|step| !is_own(step, Kind::HeavyTails) && !is_own(step, Kind::Bursts));
 }
 
@@ -597,6 +594,5 @@ fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
     }
     let others = order.iter().filter(|at| kind(**at) != kind(best) && score(**at) > 0.0);
     let others = others.map(|at| (kind(*at), score(*at))).collect();
-    let Candidate { kind, gain, of_model, .. } = candidates[best];
-    Some((Step { kind, gain, price: prices.of(kind), others, of_model }, best))
+    Some((Step { others, ..step_of(&candidates[best], prices) }, best))
 }
