@@ -2,11 +2,12 @@
 
 use super::source::{Source, has_rejected, note_assumed_rate};
 use super::{Context, usage};
+use crate::clock::rfc3339;
 use crate::jobs::{Extent, JobError, Plan, SampleSource, SamplingError, Setting, one_sensor};
 use crate::store::{CaptureRow, Chunk, Missing, Reader, StoreError};
 use imu_core::sample::{Channel, FilterWindows, StatedSampling, Triad};
 use imu_core::units::NANOS_PER_SECOND;
-use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, columns};
+use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, Stamps, columns};
 use std::path::Path;
 
 /// The facts about a capture or recording besides its samples.
@@ -24,6 +25,8 @@ struct Material {
     setting: Setting,
     /// The capture's id in the database.
     id: Option<i64>,
+    /// When it began, RFC 3339, if that is known.
+    began: Option<String>,
 }
 
 /// One capture or several of one sensor, to be analysed as one.
@@ -55,6 +58,16 @@ impl Together {
     /// If the statement contradicts the samples' rate or register 85.
     pub(super) fn sampled(&mut self, stated: Option<StatedSampling>) -> anyhow::Result<()> {
         stated.map_or(Ok(()), |stated| self.plan.sampled(stated)).map_err(contradicted)
+    }
+
+    /// Returns the sensor (its serial number, with its model if that is known) and the date of the first capture, each if it is known.
+    pub(super) fn unit_and_date(&self) -> [Option<String>; 2] {
+        let Some(of) = self.captures.first() else { return [None, None] };
+        let unit = of.setting.serial_number.as_ref().map(|serial| match &of.setting.model {
+            Some(model) => format!("{model} {serial}"),
+            None => serial.clone(),
+        });
+        [unit, of.began.as_deref().and_then(|began| began.get(..10)).map(str::to_owned)]
     }
 
     /// Returns whether frames or lines of a capture were rejected on the way in.
@@ -241,6 +254,7 @@ fn of_recording(source: &mut Shelf, named: &str, recording: &Recording) -> anyho
         name: named.to_owned(),
         rate_assumed: info.rate_assumed,
         rejected: has_rejected(info),
+        began: (info.stamps == Stamps::Unix).then(|| rfc3339(info.started_utc_ns)),
     };
     let channels: Vec<Channel> = info.channels.iter().collect();
     let (rate_hz, segments) = (info.rate_hz, loaded.segments.clone());
@@ -257,6 +271,7 @@ fn of_capture(source: &mut Shelf, reader: Reader, row: CaptureRow) -> anyhow::Re
         id: Some(row.id),
         overridden: None,
         rejected: row.has_rejected(),
+        began: row.started_at.map(|at| at.to_string()),
         name: row.name,
         rate_assumed: row.rate_assumed,
     };

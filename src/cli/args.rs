@@ -15,11 +15,13 @@ mod cost;
 mod noise;
 mod pictures;
 mod recordings;
+mod validation;
 
 pub use cost::{CostArgs, Tolerances};
 pub use noise::{ConsistentPair, NoiseArgs, SheetChoice};
 pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
+pub use validation::ValidationArgs;
 
 /// Captures a VectorNav VN-100 unattended into SQLite and reports its noise parameters.
 #[derive(Debug, Parser)]

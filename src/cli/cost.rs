@@ -82,23 +82,39 @@ pub(super) fn run(context: &Context, args: &CostArgs) -> anyhow::Result<Outcome>
 }
 
 /// A recording at rest.
-struct Real {
-    name: String,
-    gridded: Gridded,
+pub(super) struct Real {
+    pub name: String,
+    pub gridded: Gridded,
     /// Whether frames or lines were rejected on the way in.
-    rejected: bool,
+    pub rejected: bool,
+    /// The sensor, if it is known.
+    pub unit: Option<String>,
+    /// The date, if it is known.
+    pub date: Option<String>,
 }
 
 impl Real {
-    fn open(context: &Context, named: &str, rate_hz: Option<f64>) -> anyhow::Result<Self> {
+    pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>) -> anyhow::Result<Self> {
         let together = analysis::open(context, &[named.to_owned()], rate_hz)?;
-        let (name, rejected) = (together.name(), together.rejected());
-        Ok(Self { name, gridded: jobs::resting(&together.source, together.plan)?, rejected })
+        let (name, rejected, [unit, date]) = (together.name(), together.rejected(), together.unit_and_date());
+        Ok(Self { name, gridded: jobs::resting(&together.source, together.plan)?, rejected, unit, date })
+    }
+
+    /// Returns a sentence if samples are outside the part that is compared.
+    pub(super) fn left_out(&self) -> Option<String> {
+        let Gridded { recording, from_s, left_out, .. } = &self.gridded;
+        (*left_out > 0).then(|| {
+            format!(
+                "pieces are of the {:.0} s from {from_s:.0} s on, the longest part without a gap of a minute; {left_out} samples are \
+                 outside it",
+                recording.length_s()
+            )
+        })
     }
 
     /// Measures the growth of errors. Without another temperature the recording's own counts.
     fn measured(&self, sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Result<Measured> {
-        let Gridded { recording, from_s, left_out, .. } = &self.gridded;
+        let Gridded { recording, from_s, .. } = &self.gridded;
         // The recording begins at switch-on, or `--after` it; the part that is compared begins later.
         let begin_s = request.begin_s + from_s;
         let temperature = request.temperature.clone().or_else(|| jobs::temperatures(recording, begin_s));
@@ -108,13 +124,7 @@ impl Real {
                 MeasureError::Cost(error) => refused(path, &error),
                 _ => failed(format!("{} and {}: {error}", self.name, path.display())),
             })?;
-        if *left_out > 0 {
-            found.notes.push(format!(
-                "pieces are of the {:.0} s from {from_s:.0} s on, the longest part without a gap of a minute; {left_out} samples are \
-                 outside it",
-                recording.length_s()
-            ));
-        }
+        found.notes.extend(self.left_out());
         Ok(found)
     }
 }
@@ -123,7 +133,7 @@ fn cost_of(sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Resu
     cost(sensor, &path.display().to_string(), request).map_err(|error| refused(path, &error))
 }
 
-fn refused(path: &Path, error: &CostError) -> anyhow::Error {
+pub(super) fn refused(path: &Path, error: &CostError) -> anyhow::Error {
     match error {
         CostError::Model(_) | CostError::NoChannel { .. } | CostError::NoClosedForm { .. } => {
             failed(format!("{}: {error}", path.display()))

@@ -41,6 +41,7 @@ mod trial_motion;
 mod trial_on;
 mod trial_part;
 mod trial_show;
+mod validation;
 mod worker;
 
 use crate::config::{Config, ConfigError, Environment, MACHINE_TOKEN, Overrides};

@@ -5,7 +5,7 @@ use super::output::Output;
 use super::progress::bar;
 use super::source::file;
 use super::subject::{Stop, Subject};
-use super::{Context, Outcome, print_json, usage};
+use super::{Context, Outcome, print_json, usage, validation};
 use crate::gallery::{self, Window};
 use crate::jobs::{Documents, JobError, JobKind, read_diagnosis};
 use crate::page::{self, CaptureView, Figure};
@@ -43,10 +43,16 @@ pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcom
         }
         _ => {}
     }
-    let read: Vec<&Path> = file(&args.capture).into_iter().collect();
+    if args.validation.validation {
+        return validation::run(context, args, validation::model_path(args)?);
+    }
+    let [capture] = &args.captures[..] else {
+        return Err(usage("a report is of one capture; several are for --validation"));
+    };
+    let read: Vec<&Path> = file(capture).into_iter().collect();
     let stop = Stop::listen()?;
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
-    let subject = Subject::open(context, &args.capture, args.rate, args.sampling.stated(), &stop)?;
+    let subject = Subject::open(context, capture, args.rate, args.sampling.stated(), &stop)?;
     let made = stop.unless(Made::of(&subject, &stop))?;
     let outcome = if subject.row.has_rejected() { Outcome::WithLoss } else { Outcome::Done };
     let Some(output) = output else {
@@ -178,7 +184,7 @@ impl Diagnosed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::args::SamplingArgs;
+    use crate::cli::args::{SamplingArgs, ValidationArgs};
     use crate::clock::SystemClock;
     use crate::daemon::import::{Source, import};
     use crate::store::{NewJob, Store, StoreOptions};
@@ -212,10 +218,11 @@ mod tests {
         let context =
             Context { data_dir: Some(folder.path().to_owned()), config: None, json: false, ..Context::default() };
         let args = ReportArgs {
-            capture: "latest".to_owned(),
+            captures: vec!["latest".to_owned()],
             out: out.clone(),
             rate: None,
             sampling: SamplingArgs::default(),
+            validation: ValidationArgs::default(),
             force: false,
         };
         assert_eq!(run(&context, &args).unwrap(), Outcome::Done);

@@ -7,13 +7,12 @@
 use super::motion::at_rest;
 use super::{Gridded, JobError, Plan, SampleSource, gridded};
 use imu_core::units::format_duration;
-use imu_cost::{Cost, CostError, Quantity, Request, Rest, cost};
-use imu_diagnosis::report::{Bands, Cause, CauseCost, GapCost, Sense};
+use imu_cost::{Corners, Cost, CostError, Growing, LEAST_PIECES, Pieces, Quantity, Request, Rest, cost, measured};
+use imu_diagnosis::report::{Bands, Cause, CauseCost, GapCost, MeasuredGrowth, MeasuredPieces, Sense};
 use imu_diagnosis::{Outcome, Recording, Verdict};
 use imu_model::effects::Effect;
 use imu_model::motion::Temperatures;
 use imu_model::simulator::SensorModel;
-use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,6 +20,8 @@ use std::time::Duration;
 /// Horizons of a diagnosis, s; the last three that the record allows.
 const HORIZONS_S: [f64; 5] = [1.0, 10.0, 60.0, 600.0, 3600.0];
 const HORIZONS: usize = 3;
+/// Horizons at which the growth of errors is measured in pieces of the recording, s.
+const MEASURED_S: [f64; 12] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0];
 const ALIGN_S: f64 = 30.0;
 /// The most samples of alignment and horizon: 10 min at 800 Hz. Courses are run sample by sample.
 const SAMPLES_MAX: f64 = 6e5;
@@ -117,20 +118,19 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
             return;
         }
     };
-    let corners = |of_model: &SensorModel| {
-        let (models, unknown) = corners(of_model, sim);
-        Corners { costs: models.and_then(|models| models.iter().map(|model| of(model).ok()).collect()), unknown }
-    };
-    let (after_ends, floor_ends) = (corners(&outcome.augmented), corners(&own));
+    let ends = [&outcome.augmented, &own].map(|model| Corners::new(model, Some(sim), &request));
+    let interval =
+        |of: &Corners, central: &Cost, quantity| of.ends(central, quantity, MATTERS, |growth, at| growth.band95[at]);
+    let [after_ends, floor_ends] = &ends;
     let bands = |quantity: Quantity| {
         let band = |of: &Cost| of.quantities.get(&quantity).map(|growth| growth.band95.clone());
         Some(Bands {
             unit: quantity.unit().into(),
             before: band(&before)?,
             after: band(&after)?,
-            after_ci95: after_ends.interval(&after, quantity),
+            after_ci95: interval(after_ends, &after, quantity),
             floor: band(&floor)?,
-            floor_ci95: floor_ends.interval(&floor, quantity),
+            floor_ci95: interval(floor_ends, &floor, quantity),
         })
         // A document holds no other numbers.
         .filter(|of| [&of.before, &of.after, &of.floor].into_iter().flatten().all(|band| band.is_finite()))
@@ -138,7 +138,13 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     let all = Quantity::all().iter().filter_map(|of| Some((of.to_string(), bands(*of)?)));
     let mut notes = after.notes.clone();
     notes.extend(before.notes.iter().filter(|note| !after.notes.contains(note)).cloned());
-    let found = GapCost { align_s: ALIGN_S, horizons_s: request.horizons_s.clone(), quantities: all.collect(), notes };
+    let found = GapCost {
+        align_s: ALIGN_S,
+        horizons_s: request.horizons_s.clone(),
+        quantities: all.collect(),
+        notes,
+        measured: measured_growth(recording, sim, &outcome.augmented, &request),
+    };
     let causes: Vec<BTreeMap<String, CauseCost>> = outcome
         .diagnosis
         .causes
@@ -162,6 +168,46 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     outcome.diagnosis.discrepancy.cost = Some(found);
 }
 
+/// Measures the growth of errors in pieces of the recording, beside what the model and the corrected one predict; `None` if it is too
+/// short for five disjoint pieces.
+fn measured_growth(
+    recording: &Recording,
+    sim: &SensorModel,
+    augmented: &SensorModel,
+    request: &Request,
+) -> Option<MeasuredGrowth> {
+    let fits = |horizon_s: &f64| {
+        let long_s = ALIGN_S + horizon_s;
+        LEAST_PIECES as f64 * long_s <= recording.length_s()
+            && long_s * sim.internal_rate_hz(sim.rate_hz) <= SAMPLES_MAX
+    };
+    let horizons_s: Vec<f64> = MEASURED_S.into_iter().filter(fits).collect();
+    let request = Request { horizons_s, ..request.clone() };
+    let of = |model: &SensorModel| measured(&rest(recording), "the recording", model, &request).ok();
+    let (before, after) = (of(sim)?, of(augmented)?);
+    let both = |(one, other): (&Option<Pieces>, &Option<Pieces>)| {
+        let (one, other) = (one.as_ref()?, other.as_ref()?);
+        Some(MeasuredPieces {
+            independent: other.independent,
+            rms: other.rms,
+            rms_ci95: other.rms_ci95,
+            before_rms: one.predicted_rms,
+            after_rms: other.predicted_rms,
+            before_coverage: one.coverage,
+            after_coverage: other.coverage,
+            after_coverage_ci95: other.coverage_ci95,
+        })
+    };
+    let quantity = |(quantity, own): (&Quantity, &Growing)| {
+        let of_before = before.quantities.get(quantity)?;
+        Some((quantity.to_string(), of_before.pieces.iter().zip(&own.pieces).map(both).collect()))
+    };
+    let quantities = after.quantities.iter().filter_map(quantity).collect();
+    let mut notes = after.notes;
+    notes.extend(before.notes.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
+    Some(MeasuredGrowth { horizons_s: request.horizons_s, quantities, notes })
+}
+
 /// Returns the corrected model without the effects of its causes that `is_meant` accepts by name and channel. Effects that the
 /// original model states alike stay.
 fn without_effects(outcome: &Outcome, sim: &SensorModel, is_meant: &dyn Fn(&str, &str) -> bool) -> SensorModel {
@@ -181,91 +227,6 @@ fn without_effects(outcome: &Outcome, sim: &SensorModel, is_meant: &dyn Fn(&str,
         }
     }
     model
-}
-
-/// Costs at the corners of a model's intervals.
-struct Corners {
-    costs: Option<Vec<Cost>>,
-    /// Causes and channels whose size has no interval.
-    unknown: Vec<(String, String)>,
-}
-
-impl Corners {
-    /// Returns the ends of a quantity's bands; `None` if a size that matters has no interval.
-    fn interval(&self, central: &Cost, quantity: Quantity) -> Option<Vec<[f64; 2]>> {
-        let matters = |cause: &imu_cost::Cause| {
-            let is_unknown =
-                |(name, channel): &(String, String)| *name == cause.cause && channel == cause.channel.name();
-            cause.quantity == quantity
-                && self.unknown.iter().any(is_unknown)
-                && cause.share.iter().any(|of| of.abs() > MATTERS)
-        };
-        if central.causes.iter().any(matters) {
-            return None;
-        }
-        let mut ends: Vec<[f64; 2]> = central.quantities.get(&quantity)?.band95.iter().map(|own| [*own; 2]).collect();
-        for cost in self.costs.as_ref()? {
-            for ([low, high], band) in ends.iter_mut().zip(&cost.quantities.get(&quantity)?.band95) {
-                (*low, *high) = (low.min(*band), high.max(*band));
-            }
-        }
-        Some(ends).filter(|ends| ends.iter().flatten().all(|end| end.is_finite()))
-    }
-}
-
-/// Returns a model at four corners of its 95 % intervals: N, B, K and the sizes of its effects at their lower or upper ends, and the
-/// effects' other numbers at theirs; and the causes and channels whose size has no interval. What the original model states itself is
-/// exact. Time constant and size of a course are correlated, so that both have to move.
-fn corners(model: &SensorModel, sim: &SensorModel) -> (Option<Vec<SensorModel>>, Vec<(String, String)>) {
-    let mut unknown = Vec::new();
-    let Ok(value) = serde_json::to_value(model) else { return (None, unknown) };
-    let mut all = vec![value; 4];
-    for (channel, own) in &model.channels {
-        let declared = sim.channels.get(channel);
-        // Bit 0 of a corner's number is the end of sizes, bit 1 that of other numbers.
-        let mut set = |place: &str, name: &str, bit: usize, ends: [f64; 2]| {
-            for (corner, value) in all.iter_mut().enumerate() {
-                let at = value.pointer_mut(&format!("/channels/{}{place}", channel.name()));
-                if let Some(Value::Object(at)) = at {
-                    at.insert(name.to_owned(), json!(ends[(corner >> bit) & 1]));
-                }
-            }
-        };
-        let of_sim = declared.map(|of| [of.n, of.b, of.k]);
-        for (place, (name, size)) in [("N", own.n), ("B", own.b), ("K", own.k)].into_iter().enumerate() {
-            let limit = own.upper_limit(name).map(|limit| [0.0, limit.max(size)]);
-            match own.interval(name).or(limit) {
-                Some(ends) => set("", name, 0, ends),
-                None if of_sim.is_some_and(|of| of[place] == size) => {}
-                None => unknown.push((name.to_owned(), channel.name().to_owned())),
-            }
-        }
-        let found = |effect| declared.is_none_or(|of| !of.effects.contains(effect));
-        for (index, effect) in own.effects.iter().enumerate().filter(|(_, effect)| found(effect)) {
-            for parameter in effect.spec().parameters {
-                let is_size = parameter.unit.starts_with('U');
-                let Some(size) = effect.number(parameter.name) else {
-                    // A list or another effect: its sizes have no interval here.
-                    let is_given = effect.parameters().iter().any(|(name, _)| *name == parameter.name);
-                    if is_given && (is_size || parameter.name == "of") {
-                        unknown.push((effect.name().to_owned(), channel.name().to_owned()));
-                    }
-                    continue;
-                };
-                let place = format!("/effects/{index}");
-                match own.effect_interval(index, parameter.name) {
-                    Some([low, high]) if low * high > 0.0 => {
-                        let ends = if low.abs() < high.abs() { [low, high] } else { [high, low] };
-                        set(&place, parameter.name, usize::from(!is_size), ends);
-                    }
-                    _ if size == 0.0 || !is_size => {}
-                    _ => unknown.push((effect.name().to_owned(), channel.name().to_owned())),
-                }
-            }
-        }
-    }
-    let models = all.iter().map(|value| SensorModel::from_value(value, "the corrected model").ok()).collect();
-    (models, unknown)
 }
 
 /// Returns a cause's part in a cost, by quantity; `bare` is the cost without the cause. Without it, a quantity on which the cause

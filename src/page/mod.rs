@@ -10,12 +10,14 @@ mod figure;
 #[cfg(test)]
 mod rows;
 mod series;
+mod validation;
 mod waiting;
 
 pub use capture::{CaptureView, Facts, Figure, capture};
 pub use dashboard::{DashboardView, Stored, dashboard, live};
 pub use diagnosis::{Links, diagnosis, diagnosis_body};
 pub use series::{SeriesView, series};
+pub use validation::validation;
 pub use waiting::waiting;
 
 use crate::plot::escaped;

@@ -270,3 +270,71 @@ fn a_capture_that_runs_is_drawn_beside_the_daemon_that_writes_it() {
     world.until("more samples", PATIENCE, || Some(()).filter(|()| samples() > then), &daemon);
     drop(emulator);
 }
+
+/// A sheet of a model against nights that it was fitted to, that it predicts, and that it does not.
+#[test]
+fn a_validation_sheet_states_the_error_and_where_nothing_is_known() {
+    let place = Place::new();
+    let unit = |n: f64| {
+        let gyro = format!(r#"{{"N": {n}, "uncertainty": {{"N": {{"ci95": [{}, {}]}}}}}}"#, 0.97 * n, 1.03 * n);
+        format!(
+            r#"{{"format": "vn100d-sensor-model-1", "name": "<b>unit", "rate_hz": 40, "provenance": {{"capture": "own.csv"}},
+                "channels": {{"gyro_x": {gyro}, "gyro_y": {gyro}, "gyro_z": {gyro}}}}}"#
+        )
+    };
+    std::fs::write(place.path("unit.json"), unit(1e-4)).unwrap();
+    std::fs::write(place.path("loud.json"), unit(3e-4)).unwrap();
+    for (name, seed) in [("own.csv", "1"), ("night.csv", "2"), ("second.csv", "3")] {
+        place.done(&["simulate", "--model", "unit.json", "--duration", "20min", "--seed", seed, "--out", name]);
+    }
+    let sheet = |arguments: &[&str]| -> Value {
+        let common = ["report", "--validation", "--json", "--horizons", "1s,10s"];
+        serde_json::from_str(&place.done(&[&common[..], arguments].concat())).unwrap()
+    };
+    let valid = sheet(&["--model", "unit.json", "night.csv", "second.csv", "--out", "valid.html"]);
+    assert_eq!((&valid["format"], &valid["verdict"]), (&"vn100d-validation-1".into(), &"validated".into()), "{valid}");
+    let heading = &valid["quantities"]["heading"][1]["rms"];
+    let number = |key: &str| heading[key].as_f64().unwrap();
+    // N·√(t + t²/align), and the whole of E inside its interval.
+    assert!((number("predicted") / (1e-4 * (10.0_f64 + 100.0 / 30.0).sqrt()) - 1.0).abs() < 1e-3, "{heading}");
+    assert!((number("error") - (number("predicted") - number("measured"))).abs() < 1e-12 && number("u_val") > 0.0);
+    assert_eq!(valid["envelope"]["recordings"].as_array().map(Vec::len), Some(2));
+    let page = place.text("valid.html");
+    for part in [
+        "Error of the model",
+        "What the data cover",
+        "Where the model has not been validated",
+        "NASA-STD-7009A",
+        "<svg",
+    ] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("<b>unit") && !page.contains("NaN") && !page.contains("http"), "{page}");
+    let own = sheet(&["--model", "unit.json", "own.csv", "--out", "own.html"]);
+    assert!(own["verdict"] == "undecided" && own["reason"].as_str().unwrap().contains("fitted to"), "{own}");
+    let loud = sheet(&["--model", "loud.json", "night.csv", "--out", "loud.html"]);
+    assert_eq!(loud["verdict"], "not_valid", "{loud}");
+    let limited =
+        ["report", "--validation", "--model", "loud.json", "night.csv", "--out", "limited.html", "--horizons", "1s"];
+    let missed = [&limited[..], &["--tolerance", "heading=1e-9deg/1s", "--check"]].concat();
+    assert_eq!(place.run(&missed).status.code(), Some(4));
+    place.done(&[&limited[..], &["--tolerance", "heading=5deg/1s", "--check", "--force"]].concat());
+    for (arguments, code, why) in [
+        (&["report", "--validation", "night.csv", "--out", "a.html"][..], 2, "--model"),
+        (&["report", "night.csv", "second.csv", "--out", "a.html"], 2, "several are for --validation"),
+        (&["report", "night.csv", "--horizons", "1s", "--out", "a.html"], 2, "--validation"),
+        (
+            &["report", "--validation", "--model", "unit.json", "night.csv", "--out", "a.html", "--horizons", "1h"],
+            1,
+            "disjoint pieces",
+        ),
+        (&["report", "--validation", "--model", "unit.json", "night.csv", "--out", "night.csv", "--force"], 2, "html"),
+        (
+            &["report", "--validation", "--model", "unit.json", "night.csv", "--out", "a.html", "--horizons", "10s,1s"],
+            2,
+            "increasing",
+        ),
+    ] {
+        refused(&place, code, arguments, why);
+    }
+}

@@ -40,13 +40,16 @@
 mod band;
 mod channel;
 mod compose;
+mod corners;
 mod courses;
 mod document;
 mod filter_parameters;
 mod measured;
 mod monte_carlo;
+mod pieces;
 mod quadrature;
 mod request;
+mod sheet;
 mod shown;
 mod sources;
 mod spectra;
@@ -54,13 +57,19 @@ mod spectra;
 mod validation;
 mod weights;
 
+pub use corners::Corners;
 pub use document::{Cause, Cost, FORMAT, Growth, Method, Verdict};
 pub use filter_parameters::{
     ChannelParameters, FILTER_FORMAT, FilterError, FilterParameters, FilterRequest, Inflation, InflationCause, Over,
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
-pub use measured::{Growing, LEAST_PIECES, MeasureError, Measured, Pieces, Rest, measured, piece_error};
+pub use measured::{Growing, LEAST_PIECES, Measured, Pieces, measured};
+pub use pieces::{MeasureError, Rest, piece_error};
 pub use request::{CostError, Quantity, Request, Tolerance};
+pub use sheet::{
+    Comparison, Covered, Envelope, Evidence, LimitState, LimitVerdict, ModelError, SHEET_FORMAT, Sheet, SheetVerdict,
+    sheet,
+};
 pub use shown::number;
 
 use channel::ChannelErrors;

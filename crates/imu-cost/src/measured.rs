@@ -12,13 +12,8 @@
 //!
 //! Refused: a recording of another rate, and one with fewer than [`LEAST_PIECES`] disjoint pieces at every horizon.
 
-use crate::quadrature::scale;
-use crate::request::{CostError, Quantity, Request};
-use crate::sources::{ChannelSources, Law};
-use crate::weights::{ORDERS, Strapdown};
-use crate::{USED, cost};
-use imu_core::sample::Channel;
-use imu_model::EffectKind;
+use crate::pieces::{MeasureError, Piece, Rest, disjoint, pieces};
+use crate::request::{Quantity, Request};
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
 use statrs::distribution::{Beta, ChiSquared, ContinuousCDF as _};
@@ -26,57 +21,6 @@ use std::collections::BTreeMap;
 
 /// The least number of disjoint pieces from which anything is measured.
 pub const LEAST_PIECES: usize = 5;
-/// The most begins at which a law that changes with time is computed.
-const BEGINS: usize = 48;
-/// Pieces that begin within the length of one.
-const OVERLAP: usize = 4;
-/// Rates that differ by less are the same, as a share.
-const SAME_RATE: f64 = 1e-2;
-
-/// Samples of a sensor at rest on a regular grid.
-#[derive(Debug, Clone, Default)]
-pub struct Rest<'a> {
-    /// Samples per second.
-    pub rate_hz: f64,
-    /// Each channel's values in its unit, all of one length; what is not finite is missing.
-    pub channels: Vec<(Channel, &'a [f64])>,
-    /// Whether each sample is missing; empty if none is.
-    pub missing: &'a [bool],
-}
-
-/// The reason why nothing was measured.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MeasureError {
-    /// The recording has another rate than the model.
-    #[error("the recording has {found_hz} Hz and the model {expected_hz} Hz: expected the same rate")]
-    Rate {
-        /// The recording's rate, Hz.
-        found_hz: f64,
-        /// The model's rate, Hz.
-        expected_hz: f64,
-    },
-    /// No quantity of the model has its channels in the recording.
-    #[error("the recording lacks the channels of every quantity of the model: expected some of {expected}")]
-    NoChannel {
-        /// The channels.
-        expected: String,
-    },
-    /// There are too few pieces.
-    #[error(
-        "the recording has {found} disjoint pieces of {length_s} s (alignment and shortest horizon) without a gap: expected at \
-         least {LEAST_PIECES}, thus a longer recording, a shorter alignment or shorter horizons"
-    )]
-    Few {
-        /// The number of pieces.
-        found: usize,
-        /// Their length, s.
-        length_s: f64,
-    },
-    /// The model's bands cannot be computed.
-    #[error(transparent)]
-    Cost(#[from] CostError),
-}
 
 /// What was measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -121,9 +65,6 @@ pub struct Pieces {
     pub coverage_ci95: [f64; 2],
 }
 
-/// The model's mean square and 95 % band, by quantity and horizon.
-type Predicted = BTreeMap<Quantity, Vec<(f64, f64)>>;
-
 /// Measures the error growth in pieces of a recording, which the result calls `real`, and compares it with a model's.
 /// Limits of the request are ignored.
 ///
@@ -142,209 +83,19 @@ pub fn measured(
     model: &SensorModel,
     request: &Request,
 ) -> Result<Measured, MeasureError> {
-    if (record.rate_hz / model.rate_hz - 1.0).abs() > SAME_RATE {
-        return Err(MeasureError::Rate { found_hz: record.rate_hz, expected_hz: model.rate_hz });
-    }
-    let request = Request { tolerances: Vec::new(), ..request.clone() };
-    let setting = crate::request::Setting::new(&request, model)?;
-    let align = setting.align as usize;
-    let horizons: Vec<usize> = request.horizons_s.iter().map(|of| (of * model.rate_hz).round() as usize).collect();
-    let quantities: Vec<Quantity> = Quantity::all().iter().copied().filter(|of| has(record, model, *of)).collect();
-    if quantities.is_empty() {
-        let expected = USED.map(|channel| channel.to_string()).join(", ");
-        return Err(MeasureError::NoChannel { expected });
-    }
-    let runs: Vec<(Quantity, Vec<[usize; 2]>)> = quantities.iter().map(|of| (*of, runs(record, *of))).collect();
-    let disjoint =
-        |runs: &[[usize; 2]], length: usize| runs.iter().map(|[from, to]| (to - from) / length).sum::<usize>();
-    let shortest = align + horizons[0];
-    let most = runs.iter().map(|(_, of)| disjoint(of, shortest)).max().unwrap_or(0);
-    if most < LEAST_PIECES {
-        return Err(MeasureError::Few { found: most, length_s: shortest as f64 / model.rate_hz });
-    }
-    let is_moving = changes(model, setting.temperature_is_constant);
-    // What changes with time is not simulated: each begin would need its own runs.
-    let request = Request { simulate: request.simulate && !is_moving, ..request };
-    let last = runs.iter().flat_map(|(_, of)| of.iter().map(|[_, to]| *to)).max().unwrap_or(0);
-    let begins = begins(is_moving, last, shortest);
-    let mut predictions = Vec::with_capacity(begins.len());
-    let mut notes: Vec<String> = Vec::new();
-    let mut note = |text: String| {
-        if !notes.contains(&text) {
-            notes.push(text);
-        }
+    let found = pieces(record, 0, model, request, LEAST_PIECES)?;
+    let growing = |(quantity, all): (&Quantity, &Vec<Vec<Piece>>)| {
+        let summaries = all.iter().zip(&found.lengths).map(|(pieces, length)| summary(pieces, *length));
+        (*quantity, Growing { unit: quantity.unit(), pieces: summaries.collect() })
     };
-    // The band at the upper end of K is not compared.
-    let bare = SensorModel { provenance: None, ..model.clone() };
-    for begin in &begins {
-        let fitting = horizons.iter().filter(|horizon| !is_moving || begin + align + *horizon <= last).count();
-        let horizons_s = request.horizons_s[..fitting].to_vec();
-        let begin_s = request.begin_s + *begin as f64 / model.rate_hz;
-        let found = match cost(&bare, real, &Request { begin_s, horizons_s, ..request.clone() }) {
-            Ok(found) => found,
-            Err(error @ CostError::NoClosedForm { .. }) => {
-                note(format!("no band of pieces that begin at {begin_s:.0} s: {error}"));
-                predictions.push(Predicted::new());
-                continue;
-            }
-            Err(error) => return Err(error.into()),
-        };
-        let square = |growth: &crate::Growth| {
-            let moments = growth.mean.iter().zip(&growth.sd).map(|(mean, sd)| mean * mean + sd * sd);
-            moments.zip(growth.band95.iter().copied()).collect()
-        };
-        predictions.push(found.quantities.iter().map(|(of, growth)| (*of, square(growth))).collect::<Predicted>());
-        found.notes.into_iter().for_each(&mut note);
-    }
-    if is_moving {
-        notes.push(format!(
-            "the model changes with time: pieces begin at {} places, each with its own band",
-            begins.len()
-        ));
-    }
-    let place = Place { record, align, horizons: &horizons, begins: &begins, is_moving, predictions: &predictions };
-    let mut found = BTreeMap::new();
-    for (quantity, runs) in &runs {
-        if predictions.iter().any(|of| of.contains_key(quantity)) {
-            let pieces = (0..horizons.len()).map(|at| {
-                let enough = disjoint(runs, align + horizons[at]) >= LEAST_PIECES;
-                enough.then(|| place.pieces(*quantity, runs, at)).flatten()
-            });
-            found.insert(*quantity, Growing { unit: quantity.unit(), pieces: pieces.collect() });
-        }
-    }
-    let there = (0..record.channels.first().map_or(0, |(_, values)| values.len())).filter(|k| !is_missing(record, *k));
-    let length_s = there.count() as f64 / record.rate_hz;
-    Ok(Measured { real: real.to_owned(), length_s, horizons_s: request.horizons_s, quantities: found, notes })
-}
-
-fn is_missing(record: &Rest<'_>, place: usize) -> bool {
-    record.missing.get(place).copied().unwrap_or(false)
-}
-
-fn values<'a>(record: &Rest<'a>, channel: Channel) -> Option<&'a [f64]> {
-    record.channels.iter().find(|(own, _)| *own == channel).map(|(_, values)| *values)
-}
-
-/// Returns whether recording and model both have a quantity's own channel, and both or neither the gyroscope's.
-fn has(record: &Rest<'_>, model: &SensorModel, quantity: Quantity) -> bool {
-    let both = |channel| [model.channels.contains_key(&channel), values(record, channel).is_some()];
-    let shares = quantity.shares();
-    let mut all = shares.iter().map(|share| both(share.channel));
-    all.next() == Some([true, true]) && all.all(|[one, other]| one == other)
-}
-
-/// Returns the ranges of places at which all channels of a quantity have a value.
-fn runs(record: &Rest<'_>, quantity: Quantity) -> Vec<[usize; 2]> {
-    let columns: Vec<&[f64]> = quantity.shares().iter().filter_map(|share| values(record, share.channel)).collect();
-    let length = columns.iter().map(|of| of.len()).min().unwrap_or(0);
-    let is_there = |place: usize| !is_missing(record, place) && columns.iter().all(|of| of[place].is_finite());
-    let mut runs: Vec<[usize; 2]> = Vec::new();
-    for place in (0..length).filter(|place| is_there(*place)) {
-        match runs.last_mut() {
-            Some(last) if last[1] == place => last[1] += 1,
-            _ => runs.push([place, place + 1]),
-        }
-    }
-    runs
-}
-
-/// Returns whether the law of a model's errors changes with time. A ramp moves the bias alike at any time.
-fn changes(model: &SensorModel, temperature_is_constant: bool) -> bool {
-    let sources = USED.into_iter().filter_map(|channel| ChannelSources::new(model, channel));
-    let mut all = sources.flat_map(|of| of.sources);
-    all.any(|source| match source.law {
-        Law::Stationary => false,
-        // Stays at given times, or a level over time.
-        Law::Simulated => source.effect.parameters().iter().any(|(name, _)| ["intervals", "level"].contains(name)),
-        Law::Modulated(_) | Law::Gated { .. } => true,
-        Law::Course => match source.effect.kind() {
-            EffectKind::RateRamp => false,
-            EffectKind::TemperatureBias => !temperature_is_constant,
-            _ => true,
-        },
-    })
-}
-
-/// Returns the places at which a prediction is computed: the first, or some over the record.
-fn begins(is_moving: bool, last: usize, shortest: usize) -> Vec<usize> {
-    if !is_moving {
-        return vec![0];
-    }
-    let room = last.saturating_sub(shortest);
-    let count = BEGINS.min(OVERLAP * room / shortest + 1);
-    let mut begins: Vec<usize> = (0..count).map(|k| k * room / (count - 1).max(1)).collect();
-    begins.dedup();
-    begins
-}
-
-/// What the pieces of all horizons share.
-struct Place<'a> {
-    record: &'a Rest<'a>,
-    align: usize,
-    horizons: &'a [usize],
-    begins: &'a [usize],
-    is_moving: bool,
-    predictions: &'a [Predicted],
-}
-
-/// One piece: its begin, run and error, and the model's mean square and band.
-struct Piece {
-    begin: usize,
-    run: usize,
-    error: f64,
-    predicted: (f64, f64),
-}
-
-impl Place<'_> {
-    /// Returns what the pieces of the horizon `at` show; `None` if the model's begins leave too few.
-    fn pieces(&self, quantity: Quantity, runs: &[[usize; 2]], at: usize) -> Option<Pieces> {
-        let length = self.align + self.horizons[at];
-        let mut all: Vec<Piece> = Vec::new();
-        for (run, [from, to]) in runs.iter().enumerate() {
-            let add = |(begin, prediction): (usize, &Predicted)| {
-                let predicted = *prediction.get(&quantity)?.get(at)?;
-                Some(Piece {
-                    begin,
-                    run,
-                    error: piece_error(self.record, quantity, begin, self.align, self.horizons[at]),
-                    predicted,
-                })
-            };
-            if self.is_moving {
-                let own = self.begins.iter().copied().zip(self.predictions);
-                all.extend(own.filter(|(begin, _)| begin >= from && begin + length <= *to).filter_map(add));
-            } else {
-                let last = (to - from).checked_sub(length).map(|room| from + room);
-                let begins = last.into_iter().flat_map(|last| (*from..=last).step_by((length / OVERLAP).max(1)));
-                all.extend(begins.filter_map(|begin| add((begin, self.predictions.first()?))));
-            }
-        }
-        summary(&all, length)
-    }
-}
-
-/// Returns a quantity's error, in its unit, after `align` and `horizon` samples from the sample `begin` on. Samples beyond the
-/// record's end count as absent, and the integral then ends before.
-pub fn piece_error(record: &Rest<'_>, quantity: Quantity, begin: usize, align: usize, horizon: usize) -> f64 {
-    let part = |share: &crate::request::Share| {
-        let all = values(record, share.channel).and_then(|of| of.get(begin..)).unwrap_or_default();
-        let mut strapdown = Strapdown::new(align as u64);
-        let own = all.iter().take(align + horizon);
-        let state = own.fold([0.0; ORDERS], |_, value| strapdown.push(*value));
-        share.factor * state[share.order - 1] * scale(share.order, record.rate_hz)
-    };
-    quantity.shares().iter().map(part).sum()
+    let quantities = found.pieces.iter().map(growing).collect();
+    let horizons_s = request.horizons_s.clone();
+    Ok(Measured { real: real.to_owned(), length_s: found.length_s, horizons_s, quantities, notes: found.notes })
 }
 
 /// Summarises pieces of one length; `None` if fewer than [`LEAST_PIECES`] are disjoint.
-fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
-    let mut disjoint: Vec<&Piece> = Vec::new();
-    for piece in all {
-        if disjoint.last().is_none_or(|last| last.run != piece.run || piece.begin >= last.begin + length) {
-            disjoint.push(piece);
-        }
-    }
+pub(crate) fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
+    let disjoint = disjoint(all, length);
     if disjoint.len() < LEAST_PIECES {
         return None;
     }
@@ -357,9 +108,9 @@ fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
     let freedom = (independent * (2.0 / (kurtosis - 1.0).max(2.0))).max(1.0);
     let chi = ChiSquared::new(freedom).ok()?;
     let end = |probability: f64| (square * freedom / chi.inverse_cdf(probability)).sqrt();
-    let inside = all.iter().filter(|piece| piece.error.abs() <= piece.predicted.1).count() as f64;
+    let inside = all.iter().filter(|piece| piece.error.abs() <= piece.predicted.band95).count() as f64;
     let coverage = inside / count;
-    let predicted = all.iter().map(|piece| piece.predicted.0).sum::<f64>() / count;
+    let predicted = all.iter().map(|piece| piece.predicted.square()).sum::<f64>() / count;
     Some(Pieces {
         count: all.len(),
         independent,
@@ -371,6 +122,18 @@ fn summary(all: &[Piece], length: usize) -> Option<Pieces> {
     })
 }
 
+/// Returns the correlation of the values of successive disjoint pieces, 0 or more. A half standard error is added: of few pieces the
+/// correlation itself is hardly known.
+pub(crate) fn correlation(disjoint: &[&Piece], values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    let square = values.iter().map(|value| value * value).sum::<f64>() / count;
+    let neighbours = disjoint.iter().zip(disjoint.iter().skip(1)).zip(values.iter().zip(values.iter().skip(1)));
+    let (number, sum) = neighbours
+        .filter(|((one, other), _)| one.run == other.run)
+        .fold((0.0_f64, 0.0), |(number, sum), (_, (one, other))| (number + 1.0, sum + one * other));
+    (sum / (number.max(1.0) * square) + 0.5 / count.sqrt()).clamp(0.0, 0.999)
+}
+
 /// Returns how many independent errors give as good a mean square. The errors of successive disjoint pieces may be correlated, and
 /// all may have a part in common, such as the drift of a ramp. Both correlations are estimated with the bias that a short row has,
 /// and the smaller number counts.
@@ -380,11 +143,7 @@ fn independent(disjoint: &[&Piece]) -> f64 {
     if square <= 0.0 {
         return count;
     }
-    let pairs = disjoint.iter().zip(&disjoint[1..]).filter(|(one, other)| one.run == other.run);
-    let (number, sum): (f64, f64) =
-        pairs.fold((0.0, 0.0), |(number, sum), (one, other)| (number + 1.0, sum + one.error * other.error));
-    // A half standard error on top: of few pieces the correlation itself is hardly known.
-    let next = (sum / (number.max(1.0) * square) + 0.5 / count.sqrt()).clamp(0.0, 0.999);
+    let next = correlation(disjoint, &disjoint.iter().map(|piece| piece.error).collect::<Vec<_>>());
     let mean = disjoint.iter().map(|piece| piece.error).sum::<f64>() / count;
     let common = ((count * mean * mean / square - 1.0) / (count - 1.0)).clamp(0.0, 1.0);
     // Squares of normal errors have the square of the correlation.
@@ -406,6 +165,8 @@ fn share_interval(share: f64, trials: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pieces::{BEGINS, Predicted};
+    use imu_core::sample::Channel;
     use imu_model::simulator::Simulator;
 
     fn model(channels: &str) -> SensorModel {
@@ -535,7 +296,8 @@ mod tests {
     #[test]
     fn correlated_pieces_count_as_few() {
         let pieces = |errors: &[f64]| -> f64 {
-            let piece = |(begin, error): (usize, &f64)| Piece { begin, run: 0, error: *error, predicted: (1.0, 2.0) };
+            let predicted = Predicted { mean: 0.0, sd: 1.0, band95: 2.0 };
+            let piece = |(begin, error): (usize, &f64)| Piece { begin, run: [0; 2], error: *error, predicted };
             let all: Vec<Piece> = errors.iter().enumerate().map(piece).collect();
             independent(&all.iter().collect::<Vec<&Piece>>())
         };

@@ -411,15 +411,21 @@ fn numbers_below_the_smallest_square_cost_nothing() {
     assert!(costs(&tone).quantities[&Quantity::Heading].band95.iter().all(|band| *band < 1e-150));
 }
 
-/// The figures of docs/cost.md: `cargo test --release -p imu-cost -- --ignored --nocapture thousand_runs`.
+/// The figures of docs/cost.md: `cargo test -p imu-cost -- --ignored --nocapture thousand_runs`. `RUNS=4000 ONLY=held` runs the models
+/// whose name contains `held` with other seeds and more runs.
 #[test]
 #[ignore = "minutes; prints the table of docs/cost.md"]
 fn a_thousand_runs_agree_at_twelve_horizons() {
     let horizons_s = vec![1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 3600.0];
-    let request = Request { runs: 1000, seed: 100, ..request(&horizons_s) };
+    let runs: usize = std::env::var("RUNS").map_or(1000, |runs| runs.parse().unwrap());
+    let only = std::env::var("ONLY").unwrap_or_default();
+    let request = Request { runs, seed: if only.is_empty() { 100 } else { 1_000_100 }, ..request(&horizons_s) };
     println!("| model | deviation | standard error |\n|---|---|---|");
     let worlds = worlds();
     let row = |name: &str, model: &SensorModel| {
+        if !name.contains(&only) {
+            return;
+        }
         let [off, error] = agrees_with_the_simulator(name, model, &request).map(|share| 100.0 * share);
         println!("| {name} | {off:.1} % | {error:.1} % |");
     };

@@ -68,6 +68,47 @@ pub struct GapCost {
     pub quantities: BTreeMap<String, Bands>,
     /// What was left out, one sentence each.
     pub notes: Vec<String>,
+    /// What pieces of the recording show; none if it is too short, and in reports of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured: Option<MeasuredGrowth>,
+}
+
+/// Error growth measured in pieces of the recording, beside what both models predict (docs/cost.md).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredGrowth {
+    /// Times since the alignment's end, s.
+    pub horizons_s: Vec<f64>,
+    /// By quantity, such as `heading`; one entry per horizon, none if there are too few pieces.
+    pub quantities: BTreeMap<String, Vec<Option<MeasuredPieces>>>,
+    /// What was left out, one sentence each.
+    pub notes: Vec<String>,
+}
+
+/// The errors in the pieces of one horizon, in the quantity's unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredPieces {
+    /// The number of independent pieces.
+    #[serde(deserialize_with = "numbers")]
+    pub independent: f64,
+    /// Root mean square of the errors.
+    #[serde(deserialize_with = "numbers")]
+    pub rms: f64,
+    /// Its 95 % interval.
+    pub rms_ci95: [f64; 2],
+    /// The root mean square that the original model predicts for these pieces.
+    #[serde(deserialize_with = "numbers")]
+    pub before_rms: f64,
+    /// The one that the corrected model predicts.
+    #[serde(deserialize_with = "numbers")]
+    pub after_rms: f64,
+    /// Share of the pieces inside the original model's 95 % band.
+    #[serde(deserialize_with = "numbers")]
+    pub before_coverage: f64,
+    /// Share of the pieces inside the corrected model's 95 % band.
+    #[serde(deserialize_with = "numbers")]
+    pub after_coverage: f64,
+    /// The 95 % interval of `after_coverage`.
+    pub after_coverage_ci95: [f64; 2],
 }
 
 /// The 95 % bands of a quantity, one per horizon.

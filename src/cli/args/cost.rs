@@ -55,7 +55,7 @@ pub struct Tolerances(pub Vec<Tolerance>);
 
 /// The reason why limits of the command line were refused.
 #[derive(Debug, thiserror::Error)]
-enum ToleranceError {
+pub(super) enum ToleranceError {
     #[error(transparent)]
     Text(CostError),
     #[error("{file}: {error}")]
@@ -67,7 +67,7 @@ enum ToleranceError {
 /// Maximum number of bytes of a file of limits.
 const LIMITS_BYTES: u64 = 1 << 20;
 
-fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
+pub(super) fn tolerances(text: &str) -> Result<Tolerances, ToleranceError> {
     if text.contains('=') && !Path::new(text).is_file() {
         return Tolerance::parse(text).map(Tolerances).map_err(ToleranceError::Text);
     }

@@ -1,7 +1,7 @@
 //! Arguments of commands that draw a capture: `plot`, `report`.
 
 use super::recordings::moment;
-use super::{SamplingArgs, rate};
+use super::{SamplingArgs, ValidationArgs, rate};
 use crate::gallery::Picture;
 use crate::store::Moment;
 use clap::Args;
@@ -39,8 +39,9 @@ pub struct PlotArgs {
 /// Arguments of `report`.
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// Id, name, `latest`, or the path of a recording
-    pub capture: String,
+    /// Id, name, `latest`, or the path of a recording; several for --validation
+    #[arg(required = true, value_name = "CAPTURE|FILE")]
+    pub captures: Vec<String>,
     /// The file, with the ending .html; `-` is standard output
     #[arg(long, value_name = "FILE.html")]
     pub out: PathBuf,
@@ -50,6 +51,9 @@ pub struct ReportArgs {
     /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,
+    /// A validation sheet in place of a report
+    #[command(flatten)]
+    pub validation: ValidationArgs,
     /// Replace an existing file
     #[arg(long)]
     pub force: bool,

@@ -2,10 +2,11 @@
 
 use super::super::{escaped, wide};
 use super::gap::bar;
+use crate::plot;
 use imu_core::units::format_duration;
 use imu_cost::Quantity;
 use imu_diagnosis::Diagnosis;
-use imu_diagnosis::report::{Bands, GapCost};
+use imu_diagnosis::report::{Bands, GapCost, MeasuredGrowth, MeasuredPieces};
 use std::fmt::Write as _;
 use std::time::Duration;
 
@@ -24,6 +25,9 @@ pub(super) fn section(out: &mut String, report: &Diagnosis) {
     );
     bands(out, cost);
     causes(out, report, cost);
+    if let Some(measured) = &cost.measured {
+        pieces(out, measured);
+    }
     for note in &cost.notes {
         let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(note));
     }
@@ -65,6 +69,84 @@ fn bands(out: &mut String, cost: &GapCost) {
             }
             *out += "</tr>";
         }
+    }
+    *out += "</table></div>";
+}
+
+/// The quantities of the gyroscope's pictures and of the accelerometer's.
+const TRIADS: [(&str, &[Quantity]); 2] = [
+    ("Gyroscope", &[Quantity::AttitudeX, Quantity::AttitudeY, Quantity::Heading]),
+    ("Accelerometer", &[Quantity::VelocityX, Quantity::VelocityY, Quantity::PositionX, Quantity::PositionY]),
+];
+
+/// Writes what pieces of the recording show beside the predictions: a picture for each quantity and a table of coverage, per triad.
+fn pieces(out: &mut String, measured: &MeasuredGrowth) {
+    let known =
+        |of: &&Quantity| measured.quantities.get(&of.to_string()).is_some_and(|of| of.iter().any(Option::is_some));
+    for (triad, quantities) in TRIADS {
+        let quantities: Vec<&Quantity> = quantities.iter().filter(known).collect();
+        if quantities.is_empty() {
+            continue;
+        }
+        let _ = write!(
+            out,
+            "<h3>{triad}: growth of errors in pieces of the recording</h3><p class=\"soft\"><span class=\"key real\"></span>pieces \
+             of the recording, with the 95&nbsp;% interval<span class=\"key before\"></span>the model as it is\
+             <span class=\"key after\"></span>the corrected model</p><div class=\"figures\">"
+        );
+        for quantity in &quantities {
+            let _ = write!(out, "<figure>{}</figure>", picture(measured, **quantity));
+        }
+        *out += "</div>";
+        coverage(out, measured, &quantities);
+    }
+    for note in &measured.notes {
+        let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(note));
+    }
+}
+
+fn picture(measured: &MeasuredGrowth, quantity: Quantity) -> String {
+    let (factor, unit) = quantity.shown_in();
+    let of = &measured.quantities[&quantity.to_string()];
+    let shown = |number: &dyn Fn(&MeasuredPieces) -> f64| -> Vec<f64> {
+        of.iter().map(|pieces| pieces.as_ref().map_or(f64::NAN, |pieces| factor * number(pieces))).collect()
+    };
+    let measured_with_ends = of.iter().map(|pieces| {
+        pieces.as_ref().map_or([f64::NAN; 3], |of| [of.rms, of.rms_ci95[0], of.rms_ci95[1]].map(|value| factor * value))
+    });
+    plot::growth(&plot::Growth {
+        title: &quantity.to_string().replace('_', " "),
+        unit,
+        horizons_s: measured.horizons_s.clone(),
+        measured: measured_with_ends.collect(),
+        predicted: vec![("before", shown(&|of| of.before_rms)), ("after", shown(&|of| of.after_rms))],
+    })
+}
+
+/// Writes the share of pieces inside both models' bands; a true model's has 95 %.
+fn coverage(out: &mut String, measured: &MeasuredGrowth, quantities: &[&Quantity]) {
+    let percent = |share: f64| if share.is_finite() { format!("{:.0}", 100.0 * share) } else { "–".to_owned() };
+    *out += &wide("pieces inside the band");
+    *out += "<table><tr><th scope=\"col\">pieces inside the 95&nbsp;% band, before → after</th>";
+    for horizon_s in &measured.horizons_s {
+        let _ = write!(out, "<th scope=\"col\" class=\"number\">{}</th>", time(*horizon_s));
+    }
+    *out += "</tr>";
+    for quantity in quantities {
+        let name = quantity.to_string();
+        let _ = write!(out, "<tr><th scope=\"row\">{}</th>", name.replace('_', " "));
+        for pieces in &measured.quantities[&name] {
+            let cell = pieces.as_ref().map_or_else(
+                || "–".to_owned(),
+                |of| {
+                    let [low, high] = of.after_coverage_ci95.map(percent);
+                    let (before, after) = (percent(of.before_coverage), percent(of.after_coverage));
+                    format!("{before} → {after}&nbsp;% <span class=\"interval\">({low} to {high})</span>")
+                },
+            );
+            let _ = write!(out, "<td class=\"number\">{cell}</td>");
+        }
+        *out += "</tr>";
     }
     *out += "</table></div>";
 }

@@ -106,6 +106,24 @@ fn what_the_gap_costs_is_a_table_with_a_bar_for_each_cause() {
 }
 
 #[test]
+fn pieces_of_the_recording_are_drawn_beside_both_models_per_triad() {
+    let mut own = report();
+    let pieces = json!({"independent": 9.5, "rms": 1e-3, "rms_ci95": [7e-4, 1.6e-3], "before_rms": 4e-4, "after_rms": 1.1e-3,
+        "before_coverage": 0.5, "after_coverage": 0.94, "after_coverage_ci95": [0.7, 0.99]});
+    let bands = json!({"unit": "rad", "before": [1e-3], "after": [2e-3], "after_ci95": null, "floor": [1e-3], "floor_ci95": null});
+    own["discrepancy"]["cost"] = json!({"align_s": 30, "horizons_s": [10], "notes": [], "quantities": {"heading": bands},
+        "measured": {"horizons_s": [1, 10], "notes": ["<note>"], "quantities": {"heading": [pieces, pieces], "velocity_x": [null, null],
+            "of_a_later_version": [null, null]}}});
+    let page = page_of(&own, &json!({}), &[]);
+    let at = |part: &str| page.find(part).unwrap_or_else(|| panic!("{part} is not in {page}"));
+    assert!(at("Gyroscope: growth of errors") < at("root mean square in °"));
+    for part in ["50 → 94&nbsp;%", "(70 to 99)", "&lt;note&gt;", "aria-label=\"heading"] {
+        at(part);
+    }
+    assert!(!page.contains("Accelerometer: growth"), "nothing was measured there");
+}
+
+#[test]
 fn what_has_no_name_is_shown_with_its_share() {
     let mut own = report();
     own["remainder"] = json!({"share": 0.0123, "nats": 1e-4, "channels": ["mag_x"], "what": ["power <in> one octave"]});
