@@ -4,9 +4,10 @@
     cargo build --release && cargo build --release -p imu-judge --example filter_judge
     python3 tests/real/filters.py PROGRAM JUDGE FOLDER [NAME…]
 
-PROGRAM is the built vn100d, JUDGE the built example, FOLDER the folder of real recordings (docs/validation.md). For each recording at
-rest the first half gives a model (`model fit --effects all`), and the judge filters the second half with what it follows from
-the model. Prints the tables of docs/filters.md, then in how many recordings each filter is within its bounds and scores best.
+PROGRAM is the built vn100d, JUDGE the built example, FOLDER the folder of real recordings (docs/validation.md). For each recording
+at rest the first half gives a model without effects, whose N and K are those of the Allan rows, and one with them
+(`--effects all`), from which the consistent pairs follow. The judge filters the second half. Prints the tables of docs/filters.md,
+then in how many recordings each filter is within its bounds and scores best.
 """
 
 import json
@@ -34,15 +35,16 @@ def judge(program, judge_program, folder, name, rate_hz):
         place = pathlib.Path(place)
         first, second = halves(folder / name, place)
         rate = ["--rate", str(rate_hz)] if rate_hz else []
-        model, samples = str(place / "model.json"), str(place / "samples.csv")
+        plain, model, samples = (str(place / of) for of in ("plain.json", "model.json", "samples.csv"))
         for command in (
+            ["model", "fit", first, "--force", "--out", plain, *rate],
             ["model", "fit", first, "--effects", "all", "--force", "--out", model, *rate],
             ["export", second, "--out", samples, *rate],
         ):
             printed, refusal = run(program, *command)
             if printed is None:
                 return None, refusal
-        printed, refusal = run(judge_program, "held-out", model, samples)
+        printed, refusal = run(judge_program, "held-out", plain, model, samples)
         if printed is None:
             return None, refusal
         channels = json.loads(pathlib.Path(model).read_text())["channels"].values()

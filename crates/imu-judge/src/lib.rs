@@ -15,4 +15,4 @@ pub use filter::{
 };
 pub use outage::{Aid, Outcome, Plan, outages};
 pub use score::{Score, score};
-pub use told::{NAMES, channels, datasheet, told};
+pub use told::{NAMES, channels, datasheet, own, told};

@@ -43,14 +43,11 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Returns the request for the parameters that match the end of the outage: horizons from a third of it to all of it, and
-    /// all the time that the filter has seen its bias as alignment.
-    pub fn request(&self) -> FilterRequest {
-        FilterRequest {
-            over: Some(Over { from_s: self.outage_s / 3.0, to_s: self.outage_s }),
-            align_s: self.align_s + self.aided_s,
-            ..FilterRequest::default()
-        }
+    /// Returns the request for the parameters that match the end of the outage: horizons from `from_s` to its length, and all
+    /// the time that the filter has seen its bias as alignment.
+    pub fn request(&self, from_s: f64) -> FilterRequest {
+        let over = Some(Over { from_s, to_s: self.outage_s });
+        FilterRequest { over, align_s: self.align_s + self.aided_s, ..FilterRequest::default() }
     }
 }
 

@@ -193,7 +193,7 @@ fn scores_of_known_errors() {
 #[test]
 fn a_sensor_of_white_noise_and_walks_is_told_as_it_is() {
     let plan = Plan { outage_s: 60.0, ..plan(Aid::Position) };
-    let request = plan.request();
+    let request = plan.request(20.0);
     assert_eq!((request.over, request.align_s), (Some(Over { from_s: 20.0, to_s: 60.0 }), 40.0));
     let [datasheet, allan, ten, closest, covering] = told(&model(), &NOISE, &request).unwrap();
     for (own, expected) in closest.iter().chain(&covering).zip(NOISE.iter().cycle()) {

@@ -25,10 +25,16 @@ pub fn datasheet() -> Noise {
     [gyro, gyro, gyro, accel, accel, accel]
 }
 
+/// Returns N and K of a model.
+pub fn own(model: &SensorModel) -> Noise {
+    channels().map(|of| model.channels.get(&of).map_or(Density::default(), |of| Density { n: of.n, k: of.k }))
+}
+
 /// Returns what five filters are told about the sensor of a model, in the order of [`NAMES`].
 ///
 /// `allan` has N and K of the Allan deviation. The consistent pairs are those that the model has for the request. As in the files
-/// of `noise --consistent`, no number is below that of the Allan deviation. A channel that the model lacks has no noise.
+/// of `noise --consistent`, no number is below the sensor's own, which are N and K of the model. A channel that the model lacks has
+/// no noise.
 ///
 /// # Errors
 /// [`FilterError`] for a model that cannot be simulated, and a request that makes no sense.
@@ -36,10 +42,10 @@ pub fn told(model: &SensorModel, allan: &Noise, request: &FilterRequest) -> Resu
     let found = filter_parameters(model, &model.name, request)?;
     let pair = |covers: bool| {
         let mut noise = Noise::default();
-        for ((channel, own), allan) in channels().iter().zip(&mut noise).zip(allan) {
+        for ((channel, own), sensor) in channels().iter().zip(&mut noise).zip(own(model)) {
             let Some(of) = found.channels.get(channel) else { continue };
             let of = if covers { &of.white_and_walk.cover } else { &of.white_and_walk.fit };
-            *own = Density { n: of.n.max(allan.n), k: of.k.unwrap_or(0.0).max(allan.k) };
+            *own = Density { n: of.n.max(sensor.n), k: of.k.unwrap_or(0.0).max(sensor.k) };
         }
         noise
     };

@@ -1,9 +1,9 @@
 //! Recordings at rest: samples that the model has not seen.
 
 use crate::table::{Judged, PARTS};
-use crate::worlds::plan;
+use crate::worlds::{begin_s, plan};
 use imu_core::sample::Channel;
-use imu_judge::{Aid, Density, Noise, Outcome, Plan, Sample, channels, outages, told};
+use imu_judge::{Aid, Outcome, Plan, Sample, channels, outages, own, told};
 use imu_model::simulator::SensorModel;
 use nalgebra::Vector3;
 
@@ -38,30 +38,25 @@ fn read(path: &str) -> Result<(Vec<Sample>, [bool; 6]), Box<dyn std::error::Erro
 }
 
 /// Prints the rows of a recording: mean NEES, coverage and log scores, with a line on the course.
-pub fn run(model: &str, samples: &str) -> Result<(), Box<dyn std::error::Error>> {
-    let model = SensorModel::from_json(&std::fs::read_to_string(model)?, model)?;
+pub fn run(plain: &str, model: &str, samples: &str) -> Result<(), Box<dyn std::error::Error>> {
+    let [plain, model] = [plain, model].map(|path| -> Result<SensorModel, Box<dyn std::error::Error>> {
+        Ok(SensorModel::from_json(&std::fs::read_to_string(path)?, path)?)
+    });
+    let (plain, model) = (plain?, model?);
     let (samples, present) = read(samples)?;
     let rate_hz = model.rate_hz;
     let plan = plan_for(samples.len() as f64 / rate_hz);
-    let mut allan = Noise::default();
-    for (channel, allan) in channels().iter().zip(&mut allan) {
-        let of = model.channels.get(channel);
-        *allan = of.map_or(Density::default(), |of| Density { n: of.n, k: of.k });
-    }
     let has_accel = present[3..] == [true; 3];
     let mean = |at: usize| samples.iter().map(|of| of[at]).sum::<f64>();
     let up = if has_accel { Vector3::new(mean(3), mean(4), mean(5)).normalize() } else { Vector3::z() };
-    let outcomes = told(&model, &allan, &plan.request())?
+    let outcomes = told(&model, &own(&plain), &plan.request(begin_s(&plan)))?
         .map(|noise| -> Vec<Outcome> { outages(&samples, rate_hz, up, &noise, &plan, 1) });
     // Without an accelerometer attitude alone is judged.
     let parts = if has_accel { &PARTS[..] } else { &PARTS[1..2] };
-    let judged = Judged::new(&outcomes, parts).ok_or("no outage, or a filter without noise")?;
+    let judged = Judged::new(&outcomes, parts);
+    let (outages, bounds) = judged.bounds().ok_or("no outage, or no noise")?;
     println!("{}", judged.nees());
     println!("{}", judged.coverage());
-    let first = &judged.scores[0][0];
-    println!(
-        "{} outages of {:.1} s, bounds {:.2} to {:.2}",
-        first.outages, plan.outage_s, first.bounds[0], first.bounds[1]
-    );
+    println!("{outages} of {:.1} s: {:.2} … {:.2}", plan.outage_s, bounds[0][0], bounds[0][1]);
     Ok(())
 }

@@ -3,7 +3,7 @@
 use crate::table::{Judged, PARTS, head, summary};
 use imu_cost::FilterRequest;
 use imu_diagnosis::{Options, Recording, diagnose};
-use imu_judge::{Aid, Density, Noise, Outcome, Plan, Sample, channels, outages, told};
+use imu_judge::{Aid, Density, Noise, Outcome, Plan, Sample, channels, outages, own, told};
 use imu_model::simulator::{ChannelModel, SensorModel, Simulator};
 use imu_noise::allan::FixedPoint;
 use imu_noise::whittle::{DstEstimator, Transform, fit_as_sampled};
@@ -78,17 +78,15 @@ const WORLDS: [(&str, &str, &str); 14] = [
     ),
 ];
 
-/// N and K of the base.
-fn base() -> Noise {
-    let (gyro, accel) = (Density { n: 1.2e-4, k: 1e-6 }, Density { n: 2e-3, k: 1e-5 });
-    [gyro, gyro, gyro, accel, accel, accel]
-}
+/// N, B and K of each world, of a gyroscope and of an accelerometer.
+const GYRO: &str = r#""N": 1.2e-4, "B": 2.6e-5, "K": 1e-6"#;
+const ACCEL: &str = r#""N": 2e-3, "B": 4e-4, "K": 1e-5"#;
 
 /// Returns the model of a world.
 fn model(name: &str, gyro: &str, accel: &str) -> Result<SensorModel, Box<dyn std::error::Error>> {
     let channel = |(at, channel): (usize, _)| {
-        let (of, b, effect) = (base()[at], if at < 3 { 2.6e-5 } else { 4e-4 }, if at < 3 { gyro } else { accel });
-        format!(r#""{channel}": {{"N": {}, "B": {b}, "K": {}, "effects": [{effect}]}}"#, of.n, of.k)
+        let (noise, effect) = if at < 3 { (GYRO, gyro) } else { (ACCEL, accel) };
+        format!(r#""{channel}": {{{noise}, "effects": [{effect}]}}"#)
     };
     let all: Vec<String> = channels().into_iter().enumerate().map(channel).collect();
     let text = format!(
@@ -124,6 +122,22 @@ pub fn plan(aid: Aid) -> Plan {
     Plan { align_s: 30.0, aided_s: 90.0, interval_s: 1.0, outage_s: 60.0, aid, aid_sd, attitude_sd: 1e-4 }
 }
 
+/// Returns where the horizons of the consistent pairs begin, s: at a third of the outage.
+pub fn begin_s(plan: &Plan) -> f64 {
+    plan.outage_s / 3.0
+}
+
+/// What the consistent pairs are those of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Told {
+    /// The true model, for outages of about the judged length.
+    Truth,
+    /// The true model, for horizons from the time between two fixes on.
+    FromInterval,
+    /// A model that was fitted to a night.
+    Fitted,
+}
+
 /// Fits a model to a night: N, B and K by Whittle likelihood, then the effects that a diagnosis finds beside them. Returns it
 /// with N and K as they are without effects.
 fn fitted(samples: &[Sample]) -> Result<(SensorModel, Noise), Box<dyn std::error::Error>> {
@@ -146,18 +160,23 @@ fn fitted(samples: &[Sample]) -> Result<(SensorModel, Noise), Box<dyn std::error
 /// The outcomes of all filters of one world, by aid, filter and night.
 type Outcomes = Vec<Vec<Vec<Vec<Outcome>>>>;
 
-fn judged(at: usize, nights: usize, is_fitted: bool) -> Result<Outcomes, Box<dyn std::error::Error>> {
+fn judged(at: usize, nights: usize, of: Told) -> Result<Outcomes, Box<dyn std::error::Error>> {
     let (name, gyro, accel) = WORLDS[at];
     let truth = model(name, gyro, accel)?;
     let seed = |night: usize| 1_000_000 * (at as u64 + 1) + night as u64;
-    let (told_of, allan) = if is_fitted { fitted(&night(&truth, seed(nights))?)? } else { (truth.clone(), base()) };
-    let request = FilterRequest { record_s: Some(NIGHT_S), ..plan(Aid::Position).request() };
+    let (told_of, allan) = match of {
+        Told::Fitted => fitted(&night(&truth, seed(nights))?)?,
+        Told::Truth | Told::FromInterval => (truth.clone(), own(&truth)),
+    };
+    let plan = plan(Aid::Position);
+    let from_s = if of == Told::FromInterval { plan.interval_s } else { begin_s(&plan) };
+    let request = FilterRequest { record_s: Some(NIGHT_S), ..plan.request(from_s) };
     let noise = told(&told_of, &allan, &request)?;
     let mut all: Outcomes = vec![vec![Vec::new(); noise.len()]; AIDS.len()];
     for place in 0..nights {
         let samples = night(&truth, seed(place))?;
         for (aid, all) in AIDS.iter().zip(&mut all) {
-            let plan = plan(*aid);
+            let plan = self::plan(*aid);
             let stretch = (plan.align_s + plan.aided_s + plan.outage_s) * RATE_HZ;
             let begin = ((place as f64 * GOLDEN).fract() * stretch) as usize;
             for (noise, all) in noise.iter().zip(all) {
@@ -171,7 +190,7 @@ fn judged(at: usize, nights: usize, is_fitted: bool) -> Result<Outcomes, Box<dyn
 const AIDS: [Aid; 2] = [Aid::ZeroVelocity, Aid::Position];
 
 /// Prints the tables of all worlds.
-pub fn run(nights: usize, is_fitted: bool) -> Result<(), Box<dyn std::error::Error>> {
+pub fn run(nights: usize, told: Told) -> Result<(), Box<dyn std::error::Error>> {
     let found: Vec<Mutex<Result<Outcomes, String>>> = WORLDS.iter().map(|_| Mutex::new(Err(String::new()))).collect();
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
@@ -180,7 +199,7 @@ pub fn run(nights: usize, is_fitted: bool) -> Result<(), Box<dyn std::error::Err
                 loop {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let Some(own) = found.get(at) else { break };
-                    let outcomes = judged(at, nights, is_fitted).map_err(|error| error.to_string());
+                    let outcomes = judged(at, nights, told).map_err(|error| error.to_string());
                     *own.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = outcomes;
                 }
             });
@@ -193,26 +212,23 @@ pub fn run(nights: usize, is_fitted: bool) -> Result<(), Box<dyn std::error::Err
     for (place, aid) in AIDS.iter().enumerate() {
         let judge = |of: &Outcomes, nights: std::ops::Range<usize>| {
             let filters: Vec<Vec<Outcome>> = of[place].iter().map(|own| own[nights.clone()].concat()).collect();
-            Judged::new(&filters, &PARTS).ok_or("no outage")
+            Judged::new(&filters, &PARTS)
         };
-        let whole = worlds.iter().map(|of| judge(of, 0..nights)).collect::<Result<Vec<_>, _>>()?;
-        let Some(first) = whole.first() else { continue };
-        println!("\n## {aid:?}, {} outages of a world", first.scores[0][0].outages);
-        println!(
-            "Bounds of all errors {:.2?}, of a triad {:.2?}",
-            first.scores[0][0].bounds, first.scores[0][1].bounds
-        );
+        let whole: Vec<Judged> = worlds.iter().map(|of| judge(of, 0..nights)).collect();
+        let Some((outages, bounds)) = whole.iter().find_map(Judged::bounds) else { continue };
+        println!("\n## {aid:?}, {outages} outages of a world");
+        println!("Bounds of all errors {:.2?}, of a triad {:.2?}", bounds[0], bounds[1]);
         head("mean NEES: all, attitude, velocity, position");
         WORLDS.iter().zip(&whole).for_each(|((name, ..), of)| println!("| {name} | {} |", of.nees()));
         head("coverage, log score behind the best");
         WORLDS.iter().zip(&whole).for_each(|((name, ..), of)| println!("| {name} | {} |", of.coverage()));
         println!();
-        summary(&whole, "worlds");
+        summary(&whole);
         let groups = (0..nights / GROUP).map(|of| GROUP * of..GROUP * (of + 1));
-        let parts = groups.flat_map(|group| worlds.iter().map(move |of| judge(of, group.clone())));
-        let parts = parts.collect::<Result<Vec<_>, _>>()?;
+        let parts: Vec<Judged> =
+            groups.flat_map(|group| worlds.iter().map(move |of| judge(of, group.clone()))).collect();
         println!("\nEach {GROUP} nights for themselves:");
-        summary(&parts, "worlds");
+        summary(&parts);
     }
     Ok(())
 }
