@@ -248,7 +248,7 @@ fn blank(quantity: Quantity, sum: &Sum<'_>, nonlinear: &[(Channel, &'static str)
 }
 
 /// Returns mean, standard deviation and 95 % band of values.
-fn moments(values: &[f64]) -> (f64, f64, f64) {
+pub(crate) fn moments(values: &[f64]) -> (f64, f64, f64) {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let square = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);

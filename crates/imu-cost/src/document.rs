@@ -8,13 +8,16 @@ use std::collections::BTreeMap;
 /// The format's name; a change that old readers would misread gets a new number.
 pub const FORMAT: &str = "vn100d-cost-1";
 
-/// What a sensor model costs: error growth of unaided strapdown integration at rest.
+/// What a sensor model costs: error growth of unaided strapdown integration, at rest or along a motion.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Cost {
     /// [`FORMAT`].
     pub format: &'static str,
     /// The model, as the caller names it.
     pub model: String,
+    /// The motion after the alignment, as the caller names it; absent at rest.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion: Option<String>,
     /// Time of the alignment, s.
     pub align_s: f64,
     /// Times since the alignment's end, s.

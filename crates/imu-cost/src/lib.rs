@@ -17,6 +17,8 @@
 //! The ensemble: sensors of this model and nights with independent noise and phases. Courses that follow from time and
 //! temperature are the same in each, and count in the mean.
 //!
+//! Along a motion ([`Along`]) truth and sensor are integrated by the full strapdown (`motion`).
+//!
 //! Not counted: the turn of the Earth, the coupling of vertical acceleration, and errors of second order (an angle that
 //! is not small). A constant bias, magnetometers, pressure and stamps change nothing.
 //!
@@ -46,6 +48,7 @@ mod document;
 mod filter_parameters;
 mod measured;
 mod monte_carlo;
+mod motion;
 mod pieces;
 mod quadrature;
 mod request;
@@ -64,6 +67,7 @@ pub use filter_parameters::{
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
 pub use measured::{Growing, LEAST_PIECES, Measured, Pieces, measured};
+pub use motion::{Along, MOTION_ROWS_MAX, MotionRefusal};
 pub use pieces::{MeasureError, Rest, piece_error};
 pub use request::{CostError, Quantity, Request, Tolerance};
 pub use sheet::{
@@ -107,6 +111,8 @@ const SMALL_RAD: f64 = 0.3;
 /// # Validation
 /// docs/cost.md: each closed form against runs of the simulator, and against an implementation in numpy.
 pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, CostError> {
+    let (request, left_out) = motion::within(request, model)?;
+    let request = &*request;
     let setting = Setting::new(request, model)?;
     // The simulator checks the whole model.
     Simulator::new(model, request.seed, setting.rate_hz, setting.record_s())?;
@@ -115,7 +121,10 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
         let present = quantities.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         return Err(CostError::Absent { quantity: absent.quantity, present });
     }
-    let (mut composed, unknown) = composed(&setting, &quantities)?;
+    let (mut composed, unknown) = match &request.motion {
+        Some(along) => (motion::composed(request, along, model, &quantities)?, Unknown::new()),
+        None => composed(&setting, &quantities)?,
+    };
     if let Some((_, effect)) = unknown.iter().find(|(of, _)| request.tolerances.iter().any(|own| own.quantity == *of)) {
         return Err(CostError::NoClosedForm { effect: effect.clone() });
     }
@@ -132,12 +141,17 @@ pub fn cost(model: &SensorModel, name: &str, request: &Request) -> Result<Cost, 
         causes.sort_by(|one, other| last(other).total_cmp(&last(one)));
     }
     let extrapolated = record_s(model).map(|record_s| request.horizons_s.iter().map(|of| *of > record_s).collect());
-    let mut notes = notes(model, &quantities);
+    let mut notes = match &request.motion {
+        Some(along) => motion::notes(along, model, &quantities),
+        None => notes(model, &quantities),
+    };
+    notes.extend(left_out);
     notes.extend(unknown.iter().map(|(quantity, effect)| format!("no {quantity}: {effect} has no closed form")));
     notes.extend(composed.iter().find_map(|(quantity, of)| large_angle(*quantity, &of.growth, request)));
     let mut cost = Cost {
         format: FORMAT,
         model: name.to_owned(),
+        motion: request.motion.as_ref().map(|along| along.name.clone()),
         align_s: request.align_s,
         horizons_s: request.horizons_s.clone(),
         extrapolated,
@@ -217,9 +231,16 @@ fn notes(model: &SensorModel, quantities: &[Quantity]) -> Vec<String> {
 
 /// Returns a note if an angle is too large for the formulas of velocity and position.
 fn large_angle(quantity: Quantity, growth: &Growth, request: &Request) -> Option<String> {
-    let tilts = matches!(quantity, Quantity::AttitudeX | Quantity::AttitudeY);
+    // Along a motion a heading that is wrong turns accelerations.
+    let tilts = matches!(quantity, Quantity::AttitudeX | Quantity::AttitudeY)
+        || (quantity == Quantity::Heading && request.motion.is_some());
     let place = growth.band95.iter().position(|band| tilts && *band > SMALL_RAD)?;
     let horizon_s = request.horizons_s.get(place)?;
+    if request.motion.is_some() {
+        return Some(format!(
+            "{quantity} exceeds {SMALL_RAD} rad after {horizon_s} s: what noise adds to a mean error of that size is no longer exact"
+        ));
+    }
     Some(format!(
         "{quantity} exceeds {SMALL_RAD} rad after {horizon_s} s: the formulas for small angles no longer hold there for velocity \
          and position"

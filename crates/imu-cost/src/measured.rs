@@ -66,7 +66,7 @@ pub struct Pieces {
 }
 
 /// Measures the error growth in pieces of a recording, which the result calls `real`, and compares it with a model's.
-/// Limits of the request are ignored.
+/// Limits and a motion of the request are ignored.
 ///
 /// # Errors
 /// [`MeasureError`] if there are too few pieces, if rate or channels differ, or for a request that makes no sense.

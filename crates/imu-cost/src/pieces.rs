@@ -110,7 +110,7 @@ pub(crate) struct Found {
 /// A model's predictions at one begin, by quantity and then by horizon.
 type Predictions = BTreeMap<Quantity, Vec<Predicted>>;
 
-/// Returns the pieces of a recording, which has the number `record` among others. Limits of the request are ignored.
+/// Returns the pieces of a recording, which has the number `record` among others. Limits and a motion of the request are ignored.
 ///
 /// # Errors
 /// [`MeasureError`] if rate or channels differ, if no quantity has `least` disjoint pieces of the shortest horizon, or for a request
@@ -125,7 +125,7 @@ pub(crate) fn pieces(
     if (record.rate_hz / model.rate_hz - 1.0).abs() > SAME_RATE {
         return Err(MeasureError::Rate { found_hz: record.rate_hz, expected_hz: model.rate_hz });
     }
-    let request = Request { tolerances: Vec::new(), ..request.clone() };
+    let request = Request { tolerances: Vec::new(), motion: None, ..request.clone() };
     let setting = crate::request::Setting::new(&request, model)?;
     let align = setting.align as usize;
     let horizons: Vec<usize> = request.horizons_s.iter().map(|of| (of * model.rate_hz).round() as usize).collect();

@@ -4,6 +4,7 @@
 //! positive or not in order, times without a sample or too long, unknown quantities and units in a tolerance, and models
 //! without gyroscope and accelerometer.
 
+use crate::motion::{Along, MotionRefusal};
 use crate::weights::Span;
 use imu_core::sample::Channel;
 use imu_core::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2, parse_duration};
@@ -20,7 +21,8 @@ const WORK_MAX: f64 = 1e10;
 /// Runs of a Monte Carlo estimate: its standard deviation has a standard error of 3 %.
 const RUNS: usize = 500;
 
-/// An error quantity of unaided strapdown integration at rest, level, x and y horizontal, z up.
+/// An error quantity of unaided strapdown integration, x and y horizontal, z up. At rest a channel's axis is the world's;
+/// along a motion the axes are those of the world.
 #[derive(
     Debug,
     Clone,
@@ -250,6 +252,9 @@ pub enum CostError {
     /// The model cannot be simulated.
     #[error(transparent)]
     Model(#[from] SimulatorError),
+    /// The motion cannot be used.
+    #[error(transparent)]
+    Motion(#[from] MotionRefusal),
 }
 
 /// A limit on a quantity's 95 % band at a horizon.
@@ -328,6 +333,8 @@ pub struct Request {
     pub temperature: Option<Temperatures>,
     /// Limits.
     pub tolerances: Vec<Tolerance>,
+    /// The motion after the alignment; without one the sensor stays at rest.
+    pub motion: Option<Along>,
     /// Whether what has no closed form is simulated. If not, its quantities are left out, and a note states why.
     pub simulate: bool,
     /// Runs of a Monte Carlo estimate, if an effect has no closed form.
@@ -344,6 +351,7 @@ impl Default for Request {
             horizons_s: vec![1.0, 10.0, 60.0, 600.0, 3600.0],
             temperature: None,
             tolerances: Vec::new(),
+            motion: None,
             simulate: true,
             runs: RUNS,
             seed: 1,
