@@ -5,8 +5,10 @@ use super::{Context, Outcome, analysis, failed, model, print_json, simulate, tab
 use crate::jobs::{self, Gridded};
 use imu_core::units::format_duration;
 use imu_cost::{
-    Cause, Cost, CostError, LEAST_PIECES, MeasureError, Measured, Method, Quantity, Request, cost, measured, number,
+    Along, Cause, Cost, CostError, LEAST_PIECES, MOTION_ROWS_MAX, MeasureError, Measured, Method, MotionRefusal,
+    Quantity, Request, cost, measured, number,
 };
+use imu_model::motion::CourseError;
 use imu_model::simulator::SensorModel;
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -47,6 +49,8 @@ pub(super) fn run(context: &Context, args: &CostArgs) -> anyhow::Result<Outcome>
     let real = args.real.as_deref().map(|named| Real::open(context, named, args.rate)).transpose()?;
     let shown = |path: &Path, request: &Request| {
         let sensor = model::load(path)?;
+        let motion = args.motion.as_deref().map(|named| along(named, &sensor, request)).transpose()?;
+        let request = &Request { motion, ..request.clone() };
         let measured = real.as_ref().map(|real| real.measured(&sensor, path, request)).transpose()?;
         Ok::<Shown, anyhow::Error>(Shown { cost: cost_of(&sensor, path, request)?, measured })
     };
@@ -79,6 +83,20 @@ pub(super) fn run(context: &Context, args: &CostArgs) -> anyhow::Result<Outcome>
         (false, true) => Outcome::WithLoss,
         (false, false) => Outcome::Done,
     })
+}
+
+/// Reads a motion up to the last horizon or limit, at the rate of the model.
+fn along(named: &str, sensor: &SensorModel, request: &Request) -> anyhow::Result<Along> {
+    let limits_s = request.tolerances.iter().map(|limit| limit.horizon_s);
+    let longest_s = request.horizons_s.iter().copied().chain(limits_s).fold(0.0, f64::max);
+    let read = simulate::motion_rows(named, sensor, longest_s, MOTION_ROWS_MAX + 1);
+    let (rate_hz, rows) = read.map_err(|error| match error.downcast_ref() {
+        Some(CourseError::TooShort { kind, needed_s, .. }) => {
+            usage(format!("the motion `{kind}` needs {needed_s:.0} s or more: expected a last horizon of that length"))
+        }
+        None => error,
+    })?;
+    Ok(Along { name: named.to_owned(), rate_hz, rows: rows.into() })
 }
 
 /// A recording at rest.
@@ -135,7 +153,8 @@ fn cost_of(sensor: &SensorModel, path: &Path, request: &Request) -> anyhow::Resu
 
 pub(super) fn refused(path: &Path, error: &CostError) -> anyhow::Error {
     match error {
-        CostError::Model(_) | CostError::NoChannel { .. } | CostError::NoClosedForm { .. } => {
+        CostError::Motion(MotionRefusal::Short { .. }) => usage(error.to_string()),
+        CostError::Model(_) | CostError::Motion(_) | CostError::NoChannel { .. } | CostError::NoClosedForm { .. } => {
             failed(format!("{}: {error}", path.display()))
         }
         _ => usage(error.to_string()),
@@ -186,7 +205,12 @@ fn headline(cost: &Cost) -> String {
 
 fn write_cost(to: &mut dyn Write, cost: &Cost) -> std::io::Result<()> {
     writeln!(to, "{}.", headline(cost))?;
-    writeln!(to, "At rest, {} of alignment; the size of an error stays below the band in 95 %.", time(cost.align_s))?;
+    let align = time(cost.align_s);
+    let setting = match &cost.motion {
+        Some(motion) => format!("Along {motion}, after {align} of alignment at rest"),
+        None => format!("At rest, {align} of alignment"),
+    };
+    writeln!(to, "{setting}; the size of an error stays below the band in 95 %.")?;
     let beyond = |place: usize| cost.extrapolated.as_ref().is_some_and(|of| of.get(place) == Some(&true));
     let horizons = cost.horizons_s.iter().enumerate();
     let horizons: Vec<String> =
@@ -232,11 +256,17 @@ fn write_remarks(to: &mut dyn Write, cost: &Cost) -> std::io::Result<()> {
     if cost.extrapolated.iter().flatten().any(|beyond| *beyond) {
         writeln!(to, "* extrapolation: the record that the model was fitted to is shorter")?;
     }
-    for (quantity, growth) in &cost.quantities {
-        if growth.method == Method::MonteCarlo {
-            let runs = growth.runs.unwrap_or_default();
-            writeln!(to, "{quantity}: Monte Carlo, {runs} runs, because of {}", growth.simulated.join(", "))?;
+    let mut simulated: Vec<(String, Vec<String>)> = Vec::new();
+    for (quantity, growth) in cost.quantities.iter().filter(|(_, growth)| growth.method == Method::MonteCarlo) {
+        let runs = growth.runs.unwrap_or_default();
+        let how = format!("Monte Carlo, {runs} runs, because of {}", growth.simulated.join(", "));
+        match simulated.iter_mut().find(|(other, _)| *other == how) {
+            Some((_, quantities)) => quantities.push(quantity.to_string()),
+            None => simulated.push((how, vec![quantity.to_string()])),
         }
+    }
+    for (how, quantities) in simulated {
+        writeln!(to, "{}: {how}", quantities.join(", "))?;
     }
     for note in &cost.notes {
         writeln!(to, "note: {note}")?;

@@ -180,6 +180,26 @@ fn given(named: &str, rate_hz: f64, internal_hz: f64, duration_s: Option<f64>) -
     Ok(Given::File { path: named.to_owned(), rows, has_temperature, samples_per_row })
 }
 
+/// Returns the rows of a motion up to a time, at most `most`, and their rate in Hz.
+pub(super) fn motion_rows(
+    named: &str,
+    model: &SensorModel,
+    length_s: f64,
+    most: usize,
+) -> anyhow::Result<(f64, Vec<Motion>)> {
+    let internal_hz = model.internal_rate_hz(model.rate_hz);
+    let motion = given(named, model.rate_hz, internal_hz, Some(length_s))?;
+    let row_hz = match &motion {
+        Given::File { samples_per_row, .. } => internal_hz / f64::from(*samples_per_row),
+        Given::Course(_) => internal_hz,
+    };
+    let failed = Failed::default();
+    let count = (length_s * row_hz).ceil() as usize;
+    let rows = motion.rows(internal_hz, &failed)?.take(count.saturating_add(1).min(most)).collect();
+    whole(&failed)?;
+    Ok((row_hz, rows))
+}
+
 fn open(path: &str) -> anyhow::Result<BufReader<File>> {
     let kinds = Kind::ALL.map(Kind::name).join(", ");
     open_file(path).with_context(|| format!("the motion {path} cannot be read (motions without a file: {kinds})"))

@@ -194,6 +194,89 @@ fn a_diagnosis_has_the_cost_of_the_gap() {
     assert!(table.contains("without the causes"), "{table}");
 }
 
+/// Rows of a level sensor, z up, that turns about z from 1 s on.
+fn motion(folder: &Path, name: &str, count: usize, rate_hz: f64) -> String {
+    let mut text = "time_s,ref_gyro_x_rad_s,ref_gyro_y_rad_s,ref_gyro_z_rad_s,ref_accel_x_m_s2,ref_accel_y_m_s2,ref_accel_z_m_s2\n".to_owned();
+    for index in 0..count {
+        let time_s = index as f64 / rate_hz;
+        text += &format!("{time_s},0,0,{},0,0,9.80665\n", if time_s < 1.0 { 0.0 } else { 0.5 });
+    }
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_motion_adds_what_acts_on_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = model(folder.path(), "plain.json", &six_axes(&json!({"N": 1e-5}), &json!({"N": 1e-3})));
+    let mut scaled: Value = serde_json::from_str(&std::fs::read_to_string(&plain).unwrap()).unwrap();
+    scaled["triads"] = json!({"gyro": {"effects": [{"effect": "scale_factor", "x": 0, "y": 0, "z": 2e-3}]}});
+    let own = folder.path().join("scaled.json");
+    std::fs::write(&own, scaled.to_string()).unwrap();
+    let own = own.to_str().unwrap();
+    let turn = motion(folder.path(), "turn.csv", 800, 40.0);
+    let arguments = ["cost", "--model", own, "--against", &plain, "--motion", &turn, "--horizons", "1s,10s,20s,1min"];
+    let found: Value = serde_json::from_str(&done(&[&["--json"], &arguments[..]].concat(), 0)).unwrap();
+    assert_eq!(found["motion"], json!(turn));
+    assert_eq!(
+        (&found["horizons_s"], &found["against"]["horizons_s"]),
+        (&json!([1.0, 10.0, 20.0]), &json!([1.0, 10.0, 20.0]))
+    );
+    let heading = &found["quantities"]["heading"];
+    assert!((heading["mean"][2].as_f64().unwrap() / (2e-3 * 0.5 * 19.0) - 1.0).abs() < 1e-6, "{heading}");
+    assert_eq!((heading["method"].as_str(), heading["runs"].as_u64()), (Some("Monte Carlo"), Some(500)));
+    assert_eq!(found["against"]["quantities"]["heading"]["mean"][2].as_f64(), Some(0.0));
+    assert!(found["ratio"]["heading"][2].as_f64().unwrap() > 50.0, "{}", found["ratio"]);
+    let table = done(&arguments, 0);
+    let first = table.lines().next().unwrap();
+    assert!(first.contains("of heading (scale_factor on gyro_z, 100 %)"), "{first}");
+    for words in [
+        "turn.csv, after 30s of alignment at rest",
+        "the motion ends after 20 s: no horizon of 60 s",
+        "because of the motion",
+    ] {
+        assert!(table.contains(words), "{words} is not in {table}");
+    }
+    let limited = [
+        "cost",
+        "--model",
+        own,
+        "--motion",
+        "tumble",
+        "--horizons",
+        "80s",
+        "--check",
+        "--tolerance",
+        "heading=0.01deg/80s",
+    ];
+    assert!(done(&limited, 4).contains("FAIL: heading"));
+
+    let short = motion(folder.path(), "short.csv", 1, 40.0);
+    let fast = motion(folder.path(), "fast.csv", 100, 50.0);
+    let broken = folder.path().join("broken.csv");
+    std::fs::write(&broken, std::fs::read_to_string(&turn).unwrap().replacen("0.5,", "nan,", 1)).unwrap();
+    let broken = broken.to_str().unwrap();
+    for (more, code, words) in [
+        (&["--motion", &*turn, "--horizons", "1min"][..], 2, ["turn.csv ends after 20 s", "within the motion"]),
+        (&["--motion", &*turn, "--tolerance", "heading=1deg/30s"], 2, ["ends after 20 s", "before 30 s"]),
+        (&["--motion", &*turn, "--real", &*turn], 2, ["--motion", "--real"]),
+        (&["--motion", &*short], 1, ["short.csv", "single row"]),
+        (&["--motion", &*fast], 1, ["fast.csv", "50 rows per second"]),
+        (&["--motion", broken], 1, ["broken.csv, line 42", "a finite number"]),
+        (&["--motion", "absent.csv"], 74, ["absent.csv", "cannot be read"]),
+        (&["--motion", "tumble", "--horizons", "10s"], 2, ["`tumble` needs 78 s", "last horizon"]),
+    ] {
+        let ended = vn100d(&[&["cost", "--model", own], more].concat());
+        let text = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert_eq!(ended.status.code(), Some(code), "{more:?}: {text}");
+        assert!(ended.stdout.is_empty(), "{more:?}");
+        for word in words {
+            assert!(text.contains(word), "{more:?}: {word} is not in {text}");
+        }
+    }
+}
+
 #[test]
 fn what_makes_no_sense_is_refused_with_what_is_allowed() {
     let folder = tempfile::tempdir().unwrap();

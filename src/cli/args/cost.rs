@@ -22,6 +22,9 @@ pub struct CostArgs {
     /// Sampling rate of that recording in Hz, if the file has no times
     #[arg(long, value_name = "HZ", requires = "real")]
     pub rate: Option<f64>,
+    /// A motion after the alignment, as simulate reads it: a file, or still, tumble, rate-table as long as the last horizon
+    #[arg(long, value_name = "FILE|KIND", conflicts_with = "real")]
+    pub motion: Option<String>,
     /// Times of unaided integration, increasing, separated by commas
     #[arg(
         long,

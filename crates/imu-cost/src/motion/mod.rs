@@ -48,7 +48,7 @@ pub struct Along {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MotionRefusal {
     /// A motion has two rows or more, and not too many.
-    #[error("the motion {name} has {found} rows: expected from 2 to {MOTION_ROWS_MAX}")]
+    #[error("the motion {name} has {found} rows up to the last horizon: expected from 2 to {MOTION_ROWS_MAX}")]
     Rows {
         /// The motion.
         name: String,
