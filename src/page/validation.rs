@@ -60,12 +60,41 @@ fn name(quantity: Quantity) -> String {
     quantity.to_string().replace('_', " ")
 }
 
-/// Returns `E ± u (low to high)` in the shown unit.
-fn with_uncertainty(quantity: Quantity, of: &ModelError) -> String {
-    let (factor, unit) = quantity.shown_in();
-    let shown = |value: f64| number(factor * value);
-    let [low, high] = of.ci95.map(shown);
-    format!("{} ± {} {unit} <span class=\"interval\">({low} to {high})</span>", shown(of.error), shown(of.u_val))
+/// A unit of a row, in which its numbers are between 1 and 1000, and the decimals of its uncertainties.
+struct Shown {
+    factor: f64,
+    unit: String,
+}
+
+impl Shown {
+    /// Chooses the unit for a size of the quantity.
+    fn of(quantity: Quantity, size: f64) -> Self {
+        let (own, unit) = quantity.shown_in();
+        let prefixes = [(1e-3, "k"), (1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n")];
+        let fits = |(factor, prefix): &&(f64, &str)| own * size * factor >= 1.0 && (*prefix != "k" || unit == "m");
+        let (factor, prefix) = prefixes.iter().find(fits).unwrap_or(&(1e9, "n"));
+        let prefix = if size > 0.0 { prefix } else { "" };
+        let factor = if size > 0.0 { *factor } else { 1.0 };
+        Self { factor: own * factor, unit: format!("{prefix}{unit}") }
+    }
+
+    /// Returns a number with two significant digits of its uncertainty.
+    fn number(&self, value: f64, u_val: f64) -> String {
+        let (value, u_val) = (self.factor * value, self.factor * u_val);
+        let decimals = if u_val > 0.0 { (1.0 - u_val.log10().floor()).clamp(0.0, 9.0) } else { 3.0 };
+        format!("{value:.*}", decimals as usize).replace('-', "−")
+    }
+
+    /// Returns `E ± u`.
+    fn error(&self, of: &ModelError) -> String {
+        format!("{} ± {}", self.number(of.error, of.u_val), self.number(of.u_val, of.u_val))
+    }
+
+    /// Returns `E ± u (low to high)`.
+    fn with_interval(&self, of: &ModelError) -> String {
+        let [low, high] = of.ci95.map(|end| self.number(end, of.u_val));
+        format!("{} <span class=\"interval\">({low} to {high})</span>", self.error(of))
+    }
 }
 
 fn limits(out: &mut String, limits: &[LimitVerdict]) {
@@ -84,8 +113,11 @@ fn limits(out: &mut String, limits: &[LimitVerdict]) {
             LimitState::Missed => "missed",
             LimitState::Undecided => "undecided",
         };
-        let error =
-            of.error.as_ref().map_or_else(|| "too few pieces".to_owned(), |own| with_uncertainty(of.quantity, own));
+        let shown = Shown::of(of.quantity, of.limit);
+        let error = of
+            .error
+            .as_ref()
+            .map_or_else(|| "too few pieces".to_owned(), |own| format!("{} {}", shown.with_interval(own), shown.unit));
         let limit = of.quantity.with_unit(of.limit);
         let (name, time) = (name(of.quantity), time(of.horizon_s));
         let _ = write!(
@@ -103,7 +135,9 @@ fn errors(out: &mut String, sheet: &Sheet) {
          square of the errors in pieces of the recordings. S: the one that the model predicts for these pieces. E = S − D, with its \
          standard uncertainty u<sub>val</sub> of data and model parameters. If 0 is inside the 95&nbsp;% interval, the model's error is \
          too small to be seen in these data. Bias: E of the mean. Scatter: E of the standard deviation. Theil: bias² as a part of \
-         bias² + scatter². One interval in twenty misses 0 by chance.</p>",
+         bias² + scatter². In the band: pieces whose error is \
+         inside the model's 95&nbsp;% band. Pieces overlap; in brackets how many are independent. One interval in twenty misses 0 by \
+         chance.</p>",
         time(sheet.align_s)
     );
     for (quantity, all) in sheet.quantities.iter().filter(|(_, all)| all.iter().any(Option::is_some)) {
@@ -111,10 +145,11 @@ fn errors(out: &mut String, sheet: &Sheet) {
         *out += &wide(&name);
         let _ = write!(
             out,
-            "<table><tr><th scope=\"col\">{name} after</th><th scope=\"col\" class=\"number\">D</th>\
-             <th scope=\"col\" class=\"number\">S</th><th scope=\"col\">E ± u<sub>val</sub> (95&nbsp;% interval)</th>\
-             <th scope=\"col\">bias</th><th scope=\"col\">scatter</th><th scope=\"col\" class=\"number\">Theil</th>\
-             <th scope=\"col\" class=\"number\">inside the 95&nbsp;% band</th><th scope=\"col\" class=\"number\">pieces</th></tr>"
+            "<table><tr><th scope=\"col\">{name} after</th><th scope=\"col\">in</th><th scope=\"col\" class=\"number\">D</th>\
+             <th scope=\"col\" class=\"number\">S</th><th scope=\"col\" class=\"number\">E ± u<sub>val</sub> (95&nbsp;% interval)</th>\
+             <th scope=\"col\" class=\"number\">bias</th><th scope=\"col\" class=\"number\">scatter</th>\
+             <th scope=\"col\" class=\"number\">Theil</th><th scope=\"col\" class=\"number\">in the band</th>\
+             <th scope=\"col\" class=\"number\">pieces</th></tr>"
         );
         for (horizon_s, of) in sheet.horizons_s.iter().zip(all) {
             row(out, *quantity, *horizon_s, of.as_ref());
@@ -126,26 +161,25 @@ fn errors(out: &mut String, sheet: &Sheet) {
 fn row(out: &mut String, quantity: Quantity, horizon_s: f64, of: Option<&Comparison>) {
     let horizon = time(horizon_s);
     let Some(of) = of else {
-        let _ = write!(out, "<tr><th scope=\"row\">{horizon}</th><td colspan=\"8\">too few pieces</td></tr>");
+        let _ = write!(out, "<tr><th scope=\"row\">{horizon}</th><td colspan=\"9\">too few pieces</td></tr>");
         return;
     };
-    let class = if !of.rms.agrees() { " class=\"bad\"" } else { "" };
+    let class = if of.rms.agrees() { "number" } else { "number bad" };
     let theil = of.bias_proportion.map_or_else(|| "–".to_owned(), |share| format!("{:.0} %", 100.0 * share));
     let [low, high] = of.coverage_ci95.map(|share| 100.0 * share);
-    let _ = write!(
-        out,
-        "<tr><th scope=\"row\">{horizon}</th><td class=\"number\">{}</td><td class=\"number\">{}</td><td{class}>{}</td><td>{}</td>\
-         <td>{}</td><td class=\"number\">{theil}</td><td class=\"number\">{:.0} % <span class=\"interval\">({low:.0} to {high:.0})\
-         </span></td><td class=\"number\">{} <span class=\"interval\">({:.1} independent)</span></td></tr>",
-        quantity.with_unit(of.rms.measured),
-        quantity.with_unit(of.rms.predicted),
-        with_uncertainty(quantity, &of.rms),
-        with_uncertainty(quantity, &of.bias),
-        with_uncertainty(quantity, &of.scatter),
-        100.0 * of.coverage,
-        of.pieces,
-        of.independent
-    );
+    let shown = Shown::of(quantity, of.rms.measured);
+    let cells = [
+        ("number", shown.number(of.rms.measured, of.rms.u_val)),
+        ("number", shown.number(of.rms.predicted, of.rms.u_val)),
+        (class, shown.with_interval(&of.rms)),
+        ("number", shown.error(&of.bias)),
+        ("number", shown.error(&of.scatter)),
+        ("number", theil),
+        ("number", format!("{:.0} % <span class=\"interval\">({low:.0} to {high:.0})</span>", 100.0 * of.coverage)),
+        ("number", format!("{} <span class=\"interval\">({:.0})</span>", of.pieces, of.independent)),
+    ];
+    let cells = cells.map(|(class, cell)| format!("<td class=\"{class}\">{cell}</td>")).concat();
+    let _ = write!(out, "<tr><th scope=\"row\">{horizon}</th><td>{}</td>{cells}</tr>", shown.unit);
 }
 
 fn pictures(out: &mut String, sheet: &Sheet) {

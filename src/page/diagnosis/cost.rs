@@ -126,17 +126,18 @@ fn picture(measured: &MeasuredGrowth, quantity: Quantity) -> String {
 /// Writes the share of pieces inside both models' bands; a true model's has 95 %.
 fn coverage(out: &mut String, measured: &MeasuredGrowth, quantities: &[&Quantity]) {
     let percent = |share: f64| if share.is_finite() { format!("{:.0}", 100.0 * share) } else { "–".to_owned() };
+    *out += "<p class=\"soft\">Pieces inside the 95&nbsp;% band of the model as it is → of the corrected model:</p>";
     *out += &wide("pieces inside the band");
-    *out += "<table><tr><th scope=\"col\">pieces inside the 95&nbsp;% band, before → after</th>";
-    for horizon_s in &measured.horizons_s {
-        let _ = write!(out, "<th scope=\"col\" class=\"number\">{}</th>", time(*horizon_s));
+    *out += "<table><tr><th scope=\"col\">after</th>";
+    for quantity in quantities {
+        let _ = write!(out, "<th scope=\"col\" class=\"number\">{}</th>", quantity.to_string().replace('_', " "));
     }
     *out += "</tr>";
-    for quantity in quantities {
-        let name = quantity.to_string();
-        let _ = write!(out, "<tr><th scope=\"row\">{}</th>", name.replace('_', " "));
-        for pieces in &measured.quantities[&name] {
-            let cell = pieces.as_ref().map_or_else(
+    for (at, horizon_s) in measured.horizons_s.iter().enumerate() {
+        let _ = write!(out, "<tr><th scope=\"row\">{}</th>", time(*horizon_s));
+        for quantity in quantities {
+            let pieces = measured.quantities[&quantity.to_string()].get(at).and_then(Option::as_ref);
+            let cell = pieces.map_or_else(
                 || "–".to_owned(),
                 |of| {
                     let [low, high] = of.after_coverage_ci95.map(percent);

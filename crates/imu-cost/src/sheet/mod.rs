@@ -162,7 +162,7 @@ pub enum SheetVerdict {
 }
 
 /// Compares a model, which the sheet calls `name`, with recordings at rest. The request's limits count for the size of E of the root
-/// mean square. Its `begin_s` and `temperature` do not count: each recording has its own.
+/// mean square. Its `begin_s` and `temperature` do not count, since each recording has its own, nor does its motion.
 ///
 /// # Errors
 /// [`MeasureError`] with the first recording that has another rate or none of the channels, if all together have too few pieces, or for
@@ -190,6 +190,7 @@ pub fn sheet(
         begin_s: of.begin_s,
         horizons_s: horizons_s.clone(),
         temperature: of.temperature.clone(),
+        motion: None,
         ..request.clone()
     };
     let (mut all, mut notes): (BTreeMap<Quantity, Vec<Vec<Piece>>>, Vec<String>) = Default::default();
