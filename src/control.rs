@@ -8,12 +8,16 @@ use tokio::sync::{mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
 
 /// A request for a capture.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct CaptureRequest {
     /// The sample time to record.
     pub duration: Duration,
     /// Its name; the daemon makes one from date and time if it is absent.
     pub name: Option<String>,
+    /// Whether the name gets a number if it is taken; else the request is then refused.
+    pub numbered: bool,
+    /// A note about it.
+    pub note: Option<String>,
     /// The planned start, UTC ns; at once if absent.
     pub start_at_utc_ns: Option<i64>,
 }
@@ -30,9 +34,9 @@ pub enum ControlError {
     /// The name is taken.
     #[error("a capture named `{0}` exists already: choose another name")]
     NameTaken(String),
-    /// The name is invalid.
+    /// The name or the note is invalid.
     #[error("{0}")]
-    NameRefused(String),
+    Refused(String),
     /// The database did not accept it.
     #[error("the database did not take the request: {0}")]
     Store(String),

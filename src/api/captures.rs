@@ -1,11 +1,11 @@
-//! Captures: start, stop, list, show, pin, delete; and their accounting.
+//! Captures: start, stop, list, show, change, pin, delete; and their accounting.
 
 use super::extract::{J, P, Q};
 use super::page::{self, PageQuery};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use crate::control::CaptureRequest;
-use crate::store::{CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
+use crate::store::{CaptureChange, CaptureRow, CaptureState, DeviceClockRow, EventRow, GapRow, SegmentRow, StoreError};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, Uri};
@@ -49,10 +49,28 @@ pub(super) struct StartBody {
     /// Its sample time, `5h`, `90m`, `1h30m`; the configuration's if absent.
     #[schema(example = "5h")]
     duration: Option<String>,
-    /// Its name; date and time if absent.
+    /// Its name, with a number if it is taken (`desk-2`); date and time if absent.
     name: Option<String>,
+    /// A note about it, one line.
+    #[schema(example = "on foam, 23 °C", max_length = 1000)]
+    note: Option<String>,
     /// When to begin; at once if absent.
     start_at: Option<DateTime<Utc>>,
+}
+
+/// A change of a capture; what is absent stays.
+#[derive(Debug, Deserialize, utoipa::ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ChangeBody {
+    /// Its new name.
+    #[schema(max_length = 100)]
+    name: Option<String>,
+    /// Its new note, one line; an empty one and null remove the note.
+    #[serde(default, deserialize_with = "given")]
+    #[schema(value_type = Option<String>, max_length = 1000)]
+    note: Option<Option<String>>,
+    /// Whether it is protected from deletion.
+    pinned: Option<bool>,
 }
 
 /// The request to keep a capture.
@@ -61,6 +79,11 @@ pub(super) struct StartBody {
 pub(super) struct PinBody {
     /// True (also without a body): the capture is not deleted by anything.
     pinned: bool,
+}
+
+/// Distinguishes a member that is null from one that is absent.
+fn given<'de, D: serde::Deserializer<'de>>(value: D) -> Result<Option<Option<String>>, D::Error> {
+    Option::deserialize(value).map(Some)
 }
 
 /// A capture with the check of its numbers.
@@ -116,7 +139,7 @@ pub(super) async fn list(
 #[utoipa::path(post, path = "/v1/captures", tag = "captures", request_body = StartBody, responses(
     (status = 201, body = CaptureRow, headers(("Location" = String, description = "The capture"))),
     (status = 400, body = Problem, content_type = "application/problem+json"),
-    (status = 409, body = Problem, content_type = "application/problem+json", description = "One runs already, or the name is taken")))]
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "One runs already")))]
 pub(super) async fn start(State(state): State<ApiState>, J(body, _permit): J<StartBody>) -> Result<Response, ApiError> {
     let body = body.unwrap_or_default();
     let duration = match &body.duration {
@@ -137,7 +160,9 @@ pub(super) async fn start(State(state): State<ApiState>, J(body, _permit): J<Sta
             at.timestamp_nanos_opt().ok_or_else(|| ApiError::bad_request("`start_at` is before 1678 or after 2261"))
         })
         .transpose()?;
-    let id = state.parts.control.start(CaptureRequest { duration, name: body.name, start_at_utc_ns }).await?;
+    let StartBody { name, note, .. } = body;
+    let request = CaptureRequest { duration, name, numbered: true, note, start_at_utc_ns };
+    let id = state.parts.control.start(request).await?;
     let capture = state.read(move |reader| reader.capture(id)).await?;
     Ok(page::made(true, &format!("/v1/captures/{id}"), capture))
 }
@@ -160,6 +185,31 @@ pub(super) async fn show(State(state): State<ApiState>, P(name): P) -> Result<Js
         None => accounting,
     };
     Ok(Json(CaptureWithAccounting { capture, accounting, clocks }))
+}
+
+/// Changes a capture's name, note or protection, all of it or nothing.
+#[utoipa::path(patch, path = "/v1/captures/{id}", tag = "captures", request_body = ChangeBody,
+    params(("id" = String, Path, description = "Id, name, or `latest`")), responses(
+    (status = 200, body = CaptureRow),
+    (status = 400, body = Problem, content_type = "application/problem+json", description = "The name or the note is not allowed, or nothing is to be changed"),
+    (status = 409, body = Problem, content_type = "application/problem+json", description = "Another capture has the name")))]
+pub(super) async fn change(
+    State(state): State<ApiState>,
+    P(name): P,
+    J(body, _permit): J<ChangeBody>,
+) -> Result<Json<CaptureRow>, ApiError> {
+    let Some(ChangeBody { name: new_name, note, pinned }) = body else { return Err(nothing_to_change()) };
+    let change = CaptureChange { name: new_name, note: note.map(Option::unwrap_or_default), pinned };
+    if change == CaptureChange::default() {
+        return Err(nothing_to_change());
+    }
+    let id = state.resolve(name).await?;
+    state.change(move |parts| parts.store.change_capture(id, change)).await?;
+    Ok(Json(state.read(move |reader| reader.capture(id)).await?))
+}
+
+fn nothing_to_change() -> ApiError {
+    ApiError::bad_request("the body changes nothing: name at least one of `name`, `note` (empty: none) and `pinned`")
 }
 
 /// Deletes a capture with all its samples. One that runs, waits or is pinned stays.

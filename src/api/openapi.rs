@@ -41,7 +41,7 @@ pub fn document() -> String {
 fn text(document: &Document) -> String {
     let mut document = document.clone();
     for (path, item) in &mut document.paths.paths {
-        for operation in [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten() {
+        for operation in [&mut item.get, &mut item.post, &mut item.patch, &mut item.delete].into_iter().flatten() {
             let responses = &mut operation.responses.responses;
             responses.insert("default".to_owned(), problem("Any other error: docs/api.md, Problems").into());
             if path.contains("{id}") {

@@ -271,7 +271,7 @@ impl From<ControlError> for ApiError {
             ControlError::Busy(_) | ControlError::NotRunning(_) | ControlError::NameTaken(_) => {
                 Self::new(ProblemType::Conflict, detail)
             }
-            ControlError::NameRefused(_) => Self::bad_request(detail),
+            ControlError::Refused(_) => Self::bad_request(detail),
             ControlError::Store(_) | ControlError::Unwritten(_) | ControlError::Stopping => {
                 Self::unavailable(detail, 5)
             }
@@ -375,7 +375,7 @@ mod tests {
         assert_eq!(status(StoreError::NoSuchCapture("x".to_owned())), 404);
         assert_eq!(status(StoreError::NameTaken("x".to_owned())), 409);
         assert_eq!(status(StoreError::BadCursor("x".to_owned())), 400);
-        assert_eq!(ApiError::from(ControlError::NameRefused("x".to_owned())).status().as_u16(), 400);
+        assert_eq!(ApiError::from(ControlError::Refused("x".to_owned())).status().as_u16(), 400);
         assert_eq!(status(StoreError::Closed), 503);
         assert_eq!(status(StoreError::Unknown { column: "x", found: "y".to_owned() }), 500);
     }

@@ -24,7 +24,7 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(status::status))
         .routes(routes!(status::events))
         .routes(routes!(captures::list, captures::start))
-        .routes(routes!(captures::show, captures::delete))
+        .routes(routes!(captures::show, captures::change, captures::delete))
         .routes(routes!(captures::stop))
         .routes(routes!(captures::pin))
         .routes(routes!(captures::gaps))

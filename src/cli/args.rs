@@ -1,5 +1,6 @@
 //! Arguments: the command line as parsed by `clap`.
 
+use super::complete;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use imu_core::sample::StatedSampling;
@@ -11,12 +12,14 @@ use imu_noise::allan::{Estimator, TauSpacing};
 use std::path::PathBuf;
 use std::time::Duration;
 
+mod by_hand;
 mod cost;
 mod noise;
 mod pictures;
 mod recordings;
 mod validation;
 
+pub use by_hand::{DeleteArgs, NoteArgs, PinArgs, RenameArgs, StartArgs, StopArgs};
 pub use cost::{CostArgs, Tolerances};
 pub use noise::{ConsistentPair, NoiseArgs, SheetChoice};
 pub use pictures::{PlotArgs, ReportArgs};
@@ -74,6 +77,20 @@ pub enum Command {
     Status(ClientArgs),
     /// List the running daemon's background jobs
     Jobs(ClientArgs),
+    /// Start a capture of the running daemon
+    Start(StartArgs),
+    /// Stop the capture that runs or waits
+    Stop(StopArgs),
+    /// Keep captures from deletion
+    Pin(PinArgs),
+    /// End the protection of captures from deletion
+    Unpin(PinArgs),
+    /// Give a capture another name
+    Rename(RenameArgs),
+    /// Write a note about a capture, such as "on foam, 23 °C"
+    Note(NoteArgs),
+    /// Delete captures with all their samples
+    Delete(DeleteArgs),
     /// Import a recording as a capture: CSV and other tables, raw $VN… lines or bytes of the port, ROS bags, logs of PX4
     /// and ArduPilot (docs/recordings.md)
     Import(ImportArgs),
@@ -84,6 +101,7 @@ pub enum Command {
     /// Show one capture with its segments, gaps and counts
     Show {
         /// Id, name, `latest`, or the path of a recording
+        #[arg(add = complete::captures_and_files())]
         capture: String,
         /// Rate of a recording in Hz: for one without stamps, or to override its stamps
         #[arg(long, value_name = "HZ", value_parser = rate)]
@@ -202,7 +220,7 @@ pub struct EmulateArgs {
     #[arg(long, value_name = "PATH")]
     pub link: Option<PathBuf>,
     /// Sensor model (JSON) whose noise it sends (default: a desk VN-100)
-    #[arg(long, value_name = "FILE", conflicts_with = "replay")]
+    #[arg(long, value_name = "FILE", conflicts_with = "replay", add = complete::models())]
     pub model: Option<PathBuf>,
     /// Output rate at power-up in Hz (ASCII; the host may configure another)
     #[arg(long, value_name = "HZ")]
@@ -310,7 +328,7 @@ pub enum Format {
 #[derive(Debug, Args)]
 pub struct AllanArgs {
     /// Id, name, `latest`, or the path of a recording; several of one sensor give one result
-    #[arg(required = true, value_name = "CAPTURE")]
+    #[arg(required = true, value_name = "CAPTURE", add = complete::captures_and_files())]
     pub captures: Vec<String>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
@@ -348,7 +366,7 @@ impl SamplingArgs {
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
     /// Sensor model (JSON; default: a desk VN-100)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", add = complete::models())]
     pub model: Option<PathBuf>,
     /// Sample time to simulate, such as 5h (default: as long as the motion's file)
     #[arg(long, value_name = "DURATION", value_parser = parse_duration)]
@@ -383,10 +401,10 @@ pub struct SimulateArgs {
 #[derive(Debug, Args)]
 pub struct DiagnoseArgs {
     /// The recording: id, name, `latest`, or a file's path
-    #[arg(long, value_name = "CAPTURE|FILE")]
+    #[arg(long, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
     pub real: String,
     /// The simulator: a sensor model (.json), or a capture or file that a simulator made
-    #[arg(long, value_name = "MODEL.json|CAPTURE|FILE")]
+    #[arg(long, value_name = "MODEL.json|CAPTURE|FILE", add = complete::simulators())]
     pub sim: String,
     /// The sensor's motion as another instrument measured it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2;
     /// the effects that a motion drives are diagnosed too
@@ -437,7 +455,7 @@ pub struct TrialArgs {
     #[arg(long, conflicts_with_all = ["on", "html"])]
     pub motion: bool,
     /// Impose the effects on this recording instead of on simulated noise: id, name, `latest`, or a file's path
-    #[arg(long, value_name = "CAPTURE|FILE")]
+    #[arg(long, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
     pub on: Option<String>,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate, requires = "on")]
@@ -580,7 +598,7 @@ pub enum ModelCommand {
     /// Fit a model to a capture or recording
     Fit {
         /// Id, name, `latest`, or the path of a recording; several of one sensor give one model
-        #[arg(required = true, value_name = "CAPTURE")]
+        #[arg(required = true, value_name = "CAPTURE", add = complete::captures_and_files())]
         captures: Vec<String>,
         /// Rate of recordings without stamps in Hz
         #[arg(long, value_name = "HZ", value_parser = rate)]
@@ -590,7 +608,7 @@ pub enum ModelCommand {
         sampling: SamplingArgs,
         /// Effects to look for besides N, B, K and bias: all, or names of docs/effects.md separated by commas, such as
         /// tone,resonance
-        #[arg(long, value_name = "NAMES", value_parser = effect_names)]
+        #[arg(long, value_name = "NAMES", value_parser = effect_names, add = complete::effects())]
         effects: Option<EffectNames>,
         /// Name of the model (default: the capture's)
         #[arg(long, value_name = "NAME")]
@@ -608,18 +626,22 @@ pub enum ModelCommand {
     /// Show a model's parameters with their intervals
     Show {
         /// The model
+        #[arg(add = complete::models())]
         file: PathBuf,
     },
     /// Print the differences of two models
     Diff {
         /// A model
+        #[arg(add = complete::models())]
         first: PathBuf,
         /// Another model
+        #[arg(add = complete::models())]
         second: PathBuf,
     },
     /// Write a model's parameters for another program
     Export {
         /// The model
+        #[arg(add = complete::models())]
         file: PathBuf,
         /// The target program
         #[arg(long, value_parser = target())]

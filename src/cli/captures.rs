@@ -17,6 +17,11 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
     if deletions {
         header.push("will be deleted on");
     }
+    // So is that of the notes.
+    let notes = captures.iter().any(|capture| capture.note.is_some());
+    if notes {
+        header.push("note");
+    }
     let mut rows = table(&header);
     for capture in &captures {
         let mut cells = vec![
@@ -32,6 +37,9 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
         ];
         if deletions {
             cells.push(capture.delete_at.map(|time| time.to_string()).unwrap_or_default());
+        }
+        if notes {
+            cells.push(capture.note.clone().unwrap_or_default());
         }
         rows.add_row(cells);
     }

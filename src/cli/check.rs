@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 /// Prints the findings; exit code 3 if there are any.
 pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Result<Outcome> {
-    let path = database.map_or_else(|| context.database(), Ok)?;
+    let path = database.map_or_else(|| context.existing_database(), Ok)?;
     let report = crate::store::check(&path)?;
     let outcome = if report.is_clean() { Outcome::Done } else { Outcome::WithLoss };
     if context.json {

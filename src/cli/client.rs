@@ -103,10 +103,18 @@ impl ClientError {
 /// # Errors
 /// [`ClientError`].
 pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
+    get_within(base_url, path, PATIENCE)
+}
+
+/// Returns the JSON as [`get`] does, if it comes within this time.
+///
+/// # Errors
+/// [`ClientError`].
+pub(super) fn get_within(base_url: &str, path: &str, patience: Duration) -> Result<Value, ClientError> {
     let base_url = base_url.trim_end_matches('/');
     let agent = ureq::Agent::config_builder()
         .http_status_as_error(false)
-        .timeout_global(Some(PATIENCE))
+        .timeout_global(Some(patience))
         .max_redirects(0)
         .proxy(None)
         .build()
@@ -116,6 +124,70 @@ pub fn get(base_url: &str, path: &str) -> Result<Value, ClientError> {
     let response =
         agent.get(format!("{base_url}{path}")).header("accept", "application/json").call().map_err(unreachable)?;
     read(base_url, response, (0, 0))
+}
+
+/// How a request changes something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Change {
+    /// `POST`
+    Post,
+    /// `PATCH`
+    Patch,
+    /// `DELETE`
+    Delete,
+}
+
+/// Returns the JSON that the daemon answers to a request that changes something; null if its answer is empty.
+///
+/// # Errors
+/// [`ClientError`]. After [`ClientError::BrokenOff`] it is not known whether the daemon has done it.
+pub(super) fn change(
+    base_url: &str,
+    how: Change,
+    path: &str,
+    token: &str,
+    body: Option<&Value>,
+) -> Result<Value, ClientError> {
+    let base_url = base_url.trim_end_matches('/');
+    let config = ureq::Agent::config_builder()
+        .http_status_as_error(false)
+        .timeout_global(Some(PATIENCE))
+        .max_redirects(0)
+        .proxy(None)
+        .build();
+    let connector = Watched::default();
+    let connected = Arc::clone(&connector.connected);
+    let agent = ureq::Agent::with_parts(config, connector, DefaultResolver::default());
+    let method = match how {
+        Change::Post => ureq::http::Method::POST,
+        Change::Patch => ureq::http::Method::PATCH,
+        Change::Delete => ureq::http::Method::DELETE,
+    };
+    let mut request = ureq::http::Request::builder()
+        .method(method)
+        .uri(format!("{base_url}{path}"))
+        .header("accept", "application/json");
+    if !token.is_empty() {
+        request = request.header("authorization", format!("Bearer {token}"));
+    }
+    if body.is_some() {
+        request = request.header("content-type", "application/json");
+    }
+    let answered = match body {
+        Some(body) => request.body(body.to_string()).map_err(ureq::Error::from).and_then(|request| agent.run(request)),
+        None => request.body(()).map_err(ureq::Error::from).and_then(|request| agent.run(request)),
+    };
+    match answered {
+        Ok(response) => read(base_url, response, (0, 0)),
+        Err(error) if connected.load(Ordering::Acquire) => Err(broken_off(base_url, (0, 0), &error)),
+        Err(error) => Err(ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() }),
+    }
+}
+
+/// Returns a text as one segment of a path: a name may hold any character but `/` and control characters.
+pub(super) fn segment(text: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_~".contains(&byte);
+    text.bytes().map(|byte| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") }).collect()
 }
 
 /// Returns the JSON that the daemon answers to `POST path` with a body of `length_bytes` bytes, however long it takes.
@@ -233,6 +305,9 @@ fn read(
     let status = response.status().as_u16();
     let text = response.body_mut().with_config().limit(ANSWER_BYTES).read_to_string();
     let text = text.map_err(|error| broken_off(base_url, sent, &error))?;
+    if status == 204 {
+        return Ok(Value::Null);
+    }
     let body: Value = serde_json::from_str(&text).map_err(|error| foreign(format!("no JSON ({error})")))?;
     if (200..300).contains(&status) {
         return Ok(body);

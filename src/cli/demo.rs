@@ -60,7 +60,7 @@ pub(super) fn run(context: &Context, args: &DemoArgs) -> anyhow::Result<Outcome>
     let capture = CaptureRequest {
         duration: args.duration,
         name: folder.as_ref().map(|_| "demo".to_owned()),
-        start_at_utc_ns: None,
+        ..CaptureRequest::default()
     };
     let config = tokio::sync::watch::channel(config).1;
     let options = Options { database, config, capture: Some(capture), clock };

@@ -152,7 +152,24 @@ fn place(source: Samples, path: &Path, stop: &Stop) -> anyhow::Result<Report> {
     let shown = path.display().to_string();
     let report = write(source, SampleFormat::Parquet, false, output.file(), stop, &shown)?;
     output.keep()?;
+    remove_earlier_names(path)?;
     Ok(report)
+}
+
+/// Removes files of the same capture under names that it had before it was renamed: `capture-ID-…-DATABASE.parquet`.
+fn remove_earlier_names(path: &Path) -> anyhow::Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let (Some((_, end)), Some(begin)) = (name.rsplit_once('-'), name.splitn(3, '-').nth(1)) else { return Ok(()) };
+    let (begin, end) = (format!("capture-{begin}-"), format!("-{end}"));
+    let folder = path.parent().unwrap_or(Path::new("."));
+    for entry in std::fs::read_dir(folder).with_context(|| format!("{} cannot be read", folder.display()))? {
+        let other = entry?.file_name();
+        let other = other.to_string_lossy();
+        if other != name && other.starts_with(&begin) && other.ends_with(&end) {
+            std::fs::remove_file(folder.join(&*other)).with_context(|| format!("{other} cannot be removed"))?;
+        }
+    }
+    Ok(())
 }
 
 /// Removes folders that were made for a file that was not written; the system keeps folders that are not empty.

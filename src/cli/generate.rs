@@ -1,10 +1,11 @@
-//! `vn100d completions` and `vn100d generate`: completions and manual pages, made from the arguments themselves.
+//! `vn100d completions` and `vn100d generate`: scripts for completions, and manual pages made of the arguments.
 
 use super::args::{Cli, CompletionsArgs, GenerateArgs};
-use super::{Outcome, usage};
+use super::{Outcome, complete, usage};
 use anyhow::Context as _;
 use clap::CommandFactory as _;
 use clap_complete::Shell;
+use clap_complete::env::Shells;
 use std::io::Write as _;
 use std::path::Path;
 
@@ -15,9 +16,22 @@ const SHELLS: [(Shell, &str); 3] =
 /// Prints completions for a shell.
 pub(super) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "vn100d", &mut text);
+    script(args.shell, &mut text)?;
     std::io::stdout().write_all(&text)?;
     Ok(Outcome::Done)
+}
+
+/// Writes the script with which a shell asks the program for completions.
+fn script(shell: Shell, text: &mut Vec<u8>) -> anyhow::Result<()> {
+    let shells = Shells::builtins();
+    let known = shells.completer(&shell.to_string()).context("there are no completions for this shell")?;
+    known.write_registration(complete::ASKED, "vn100d", "vn100d", "vn100d", text)?;
+    if shell == Shell::Zsh {
+        // Zsh loads a package's file at the first question, and expects an answer to it.
+        let call = "if [ \"$funcstack[1]\" = _vn100d ]; then _clap_dynamic_completer_vn100d \"$@\"; fi\n";
+        text.extend_from_slice(call.as_bytes());
+    }
+    Ok(())
 }
 
 /// Writes the manual pages, or all completions, into a folder.
@@ -29,7 +43,7 @@ pub(super) fn generate(args: &GenerateArgs) -> anyhow::Result<Outcome> {
         "completions" => {
             for (shell, name) in SHELLS {
                 let mut text = Vec::new();
-                clap_complete::generate(shell, &mut Cli::command(), "vn100d", &mut text);
+                script(shell, &mut text)?;
                 write(&folder.join(name), &text)?;
             }
         }

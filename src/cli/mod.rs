@@ -4,10 +4,12 @@ mod allan;
 mod analysis;
 pub mod args;
 mod backup;
+mod by_hand;
 mod calibration;
 mod captures;
 mod check;
 mod client;
+mod complete;
 mod connection;
 mod cost;
 mod demo;
@@ -23,6 +25,7 @@ mod model;
 mod noise;
 mod notify;
 mod output;
+mod place;
 mod plot;
 mod probe;
 mod progress;
@@ -139,7 +142,7 @@ impl Context {
         crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)
     }
 
-    /// Returns the database's path.
+    /// Returns the path of the database that this user's commands write.
     fn database(&self) -> Result<PathBuf, ConfigError> {
         Ok(Environment::from_process().data_dir(self.data_dir.as_deref())?.join("vn100d.db"))
     }
@@ -162,11 +165,6 @@ impl Context {
                 _ => error,
             }
         })
-    }
-
-    /// Returns the database for reading, also beside a running daemon.
-    fn reader(&self) -> anyhow::Result<Reader> {
-        Ok(Reader::open(&self.database()?)?)
     }
 
     /// Returns the token for the daemon at `--listen`, or at the configured address; empty if there is none, or none
@@ -255,6 +253,8 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
 /// Parses the arguments, runs the command, and reports failures.
 pub fn main() -> ExitCode {
     use std::io::Write as _;
+    // If a shell asks for completions, this prints them and ends the process.
+    complete::environment().complete();
     let cli = Cli::parse();
     match run(cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -307,6 +307,13 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
             jobs::run(&context.daemon_url(args.listen.as_deref())?, context.json)?;
             Ok(Outcome::Done)
         }
+        Command::Start(args) => by_hand::start(&context, &args),
+        Command::Stop(args) => by_hand::stop(&context, &args),
+        Command::Pin(args) => by_hand::pin(&context, &args, true),
+        Command::Unpin(args) => by_hand::pin(&context, &args, false),
+        Command::Rename(args) => by_hand::rename(&context, &args),
+        Command::Note(args) => by_hand::note(&context, &args),
+        Command::Delete(args) => by_hand::delete(&context, &args),
         Command::Import(args) => import::run(&context, &args),
         Command::Export(args) => export::run(&context, &args),
         Command::Captures => captures::run(&context),

@@ -6,7 +6,7 @@ use std::io::Write as _;
 
 /// Salvages; exit code 3 if anything was lost or damaged.
 pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcome> {
-    let path = args.database.map_or_else(|| context.database(), Ok)?;
+    let path = args.database.map_or_else(|| context.existing_database(), Ok)?;
     let report = crate::store::recover(&path, &args.out, args.force)?;
     let outcome = if report.has_damage() { Outcome::WithLoss } else { Outcome::Done };
     if context.json {

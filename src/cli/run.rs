@@ -21,7 +21,7 @@ pub(super) fn run(context: &Context, args: &RunArgs) -> anyhow::Result<Outcome> 
     logging::init(&config.log.level, LogStyle::of_process(config.log.format == LogFormat::Json))?;
     let clock: Arc<dyn Clock> =
         if args.speed == 1.0 { Arc::new(SystemClock) } else { Arc::new(ScaledClock::new(args.speed)) };
-    let capture = args.capture.map(|duration| CaptureRequest { duration, name: None, start_at_utc_ns: None });
+    let capture = args.capture.map(|duration| CaptureRequest { duration, ..CaptureRequest::default() });
     let (configuration, config) = watch::channel(config);
     let options = Options { database: context.database()?, config, capture, clock };
     let context = context.clone();

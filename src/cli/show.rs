@@ -37,6 +37,9 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     let mut stdout = std::io::stdout().lock();
     let time = |time: Option<crate::store::UtcNs>| time.map_or_else(|| "–".to_owned(), |time| time.to_string());
     writeln!(stdout, "capture {} `{}`, {} from {}", row.id, row.name, row.state.name(), row.source)?;
+    if let Some(note) = &row.note {
+        writeln!(stdout, "  note: {note}")?;
+    }
     writeln!(stdout, "  from {} to {}", time(row.started_at), time(row.ended_at))?;
     writeln!(
         stdout,

@@ -48,6 +48,16 @@ impl Environment {
             .ok_or(ConfigError::NoDataDirectory)
     }
 
+    /// Returns whether the directory of the database was named: by `--data-dir` or its variables, or by systemd.
+    pub fn names_data_dir(&self, flag: Option<&Path>) -> bool {
+        flag.is_some() || self.path("VN100D_DATA_DIR").is_some() || self.state_directory().is_some()
+    }
+
+    /// Returns whether a configuration was named.
+    pub fn names_config(&self, flag: Option<&Path>) -> bool {
+        self.named_config(flag).is_some()
+    }
+
     /// Returns the first of the state directories, which systemd separates by colons: it is the one of this program.
     fn state_directory(&self) -> Option<PathBuf> {
         let all = self.path("STATE_DIRECTORY")?;

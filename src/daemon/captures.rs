@@ -6,7 +6,7 @@ use crate::capture::task::{Progress, TaskCommand};
 use crate::clock::{Clock, SystemClock};
 use crate::control::{CaptureRequest, Command, ControlError};
 use crate::jobs::Jobs;
-use crate::store::{CaptureState, NewCapture, Store, StoreError, StoreErrorKind, Unfinished};
+use crate::store::{CaptureState, NewCapture, Store, StoreError, StoreErrorKind, Unfinished, check_name};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot, watch};
@@ -117,8 +117,8 @@ impl Keeper {
     /// Starts a capture.
     ///
     /// # Errors
-    /// [`ControlError::Busy`] while one runs or waits, [`ControlError::NameTaken`], or the error that the database
-    /// reports.
+    /// [`ControlError::Busy`] while one runs or waits, [`ControlError::NameTaken`], [`ControlError::Refused`], or the
+    /// error that the database reports.
     pub async fn start(&mut self, request: CaptureRequest) -> Result<i64, ControlError> {
         self.notice_end();
         if self.asking
@@ -135,7 +135,15 @@ impl Keeper {
         let source = self.progress.borrow().sensor.port.clone().unwrap_or_else(|| self.device.clone());
         let state = if request.start_at_utc_ns.is_some() { CaptureState::Waiting } else { CaptureState::Capturing };
         let mut capture = NewCapture::new(&source, state);
-        capture.name.clone_from(&request.name);
+        match request.name {
+            // A night that would not begin because of its name would be lost.
+            Some(name) if request.numbered => {
+                check_name(&name).map_err(refused)?;
+                capture.liked_name = Some(name);
+            }
+            name => capture.name = name,
+        }
+        capture.note = request.note;
         capture.planned = Some(request.duration);
         capture.start_at_utc_ns = request.start_at_utc_ns;
         let (id, name) = self.create(capture).await?;
@@ -261,7 +269,9 @@ fn is_storage(error: &StoreError) -> bool {
 fn refused(error: StoreError) -> ControlError {
     match error {
         StoreError::NameTaken(name) => ControlError::NameTaken(name),
-        other @ StoreError::NameRefused { .. } => ControlError::NameRefused(other.to_string()),
+        other @ (StoreError::NameRefused { .. } | StoreError::NoteRefused(_)) => {
+            ControlError::Refused(other.to_string())
+        }
         other => ControlError::Store(other.to_string()),
     }
 }

@@ -104,10 +104,11 @@ fn compose(store: &Store, jobs: &Jobs, captured: &mut Captured, clock: &dyn Cloc
         let tally = tally.filter(|tally| tally.capture_id == plan.id);
         let base = tally.map_or(0, |tally| tally.base);
         let committed = on_disk.get(&plan.id).copied().unwrap_or(base);
+        let stored = store.stored_id(plan.id);
         let discarded = tally.iter().flat_map(|tally| DiscardCause::ALL.into_iter().zip(tally.dropped));
         CaptureStatus {
-            id: store.stored_id(plan.id),
-            name: plan.name.clone(),
+            id: stored,
+            name: store.renamed(stored).unwrap_or_else(|| plan.name.clone()),
             state: if *waiting { "waiting" } else { "capturing" }.to_owned(),
             elapsed_s: counts.elapsed_ns / 1e9,
             remaining_s: ((plan.duration_ns as f64 - counts.elapsed_ns) / 1e9).max(0.0),

@@ -1,7 +1,7 @@
 //! The schedule's shell: requests each night's capture when its time has come.
 //!
-//! A night's capture is known by its name: if a capture of that name exists, the night is done, regardless of its
-//! origin and state. So a restart starts no second one, and no state has to be stored.
+//! A night's capture is known by its name: if a capture has that name, or had it before somebody renamed it, the night
+//! is done, regardless of its origin and state. So a restart starts no second one, and no state has to be stored.
 
 use super::retention::candidate;
 use crate::clock::{Clock, rfc3339};
@@ -190,11 +190,7 @@ impl Scheduler {
             let reader = store.reader()?;
             let captures: Vec<Candidate> = reader.retention_rows()?.iter().map(candidate).collect();
             let verdict = judge.look(now, &captures);
-            let is_there = match name.map(|name| reader.resolve(&name)).transpose() {
-                Ok(found) => found.is_some(),
-                Err(StoreError::NoSuchCapture(_)) => false,
-                Err(error) => return Err(error),
-            };
+            let is_there = name.map_or(Ok(false), |name| reader.has_been_named(&name))?;
             Ok((judge, verdict, is_there))
         };
         self.store.offload(ask).await
@@ -205,8 +201,8 @@ impl Scheduler {
         if let Some(doubt) = doubt(now, verdict) {
             return Attempt::Waits(Why::Clock(doubt));
         }
-        let request =
-            CaptureRequest { duration: self.schedule.duration, name: Some(night.name.clone()), start_at_utc_ns: None };
+        let name = Some(night.name.clone());
+        let request = CaptureRequest { duration: self.schedule.duration, name, ..CaptureRequest::default() };
         match self.control.start(request).await {
             Ok(id) => {
                 tracing::info!(capture = id, night = night.name, "the night's capture begins");
@@ -235,7 +231,7 @@ mod tests {
     use super::*;
     use crate::clock::ManualClock;
     use crate::control::Command;
-    use crate::store::{CaptureState, NewCapture, StoreOptions};
+    use crate::store::{CaptureChange, CaptureState, NewCapture, StoreOptions};
     use std::sync::Mutex;
 
     /// 2027-01-15, 22:00 UTC.
@@ -328,7 +324,7 @@ mod tests {
         }
         let asked = world.asked.lock().unwrap().clone();
         let (name, duration) = (Some(night("2027-01-15")), 5 * HOUR);
-        assert_eq!(asked, [CaptureRequest { duration, name, start_at_utc_ns: None }]);
+        assert_eq!(asked, [CaptureRequest { duration, name, ..CaptureRequest::default() }]);
         // The next run of the daemon knows only the data in the database.
         assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
         assert_eq!(world.asked().len(), 1);
@@ -352,6 +348,21 @@ mod tests {
             assert_eq!(world.look(&mut course).await, (night("2027-01-16"), None));
         }
         assert_eq!(world.asked().len(), 1);
+    }
+
+    #[tokio::test]
+    async fn a_night_that_was_renamed_is_done() {
+        let world = World::at(START_NS);
+        assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
+        let rename = |store: &Store| {
+            let id = store.reader()?.resolve(&night("2027-01-15"))?;
+            let name = Some("on foam".to_owned());
+            store.change_capture(id, CaptureChange { name, ..CaptureChange::default() })
+        };
+        world.scheduler.store.offload(rename).await.unwrap();
+        // The next run of the daemon.
+        assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
+        assert_eq!(world.asked(), [night("2027-01-15")]);
     }
 
     #[tokio::test]

@@ -243,7 +243,7 @@ fn captures(out: &mut String, captures: &[CaptureRow]) {
              <td class=\"number\">{}</td><td class=\"number\">{}</td><td class=\"number\">{}</td></tr>",
             of.id,
             escaped(&of.name),
-            if of.pinned { " <span class=\"soft\">(kept)</span>" } else { "" },
+            note(of),
             of.state.name(),
             of.started_at.map_or_else(|| "–".to_owned(), |at| clock(&at.to_string())),
             span(of.duration_s),
@@ -253,6 +253,15 @@ fn captures(out: &mut String, captures: &[CaptureRow]) {
         );
     }
     *out += "</table></div></section>";
+}
+
+/// Returns what a row says behind the name.
+fn note(of: &CaptureRow) -> String {
+    let kept = if of.pinned { " <span class=\"soft\">(kept)</span>" } else { "" };
+    match &of.note {
+        Some(note) => format!("{kept}<br><span class=\"soft\">{}</span>", escaped(note)),
+        None => kept.to_owned(),
+    }
 }
 
 fn diagnoses(out: &mut String, diagnoses: &[DiagnosisRow]) {
@@ -272,6 +281,7 @@ fn controls(out: &mut String, view: &DashboardView<'_>) {
     let _ = write!(
         out,
         "<form data-post=\"/v1/captures\" data-when=\"idle\"><label>name <input name=\"name\" maxlength=\"100\" placeholder=\"date and time\"></label>\
+         <label>note <input name=\"note\" maxlength=\"1000\" placeholder=\"on foam, 23 °C\"></label>\
          <label>duration <input name=\"duration\" value=\"{}\" size=\"6\" required></label>\
          <label>begin at, by this clock <input name=\"start_at\" type=\"datetime-local\"></label><button>start</button></form>",
         escaped(view.duration)
@@ -366,6 +376,7 @@ mod tests {
             "2.5 GB free, enough for 10 d at this rate",
             "<progress value=\"0.250\" aria-label=\"progress of job 3\">",
             "2026-11-23 20:00:00",
+            "(kept)</span><br><span class=\"soft\">on &lt;foam&gt;, 23 °C</span>",
             "a &lt;b&gt; is missing",
             "To be deleted next, to keep within the limits: &lt;old&gt;.",
             "gyro_x over the last minute",

@@ -134,9 +134,11 @@ document.addEventListener(
 
 // Sends a change; the daemon's answer, or why there is none.
 async function change(form) {
+  const method = form.dataset.method ?? "POST";
   const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
   for (const [name, value] of new FormData(form)) {
-    if (value === "" || value.size === 0) continue;
+    // An empty field asks for nothing, but takes away what a change would change.
+    if ((value === "" && method === "POST") || value.size === 0) continue;
     if (value instanceof File) {
       try {
         body[name] = JSON.parse(await value.text());
@@ -151,7 +153,7 @@ async function change(form) {
   const empty = Object.keys(body).length === 0;
   try {
     const answer = await fetch(path, {
-      method: "POST",
+      method,
       headers: empty ? headers() : { ...headers(), "Content-Type": "application/json" },
       body: empty ? undefined : JSON.stringify(body),
     });

@@ -13,6 +13,7 @@ pub(super) fn capture() -> CaptureRow {
     CaptureRow {
         id: 7,
         name: "<script>alert(1)".to_owned(),
+        note: Some("on <foam>, 23 °C".to_owned()),
         source: "/dev/ttyUSB0".to_owned(),
         state: CaptureState::Complete,
         created_at: begun,

@@ -1,5 +1,6 @@
 //! Captures: creation, changes, lists and deletion.
 
+use super::names::{NAME_MAX, check_name, check_note, free_name, numbered, pin};
 use super::sql::{find, run, value};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use imu_core::sample::{CaptureConfiguration, Channel, DiscardCause, SensorDescription};
@@ -11,8 +12,6 @@ use std::collections::BTreeMap;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// The longest name in characters.
-pub const NAME_MAX: usize = 100;
 /// Rows deleted in one transaction: a few tens of ms, so that the writer is free in between.
 const DELETE_ROWS: i64 = 4000;
 
@@ -86,8 +85,10 @@ impl ChannelRow {
 pub struct NewCapture {
     /// Its name.
     pub name: Option<String>,
-    /// Used if there is no name: this name if it is valid and free, else a name made from the time.
+    /// Used if there is no name: this name if it is valid, with a number if it is taken, else a name made from the time.
     pub liked_name: Option<String>,
+    /// A note about it.
+    pub note: Option<String>,
     /// The source of its samples: a port, a file or `simulator`.
     pub source: String,
     /// Its initial state.
@@ -124,6 +125,8 @@ pub struct CaptureRow {
     pub id: i64,
     /// Its name; unique.
     pub name: String,
+    /// What somebody wrote about it; null if nothing.
+    pub note: Option<String>,
     /// The source of its samples: a port, a file or `simulator`.
     pub source: String,
     /// Its state.
@@ -185,11 +188,13 @@ impl Store {
     /// Creates a capture and returns its id.
     ///
     /// # Errors
-    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], or the error that the database reports.
-    pub fn create_capture(&self, capture: NewCapture) -> Result<i64, StoreError> {
+    /// [`StoreError::NameTaken`], [`StoreError::NameRefused`], [`StoreError::NoteRefused`], or the error that the
+    /// database reports.
+    pub fn create_capture(&self, mut capture: NewCapture) -> Result<i64, StoreError> {
         if let Some(name) = &capture.name {
             check_name(name)?;
         }
+        capture.note = capture.note.map_or(Ok(None), |note| check_note(&note))?;
         let utc_ns = self.utc_ns();
         self.execute(move |transaction| create(transaction, &capture, utc_ns, "live", None))
     }
@@ -231,13 +236,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn pin(&self, id: i64, pinned: bool) -> Result<(), StoreError> {
-        self.execute(move |transaction| {
-            let sql = "UPDATE capture SET pinned = ?2, \
-                       deletion_said_utc_ns = CASE WHEN ?2 THEN NULL ELSE deletion_said_utc_ns END, \
-                       delete_at_utc_ns = CASE WHEN ?2 THEN NULL ELSE delete_at_utc_ns END \
-                       WHERE id = ?1 AND lifecycle = 'live'";
-            changed_one(id, transaction.execute(sql, params![id, pinned])?)
-        })
+        self.execute(move |transaction| pin(transaction, id, pinned))
     }
 
     /// Deletes a capture. It disappears from every list at once and its jobs are cancelled; its rows are removed in
@@ -315,37 +314,16 @@ pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreE
     super::utc::close_all(connection)
 }
 
-fn no_such(id: i64) -> StoreError {
+pub(super) fn no_such(id: i64) -> StoreError {
     StoreError::NoSuchCapture(id.to_string())
 }
 
-fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
+pub(super) fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
     if rows == 0 { Err(no_such(id)) } else { Ok(()) }
 }
 
-/// Checks whether a capture may have this name.
-///
-/// # Errors
-/// [`StoreError::NameRefused`] with the reason.
-pub fn check_name(name: &str) -> Result<(), StoreError> {
-    let why = if name.trim() != name || name.is_empty() {
-        "it is empty or begins or ends with a space"
-    } else if name == "latest" {
-        "`latest` means the capture made last"
-    } else if name.bytes().all(|byte| byte.is_ascii_digit()) {
-        "a number means the capture with that id"
-    } else if name.chars().count() > NAME_MAX {
-        "it is longer than 100 characters"
-    } else if name.chars().any(|character| character == '/' || character.is_control()) {
-        "it holds a `/` or a control character"
-    } else {
-        return Ok(());
-    };
-    Err(StoreError::NameRefused { name: name.chars().take(NAME_MAX).collect(), why })
-}
-
-/// Inserts the capture. Without a usable name it is named after the time, `2026-11-21T20-00-00Z`, or `…-2` if that is
-/// taken.
+/// Inserts the capture. Without a usable name it is named after the time, `2026-11-21T20-00-00Z`. A name that was not
+/// given gets a number if it is taken, `…-2`.
 pub(super) fn create(
     transaction: &Transaction<'_>,
     capture: &NewCapture,
@@ -363,14 +341,14 @@ pub(super) fn create(
     let name = match &capture.name {
         Some(name) => name.clone(),
         None => match capture.liked_name.as_ref().filter(|name| check_name(name).is_ok()) {
-            Some(name) if name_is_free(transaction, name)? => name.clone(),
-            _ => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
+            Some(name) => numbered(transaction, name)?,
+            None => free_name(transaction, capture.start_at_utc_ns.unwrap_or(utc_ns))?,
         },
     };
     let rows = transaction.execute(
         "INSERT INTO capture (name, source, state, lifecycle, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
-         started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint, token, received) \
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, 0)",
+         started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint, token, note, received) \
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, 0)",
         params![
             name,
             capture.source,
@@ -386,6 +364,7 @@ pub(super) fn create(
             SOFTWARE,
             fingerprint,
             capture.token,
+            capture.note,
         ],
     );
     match rows {
@@ -409,27 +388,11 @@ pub(super) fn create(
     Ok(id)
 }
 
-pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, StoreError> {
-    let sql = "SELECT NOT EXISTS (SELECT 1 FROM capture WHERE name = ?1 AND lifecycle = 'live')";
-    Ok(value(connection, sql, [name])?)
-}
-
-pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
-    let base = chrono::DateTime::from_timestamp_nanos(utc_ns).format("%Y-%m-%dT%H-%M-%SZ").to_string();
-    let mut name = base.clone();
-    let mut number = 2;
-    while !name_is_free(connection, &name)? {
-        name = format!("{base}-{number}");
-        number += 1;
-    }
-    Ok(name)
-}
-
 const CAPTURE_COLUMNS: &str = "id, name, source, state, created_utc_ns, start_at_utc_ns, started_utc_ns, ended_utc_ns, \
     planned_duration_ns, sample_time_ns, rate_hz, rate_assumed, samples, missing, gaps, segments, \
     (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), pinned, \
     (SELECT json_group_array(json_array(channel, unit, resolution, original_unit, factor)) \
-        FROM channel WHERE capture_id = capture.id), sensor, configuration, software, delete_at_utc_ns";
+        FROM channel WHERE capture_id = capture.id), sensor, configuration, software, delete_at_utc_ns, note";
 
 fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
     type Raw = (String, String, Option<f64>, Option<String>, Option<f64>);
@@ -447,6 +410,7 @@ fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
     Ok(CaptureRow {
         id: row.get(0)?,
         name: row.get(1)?,
+        note: row.get(23)?,
         source: row.get(2)?,
         state: known("capture.state", row.get(3)?)?,
         created_at: UtcNs(row.get(4)?),

@@ -41,6 +41,12 @@ pub enum StoreError {
     /// There is no database to read.
     #[error("there is no database at {0}: capture or import something first, or name its directory with --data-dir")]
     NoDatabase(PathBuf),
+    /// The user may not read the database.
+    #[error(
+        "this user may not read {0}: run the command as its owner (`sudo -u vn100d vn100d …` for that of the package), or \
+         let its owner allow it (`chmod o+r`, and `o+x` for its directory)"
+    )]
+    NotReadable(PathBuf),
     /// The file system does not keep SQLite's promises.
     #[error(
         "{path} lies on a {kind} file system, on which SQLite cannot keep data safe: choose a directory on a local disk"
@@ -157,6 +163,9 @@ pub enum StoreError {
         /// The reason.
         why: &'static str,
     },
+    /// The note is invalid.
+    #[error("that cannot be a note: {0}")]
+    NoteRefused(&'static str),
     /// The capture cannot be deleted.
     #[error("capture {id} is {why}: it is not deleted")]
     NotDeletable {
@@ -235,9 +244,12 @@ impl StoreError {
             | Self::NetworkFileSystem { .. }
             | Self::Foreign { .. } => StoreErrorKind::CannotCreate,
             Self::NewerSchema { .. } | Self::OlderSchema { .. } => StoreErrorKind::NewerSchema,
-            Self::Read { .. } | Self::Damaged(_) | Self::DamagedFile(..) | Self::Thread(_) | Self::Unwritten { .. } => {
-                StoreErrorKind::Io
-            }
+            Self::Read { .. }
+            | Self::NotReadable(_)
+            | Self::Damaged(_)
+            | Self::DamagedFile(..)
+            | Self::Thread(_)
+            | Self::Unwritten { .. } => StoreErrorKind::Io,
             Self::NoDatabase(_)
             | Self::NoSuchCapture(_)
             | Self::NoSuchJob(_)
@@ -246,7 +258,7 @@ impl StoreError {
             Self::NameTaken(_) | Self::NotDeletable { .. } | Self::JobEnded { .. } | Self::TooManyModels(_) => {
                 StoreErrorKind::Conflict
             }
-            Self::NameRefused { .. } | Self::BadCursor(_) => StoreErrorKind::Invalid,
+            Self::NameRefused { .. } | Self::NoteRefused(_) | Self::BadCursor(_) => StoreErrorKind::Invalid,
             Self::Closed | Self::NoSuchReference(_) | Self::QueueFull(_) | Self::Refusing(_) | Self::Lost { .. } => {
                 StoreErrorKind::Unavailable
             }

@@ -7,8 +7,9 @@
 //! new capture is visible only after [`Import::finish`]. An import that is dropped, fails or is killed leaves only rows
 //! that [`Store::purge_step`] removes.
 
-use super::captures::{check_name, create, free_name, name_is_free};
+use super::captures::create;
 use super::insert::insert;
+use super::names::{check_name, name_is_free, numbered};
 use super::schema::Durability;
 use super::sql::{find, value};
 use super::{Begun, NewCapture, Store, StoreError};
@@ -24,6 +25,7 @@ pub struct Import {
     store: Store,
     id: i64,
     name: Option<String>,
+    liked_name: Option<String>,
     fingerprint: Option<String>,
     pending: Vec<(i64, Record)>,
     /// The step that is being written, if any.
@@ -69,6 +71,7 @@ impl Store {
         if let Some(name) = &name {
             check_name(name)?;
         }
+        let liked_name = capture.liked_name.clone().filter(|name| check_name(name).is_ok());
         let utc_ns = self.utc_ns();
         let fingerprint = fingerprint.map(str::to_owned);
         let of_row = fingerprint.clone();
@@ -85,7 +88,7 @@ impl Store {
             create(transaction, &capture, utc_ns, "importing", of_row.as_deref())
         })?;
         let pending = Vec::with_capacity(STEP);
-        Ok(Import { store: self.clone(), id, name, fingerprint, pending, begun: None, finished: false })
+        Ok(Import { store: self.clone(), id, name, liked_name, fingerprint, pending, begun: None, finished: false })
     }
 }
 
@@ -122,7 +125,7 @@ impl Import {
         self.write()?;
         self.settle()?;
         let (id, name, fingerprint) = (self.id, self.name.clone(), self.fingerprint.clone());
-        let utc_ns = self.store.utc_ns();
+        let liked_name = self.liked_name.clone();
         let end = self.store.execute(move |transaction| {
             if let Some(fingerprint) = &fingerprint
                 && let Some(known) = known(transaction, fingerprint)?
@@ -137,7 +140,7 @@ impl Import {
                 if let Some(name) = name {
                     return Err(StoreError::NameTaken(name));
                 }
-                let other = free_name(transaction, utc_ns)?;
+                let other = numbered(transaction, &liked_name.unwrap_or(called))?;
                 transaction.execute("UPDATE capture SET name = ?2 WHERE id = ?1", params![id, other])?;
             }
             let sql = "UPDATE capture SET lifecycle = 'live', ended_utc_ns = coalesce(?2, ended_utc_ns) WHERE id = ?1";

@@ -360,7 +360,7 @@ fn insert_gap(connection: &Connection, capture_id: i64, gap: &Gap, added: &mut A
     Ok(())
 }
 
-fn insert_event(connection: &Connection, capture_id: i64, event: &EventRecord) -> Result<(), StoreError> {
+pub(super) fn insert_event(connection: &Connection, capture_id: i64, event: &EventRecord) -> Result<(), StoreError> {
     let detail = event.detail.as_ref().map(serde_json::Value::to_string);
     let sql = "INSERT INTO event (capture_id, utc_ns, kind, message, detail) VALUES (?1, ?2, ?3, ?4, ?5)";
     run(connection, sql, params![capture_id, event.utc_ns, event.kind.name(), event.message, detail])?;

@@ -5,8 +5,9 @@
 //! data from then on. The running capture continues in it under its name, numbered from 0, with its remaining duration
 //! and an event that reports the loss. Nothing that was not committed is lost.
 
-use super::captures::{known, name_is_free};
+use super::captures::known;
 use super::insert::Inserted;
+use super::names::numbered;
 use super::sql::{find, list, value};
 use super::{SOFTWARE, StoreError};
 use imu_core::sample::{Channel, EventKind, Gap, Record, Segment};
@@ -26,6 +27,7 @@ struct Seed {
     samples: i64,
     sensor: Option<String>,
     configuration: Option<String>,
+    note: Option<String>,
     segment: Option<Segment>,
 }
 
@@ -168,14 +170,9 @@ impl Seed {
     fn create(&self, connection: &Connection, utc_ns: i64) -> Result<i64, StoreError> {
         let taken = "SELECT EXISTS (SELECT 1 FROM capture WHERE id = ?1)";
         let taken: bool = value(connection, taken, [self.id])?;
-        let mut name = self.name.clone();
-        let mut number = 2;
-        while !name_is_free(connection, &name)? {
-            name = format!("{}-{number}", self.name);
-            number += 1;
-        }
+        let name = numbered(connection, &self.name)?;
         let sql = "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, sensor, \
-                   configuration, software) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10)";
+                   configuration, software, note) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
         let values = params![
             (!taken).then_some(self.id),
             name,
@@ -187,6 +184,7 @@ impl Seed {
             self.sensor,
             self.configuration,
             SOFTWARE,
+            self.note,
         ];
         connection.execute(sql, values)?;
         let id = connection.last_insert_rowid();
@@ -202,7 +200,7 @@ impl Seed {
 
 fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
     let sql = "SELECT id, name, source, state, start_at_utc_ns, planned_duration_ns, sample_time_ns, samples, sensor, \
-               configuration FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live'";
+               configuration, note FROM capture WHERE state IN ('waiting', 'capturing') AND lifecycle = 'live'";
     let mut found = list(connection, sql, [], |row| {
         Ok(Seed {
             id: row.get(0)?,
@@ -215,6 +213,7 @@ fn seeds(connection: &Connection) -> Result<Vec<Seed>, StoreError> {
             samples: row.get(7)?,
             sensor: row.get(8)?,
             configuration: row.get(9)?,
+            note: row.get(10)?,
             segment: None,
         })
     })?;

@@ -55,6 +55,8 @@ pub struct WriterProgress {
     pub damaged: bool,
     /// Captures that continue under another id, in a file that replaced a lost one.
     pub moved: BTreeMap<i64, i64>,
+    /// New names of captures that were renamed while they ran.
+    pub renamed: BTreeMap<i64, String>,
 }
 
 impl WriterProgress {

@@ -29,6 +29,7 @@ const MIGRATIONS: &[&str] = &[
     include_str!("../../migrations/0008_boot.sql"),
     include_str!("../../migrations/0009_models.sql"),
     include_str!("../../migrations/0010_references.sql"),
+    include_str!("../../migrations/0011_notes.sql"),
 ];
 /// How long the writer waits for a foreign lock before it reports it.
 const WRITER_BUSY: Duration = Duration::from_millis(5000);
@@ -179,8 +180,12 @@ pub(super) fn set_durability(connection: &Connection, durability: Durability) ->
 /// Returns a connection that can only read. It never checkpoints: only the writer does.
 pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     check_sqlite()?;
-    match std::fs::metadata(path) {
+    // SQLite does not tell a file that may not be read from one that is absent.
+    match std::fs::File::open(path).and_then(|file| file.metadata()) {
         Ok(file) if file.len() > 0 => {}
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
+            return Err(StoreError::NotReadable(path.to_owned()));
+        }
         _ => return Err(StoreError::NoDatabase(path.to_owned())),
     }
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;

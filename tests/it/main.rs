@@ -3,6 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 mod bad_input;
+mod by_hand;
+mod completions;
 mod cost;
 mod demo;
 mod diagnoses;

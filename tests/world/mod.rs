@@ -212,6 +212,7 @@ impl World {
             "GET" => agent.get(&url).call(),
             "DELETE" => agent.delete(&url).call(),
             "POST" => agent.post(&url).header("content-type", "application/json").send(body),
+            "PATCH" => agent.patch(&url).header("content-type", "application/json").send(body),
             other => panic!("{other}"),
         };
         let mut answer = answer.ok()?;

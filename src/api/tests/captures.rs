@@ -15,6 +15,8 @@ fn a_capture_is_started_shown_and_stopped() {
         [CaptureRequest {
             duration: Duration::from_secs(5400),
             name: Some("night".to_owned()),
+            numbered: true,
+            note: None,
             start_at_utc_ns: Some(1_800_000_000_500_000_000),
         }]
     );
@@ -43,7 +45,7 @@ fn a_body_that_makes_no_sense_is_refused_and_starts_nothing() {
         (r#"{"duration": "5"}"#, "`5` is not a duration"),
         (r#"{"duration": "0s"}"#, "allowed is 1s to"),
         (r#"{"duration": "9000h"}"#, "allowed is 1s to"),
-        (r#"{"durations": "5h"}"#, "unknown field `durations`, expected one of `duration`, `name`, `start_at`"),
+        (r#"{"durations": "5h"}"#, "unknown field `durations`, expected one of `duration`, `name`, `note`, `start_at`"),
         (r#"{"start_at": "tomorrow"}"#, "invalid"),
         (r#"{"start_at": "9999-01-01T00:00:00Z"}"#, "2261"),
     ] {
@@ -186,4 +188,45 @@ fn a_pinned_or_running_capture_is_not_deleted() {
     world.delete(&path).problem(404, "not-found");
     world.capture("b", CaptureState::Capturing, 1);
     assert!(world.delete("/v1/captures/b").problem(409, "conflict").contains("running"));
+}
+
+#[test]
+fn name_note_and_protection_are_changed_by_one_request() {
+    let world = World::new();
+    let id = world.capture("desk", CaptureState::Complete, 10);
+    world.capture("shelf", CaptureState::Complete, 10);
+    let path = format!("/v1/captures/{id}");
+    let changed = world.patch(&path, r#"{"name": "night", "note": " on foam, 23 °C ", "pinned": true}"#);
+    assert_eq!(changed.status, 200, "{changed:?}");
+    let row = changed.json();
+    assert_eq!((&row["name"], &row["note"], &row["pinned"]), (&"night".into(), &"on foam, 23 °C".into(), &true.into()));
+    assert_eq!(world.patch("/v1/captures/night", r#"{"pinned": false}"#).json()["note"], "on foam, 23 °C");
+    let events = world.get(&format!("{path}/events")).json();
+    assert_eq!(events["events"][0]["detail"], serde_json::json!({"from": "desk", "to": "night"}));
+    for nothing in [r#"{"note": ""}"#, r#"{"note": null}"#] {
+        world.patch(&path, r#"{"note": "x"}"#);
+        assert!(world.patch(&path, nothing).json()["note"].is_null(), "{nothing}");
+    }
+    assert!(world.patch(&path, r#"{"name": "shelf", "note": "x"}"#).problem(409, "conflict").contains("`shelf`"));
+    world.patch("/v1/captures/99", r#"{"note": "x"}"#).problem(404, "not-found");
+    let (long_name, long_note) = ("x".repeat(10_000), "x".repeat(1001));
+    for (body, detail) in [
+        ("", "the body changes nothing"),
+        ("{}", "the body changes nothing"),
+        (r#"{"name": null}"#, "the body changes nothing"),
+        (r#"{"named": "x"}"#, "unknown field `named`, expected one of `name`, `note`, `pinned`"),
+        (r#"{"pinned": 1}"#, "expected a boolean"),
+        (r#"{"name": "../x"}"#, "cannot name a capture"),
+        (r#"{"name": ""}"#, "cannot name a capture"),
+        (r#"{"name": "a\nb"}"#, "cannot name a capture"),
+        (r#"{"name": "\ud800"}"#, "the body"),
+        (&format!(r#"{{"name": "{long_name}"}}"#), "longer than 100 characters"),
+        (&format!(r#"{{"note": "{long_note}"}}"#), "longer than 1000 characters"),
+        (r#"{"note": "a\u0007"}"#, "a note is one line"),
+    ] {
+        let found = world.patch(&path, body).problem(400, "bad-request");
+        assert!(found.contains(detail) && found.len() < 500, "{body}: {found}");
+    }
+    let row = world.get(&path).json();
+    assert_eq!((&row["name"], row["note"].is_null(), &row["pinned"]), (&"night".into(), true, &false.into()));
 }

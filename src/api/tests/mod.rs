@@ -140,6 +140,10 @@ impl World {
         Answer::of(agent().post(self.url(path)).header("content-type", "application/json").send(body))
     }
 
+    pub(super) fn patch(&self, path: &str, body: &str) -> Answer {
+        Answer::of(agent().patch(self.url(path)).header("content-type", "application/json").send(body))
+    }
+
     pub(super) fn delete(&self, path: &str) -> Answer {
         Answer::of(agent().delete(self.url(path)).call())
     }

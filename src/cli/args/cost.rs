@@ -1,5 +1,6 @@
 //! Arguments of `cost`.
 
+use super::complete;
 use clap::Args;
 use imu_core::units::parse_duration;
 use imu_cost::{CostError, Tolerance};
@@ -11,13 +12,13 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 pub struct CostArgs {
     /// The sensor model (JSON)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", add = complete::models())]
     pub model: PathBuf,
     /// Another sensor model to compare with, such as the one before a correction
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", add = complete::models())]
     pub against: Option<PathBuf>,
     /// A capture or a recording at rest, to measure the growth of errors in and to compare it with the model's bands
-    #[arg(long, value_name = "CAPTURE|FILE")]
+    #[arg(long, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
     pub real: Option<String>,
     /// Sampling rate of that recording in Hz, if the file has no times
     #[arg(long, value_name = "HZ", requires = "real")]

@@ -1,5 +1,6 @@
 //! Arguments of `noise`.
 
+use super::complete;
 use super::{NoiseFormat, SamplingArgs, noise_format, rate};
 use clap::{Args, ValueEnum};
 use imu_core::units::parse_duration;
@@ -12,7 +13,7 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 pub struct NoiseArgs {
     /// Id, name, `latest`, or the path of a recording; several of one sensor give one result
-    #[arg(required_unless_present = "model", value_name = "CAPTURE")]
+    #[arg(required_unless_present = "model", value_name = "CAPTURE", add = complete::captures_and_files())]
     pub captures: Vec<String>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
@@ -41,7 +42,13 @@ pub struct NoiseArgs {
     )]
     pub consistent: Option<ConsistentPair>,
     /// Take the noise of this sensor model (JSON) in place of a capture's
-    #[arg(long, value_name = "FILE", requires = "consistent", conflicts_with_all = ["captures", "rate", "filter_window"])]
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "consistent",
+        conflicts_with_all = ["captures", "rate", "filter_window"],
+        add = complete::models()
+    )]
     pub model: Option<PathBuf>,
     /// Times over which the filter integrates without aid, FROM..TO (default: 0.1s..100s)
     #[arg(long, value_name = "RANGE", value_parser = Over::parse, requires = "consistent", allow_hyphen_values = true)]

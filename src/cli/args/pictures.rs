@@ -1,5 +1,6 @@
 //! Arguments of commands that draw a capture: `plot`, `report`.
 
+use super::complete;
 use super::recordings::moment;
 use super::{SamplingArgs, ValidationArgs, rate};
 use crate::gallery::Picture;
@@ -11,10 +12,11 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub struct PlotArgs {
     /// Id, name, `latest`, or the path of a recording
+    #[arg(add = complete::captures_and_files())]
     pub capture: String,
     /// timeseries-<channel>, histogram-<channel>, allan-<triad>, allan-<channel>, hourly-<channel>, psd-<triad> or gaps, such as
     /// allan-gyro
-    #[arg(value_name = "NAME", value_parser = picture)]
+    #[arg(value_name = "NAME", value_parser = picture, add = complete::plots())]
     pub picture: Picture,
     /// The file, with the ending .svg or .png; `-` is SVG on standard output
     #[arg(long, value_name = "FILE")]
@@ -40,7 +42,7 @@ pub struct PlotArgs {
 #[derive(Debug, Args)]
 pub struct ReportArgs {
     /// Id, name, `latest`, or the path of a recording; several for --validation
-    #[arg(required = true, value_name = "CAPTURE|FILE")]
+    #[arg(required = true, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
     pub captures: Vec<String>,
     /// The file, with the ending .html; `-` is standard output
     #[arg(long, value_name = "FILE.html")]

@@ -1,5 +1,6 @@
 //! Arguments of commands that read and write recordings: `import`, `export`.
 
+use super::complete;
 use super::{SamplingArgs, one_of, rate};
 use crate::store::Moment;
 use clap::builder::{PossibleValue, TypedValueParser};
@@ -32,7 +33,7 @@ pub struct ImportArgs {
 #[derive(Debug, Args)]
 pub struct ExportArgs {
     /// Id, name, `latest`, or the path of a recording; several only with --partitioned
-    #[arg(required_unless_present = "all", value_name = "CAPTURE")]
+    #[arg(required_unless_present = "all", value_name = "CAPTURE", add = complete::captures_and_files())]
     pub captures: Vec<String>,
     /// Form of the file (default: by the ending of --out; csv on standard output)
     #[arg(long, value_parser = sample_format())]
@@ -44,7 +45,7 @@ pub struct ExportArgs {
     #[arg(long, value_name = "T", value_parser = moment)]
     pub to: Option<Moment>,
     /// Only these, separated by commas, such as gyro_x,gyro_y (default: all that the capture has)
-    #[arg(long, value_name = "NAMES", value_parser = channel_list)]
+    #[arg(long, value_name = "NAMES", value_parser = channel_list, add = complete::channels())]
     pub channels: Option<ChannelList>,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]

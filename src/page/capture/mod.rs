@@ -174,6 +174,9 @@ fn head(out: &mut String, view: &CaptureView<'_>) {
         None => String::new(),
     };
     let _ = write!(out, "<p class=\"soft\">{}{} UTC</p>", begun, ended);
+    if let Some(note) = &of.note {
+        let _ = write!(out, "<p class=\"note\">{}</p>", escaped(note));
+    }
     if !view.facts.accounting.holds {
         *out += "<p class=\"alarm\">The accounting does not agree:</p><ul>";
         for violation in &view.facts.accounting.violations {
@@ -228,6 +231,15 @@ fn controls(out: &mut String, of: &CaptureRow, token: bool) {
             if of.pinned { "keep no longer" } else { "keep from deletion" }
         );
     }
+    let _ = write!(
+        out,
+        "<form data-post=\"/v1/captures/{id}\" data-method=\"PATCH\">\
+         <label>name <input name=\"name\" maxlength=\"100\" value=\"{}\" required></label>\
+         <label>note <input name=\"note\" maxlength=\"1000\" size=\"40\" value=\"{}\" placeholder=\"on foam, 23 °C\"></label>\
+         <button>save</button></form>",
+        escaped(&of.name),
+        escaped(of.note.as_deref().unwrap_or_default())
+    );
     *out += &super::dashboard::token(token);
     *out += "<p class=\"said\" role=\"status\"></p></section>";
 }

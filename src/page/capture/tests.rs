@@ -96,6 +96,9 @@ fn everything_that_is_known_is_shown_and_nothing_is_markup() {
     for expected in [
         "5 h at 40 Hz: 719990 samples, 10 missing (less than 1 %) in 1 gap",
         "2026-11-23 20:00:00 to 2026-11-24 01:00:00 UTC",
+        "<p class=\"note\">on &lt;foam&gt;, 23 °C</p>",
+        "data-method=\"PATCH\"",
+        "name=\"note\" maxlength=\"1000\" size=\"40\" value=\"on &lt;foam&gt;, 23 °C\"",
         "7 &lt; 8",
         "host stall: 10 missing",
         "1·10⁻⁴&nbsp;rad/s/√Hz <span class=\"interval\">9·10⁻⁵ to 1.1·10⁻⁴</span>",
@@ -123,7 +126,7 @@ fn everything_that_is_known_is_shown_and_nothing_is_markup() {
         assert!(page.contains(expected), "{expected}: {page}");
     }
     assert_eq!(page.matches("<img ").count(), 6, "{page}");
-    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<42>", "<being>"] {
+    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<foam>", "<42>", "<being>"] {
         assert!(!page.contains(markup), "{markup}");
     }
 }
@@ -133,6 +136,7 @@ fn a_file_has_its_pictures_in_it_and_nothing_from_elsewhere() {
     let figures = BTreeMap::from([("allan-gyro".to_owned(), Figure::Drawn("<svg id=\"own\"></svg>".to_owned()))]);
     let page = shown(None, &figures);
     assert!(page.contains("<figure><svg id=\"own\"></svg></figure>"), "{page}");
+    assert!(page.contains("on &lt;foam&gt;, 23 °C</p>"), "{page}");
     assert!(!page.contains("<details>") && page.contains("<details open>"), "what is closed on paper is lost: {page}");
     for foreign in ["<script", "<img", "href=\"/", "<form", "http-equiv"] {
         assert!(!page.contains(foreign), "{foreign}: {page}");

@@ -27,6 +27,8 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+/// The column of table `capture` that holds the note; databases of older versions do not have it.
+const NOTE: usize = 26;
 /// Records written in one transaction.
 const STEP: usize = 4000;
 /// Samples of no batch that are examined together.
@@ -167,8 +169,8 @@ impl<'a> Rebuilt<'a> {
         let (integer, text) = (|column| get::<i64>(&row, column), |column| get::<String>(&row, column));
         let name = text(1).unwrap_or_else(|| format!("recovered-{id}"));
         let sql = "INSERT INTO capture (id, name, source, state, created_utc_ns, start_at_utc_ns, planned_duration_ns, \
-                   started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint) \
-                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)";
+                   started_utc_ns, rate_assumed, sensor, configuration, software, fingerprint, note) \
+                   VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)";
         let values = params![
             id,
             name,
@@ -183,6 +185,7 @@ impl<'a> Rebuilt<'a> {
             text(19).filter(|json| is_json(json)),
             text(20).unwrap_or_else(|| SOFTWARE.to_owned()),
             text(21),
+            text(NOTE).filter(|note| !note.is_empty()),
         ];
         connection.execute(sql, values)?;
         let mut gaps: Vec<Gap> = salvage.gaps.get(&id).into_iter().flatten().filter_map(|row| gap_of(row)).collect();

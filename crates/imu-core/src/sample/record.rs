@@ -111,6 +111,7 @@ pub enum EventKind {
     Warning,
     DaemonStarted,
     DaemonStopped,
+    Renamed,
 }
 
 impl EventKind {

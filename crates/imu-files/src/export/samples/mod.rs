@@ -36,6 +36,8 @@ pub struct About {
     pub database: String,
     /// Its name, or the recording's file.
     pub name: String,
+    /// What somebody wrote about it.
+    pub note: Option<String>,
     /// UTC of the origin of times (its first sample), ns since 1970.
     pub origin_ns: i64,
     /// Output rate in Hz.
@@ -65,6 +67,7 @@ impl About {
             ("recorded_by", self.software.clone()),
             ("software", self.writer.clone()),
         ];
+        pairs.extend(self.note.iter().map(|note| ("note", note.clone())));
         pairs.extend(self.rate_hz.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
         pairs
     }

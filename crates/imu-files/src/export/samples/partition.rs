@@ -47,6 +47,7 @@ mod tests {
             id: Some(id),
             database: "0123456789abcdef0123456789abcdef".to_owned(),
             name: name.to_owned(),
+            note: None,
             origin_ns,
             rate_hz: None,
             channels: Vec::new(),

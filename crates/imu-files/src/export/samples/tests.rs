@@ -14,6 +14,7 @@ fn about(channels: &[Channel]) -> About {
         id: Some(7),
         database: "d0d0".to_owned(),
         name: "night \"1\"".to_owned(),
+        note: Some("on foam, 23 °C".to_owned()),
         origin_ns: ORIGIN_NS,
         rate_hz: Some(40.0),
         channels: channels.to_vec(),
@@ -98,6 +99,7 @@ fn parquet_gives_back_every_bit_and_states_units_and_gaps() {
     assert_eq!(schema.field(8).metadata()["unit"], "°C");
     let metadata = builder.metadata().file_metadata().key_value_metadata().unwrap();
     let value = |key: &str| metadata.iter().find(|pair| pair.key == key).unwrap().value.clone().unwrap();
+    assert_eq!(value("note"), "on foam, 23 °C");
     assert_eq!(
         (value("capture").as_str(), value("rate_hz").as_str(), value("missing").as_str()),
         ("night \"1\"", "40", "4")
@@ -235,6 +237,7 @@ fn mcap_is_in_si_and_carries_what_was_recorded_beside() {
     assert_eq!((summary.chunk_indexes.len(), summary.chunk_indexes[0].compression.as_str()), (1, "zstd"));
     let metadata = ::mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).unwrap();
     assert_eq!((metadata.name.as_str(), metadata.metadata["capture"].as_str()), ("vn100d", "night \"1\""));
+    assert_eq!(metadata.metadata["note"], "on foam, 23 °C");
     assert_eq!(metadata.metadata["unit.mag_x_gauss"], "gauss");
 }
 
