@@ -27,6 +27,17 @@ impl Daemon {
     fn get(&self, path: &str) -> anyhow::Result<Value> {
         Ok(client::get(&self.base_url, path)?)
     }
+
+    /// Returns the id of the capture that runs or waits. The database knows it at once, the status a moment later.
+    fn open_capture(&self) -> anyhow::Result<Option<String>> {
+        for state in ["capturing", "waiting"] {
+            let found = self.get(&format!("/v1/captures?state={state}&limit=1"))?;
+            if let Some(id) = found["captures"][0]["id"].as_i64() {
+                return Ok(Some(id.to_string()));
+            }
+        }
+        Ok(None)
+    }
 }
 
 /// Returns the path of a capture.
@@ -94,10 +105,7 @@ pub(super) fn stop(context: &Context, args: &StopArgs) -> anyhow::Result<Outcome
     let daemon = Daemon::of(context, &args.client)?;
     let named = match &args.capture {
         Some(named) => named.clone(),
-        None => match &daemon.get("/v1/status")?["capture"]["id"] {
-            Value::Null => return Err(failed("no capture runs or waits: nothing to stop")),
-            id => id.to_string(),
-        },
+        None => daemon.open_capture()?.ok_or_else(|| failed("no capture runs or waits: nothing to stop"))?,
     };
     let row = daemon.ask(Change::Post, &format!("{}/stop", path(&named)?), None)?;
     let [samples, missing] = ["samples", "missing"].map(|key| shown(&row[key]));

@@ -162,3 +162,88 @@ pub(super) fn numbered(connection: &Connection, name: &str) -> Result<String, St
 pub(super) fn free_name(connection: &Connection, utc_ns: i64) -> Result<String, StoreError> {
     numbered(connection, &chrono::DateTime::from_timestamp_nanos(utc_ns).format("%Y-%m-%dT%H-%M-%SZ").to_string())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::tests::{World, a_capture};
+    use crate::store::{CaptureState, NewCapture, PageRequest};
+
+    #[test]
+    fn a_liked_name_that_is_taken_gets_a_number() {
+        let world = World::new();
+        let liked = |name: &str| {
+            let capture =
+                NewCapture { liked_name: Some(name.to_owned()), ..NewCapture::new("x", CaptureState::Stopped) };
+            world.reader().capture(world.store.create_capture(capture).unwrap()).unwrap().name
+        };
+        assert_eq!(["desk", "desk", "desk", "desk-2"].map(liked), ["desk", "desk-2", "desk-3", "desk-2-2"]);
+        let long = "é".repeat(NAME_MAX);
+        assert_eq!(liked(&long), long);
+        assert_eq!(liked(&long), format!("{}-2", "é".repeat(NAME_MAX - 2)));
+        let spaced = format!("{} x", "y".repeat(NAME_MAX - 2));
+        assert_eq!([&spaced, &spaced].map(|name| liked(name))[1], format!("{}-2", "y".repeat(NAME_MAX - 2)));
+        // The number of a deleted capture is free again.
+        let second = world.reader().resolve("desk-2").unwrap();
+        world.store.delete_capture(second).unwrap();
+        assert_eq!(liked("desk"), "desk-2");
+        assert!(liked("42").ends_with('Z'), "a number is no name");
+    }
+
+    #[test]
+    fn name_note_and_protection_change_together_or_not_at_all() {
+        let world = World::new();
+        let note = Some(" on foam, 23 °C ".to_owned());
+        let desk = NewCapture { note, name: Some("desk".to_owned()), ..NewCapture::new("x", CaptureState::Stopped) };
+        let id = world.store.create_capture(desk).unwrap();
+        let shelf = NewCapture { name: Some("shelf".to_owned()), ..NewCapture::new("x", CaptureState::Stopped) };
+        world.store.create_capture(shelf).unwrap();
+        let row = || world.reader().capture(id).unwrap();
+        assert_eq!(row().note.as_deref(), Some("on foam, 23 °C"));
+        let change = |name: Option<&str>, note: Option<&str>, pinned| {
+            let (name, note) = (name.map(str::to_owned), note.map(str::to_owned));
+            world.store.change_capture(id, CaptureChange { name, note, pinned })
+        };
+        let before = row();
+        assert!(matches!(change(Some("shelf"), Some("other"), Some(true)), Err(StoreError::NameTaken(_))));
+        assert!(matches!(change(Some("latest"), Some("other"), Some(true)), Err(StoreError::NameRefused { .. })));
+        let long = "é".repeat(NOTE_MAX + 1);
+        for refused in ["a\nb", "\u{1b}[31mred", &long] {
+            assert!(
+                matches!(change(Some("free"), Some(refused), Some(true)), Err(StoreError::NoteRefused(_))),
+                "{refused}"
+            );
+        }
+        assert_eq!(row(), before);
+        change(Some("night"), Some(&long[2..]), Some(true)).unwrap();
+        let changed = row();
+        assert_eq!((changed.name.as_str(), changed.note.as_deref(), changed.pinned), ("night", Some(&long[2..]), true));
+        // The same name is no event, and a name may be taken back.
+        change(Some("night"), Some(" "), None).unwrap();
+        assert_eq!((row().note, row().pinned), (None, true));
+        change(Some("desk"), None, None).unwrap();
+        let events = world.reader().events(id, &PageRequest::default()).unwrap().rows;
+        let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
+        assert_eq!(messages, ["capture `desk` was renamed to `night`", "capture `night` was renamed to `desk`"]);
+        let reader = world.reader();
+        assert!(["desk", "night", "shelf"].iter().all(|name| reader.has_been_named(name).unwrap()));
+        assert!(!reader.has_been_named("free").unwrap());
+        let missing = world.store.change_capture(99, CaptureChange::default());
+        assert!(matches!(missing, Err(StoreError::NoSuchCapture(_))));
+    }
+
+    #[test]
+    fn a_recovered_capture_keeps_its_note() {
+        let world = World::new();
+        let id = world.capturing();
+        world.send(id, a_capture());
+        world.store.flush_blocking().unwrap();
+        let note = Some("on foam, 23 °C".to_owned());
+        world.store.change_capture(id, CaptureChange { note: note.clone(), ..CaptureChange::default() }).unwrap();
+        let path = world.store.path().to_owned();
+        world.store.close().unwrap();
+        let out = world.directory.path().join("out.db");
+        crate::store::recover(&path, &out, false).unwrap();
+        assert_eq!(Reader::open(&out).unwrap().capture(id).unwrap().note, note);
+    }
+}

@@ -19,7 +19,8 @@ fn samples(id: i64, range: std::ops::Range<u64>) -> impl Iterator<Item = (i64, R
 fn night(world: &World) -> (PathBuf, i64) {
     let planned = Some(Duration::from_secs(3600));
     let new = NewCapture::new("pty", CaptureState::Capturing);
-    let id = world.store.create_capture(NewCapture { name: Some("night".to_owned()), planned, ..new }).unwrap();
+    let (name, note) = (Some("night".to_owned()), Some("on foam".to_owned()));
+    let id = world.store.create_capture(NewCapture { name, note, planned, ..new }).unwrap();
     world.send(id, [segment(1, 0)]);
     world.send(id, samples(id, 0..100).map(|(_, record)| record));
     world.store.close().unwrap();
@@ -77,7 +78,7 @@ fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log()
     expected.insert(0, ("night".to_owned(), 10));
     assert_eq!(content(&path), expected);
     let row = Reader::open(&path).unwrap().capture(4).unwrap();
-    assert_eq!(row.state, CaptureState::Capturing);
+    assert_eq!((row.state, row.note.as_deref()), (CaptureState::Capturing, Some("on foam")));
     let planned = row.planned_duration_s.unwrap();
     assert!((planned - (3600.0 - 150.0 / 40.0)).abs() < 1e-6, "{planned} s are left");
     drop(reader);

@@ -240,12 +240,11 @@ fn a_database_that_may_not_be_read_is_reported_as_such() {
         program.arg("--data-dir").arg(&data).args(arguments).output().unwrap()
     };
     assert!(run(&mut program(), &["simulate", "--duration", "1s", "--into-db", "x"]).status.success());
+    std::fs::set_permissions(world.database(), std::fs::Permissions::from_mode(0)).unwrap();
     let mut command = program();
     if rustix::process::geteuid().is_root() {
-        // The folder of the test is for its owner alone.
+        // Root may read everything.
         command.uid(65_534).gid(65_534);
-    } else {
-        std::fs::set_permissions(world.database(), std::fs::Permissions::from_mode(0)).unwrap();
     }
     let output = run(&mut command, &["captures"]);
     let text = stderr(&output);

@@ -47,7 +47,7 @@ fn bash_is_offered_commands_captures_models_channels_and_plots() {
     assert_eq!(of(&[&data[..], &["export", "night-1", "--channels", ""]].concat()), ["gyro_x"]);
     assert_eq!(of(&[&data[..], &["plot", "night-1", "allan-"]].concat()), ["allan-gyro", "allan-gyro_x"]);
     assert!(of(&["plot", "one.csv", "timeseries-"]).contains(&"timeseries-mag_z".to_owned()));
-    assert_eq!(of(&["model", "fit", "x.csv", "--effects", "tone,reso"]), ["tone,resonance"]);
+    assert_eq!(of(&["model", "fit", "x.csv", "--effects", "tone,reson"]), ["tone,resonance"]);
     // Without a database nothing is offered, and no error is seen.
     assert_eq!(of(&["--data-dir", "nowhere", "pin", "n"]), [""]);
 }

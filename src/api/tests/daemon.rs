@@ -111,7 +111,7 @@ fn a_method_that_is_not_allowed_names_those_that_are() {
     let world = World::new();
     for (path, allowed) in [
         ("/v1/status", vec!["GET", "HEAD"]),
-        ("/v1/captures/1", vec!["DELETE", "GET", "HEAD"]),
+        ("/v1/captures/1", vec!["DELETE", "GET", "HEAD", "PATCH"]),
         ("/healthz", vec!["GET", "HEAD"]),
     ] {
         let answer = world.post(path, "{}");
@@ -170,6 +170,7 @@ fn with_a_token_changes_need_it_and_reading_does_not() {
     assert_eq!(refused.header("www-authenticate"), "Bearer realm=\"vn100d\"");
     world.delete(&format!("/v1/captures/{id}")).problem(401, "not-authorized");
     world.post("/v1/captures", "{}").problem(401, "not-authorized");
+    world.patch(&format!("/v1/captures/{id}"), r#"{"note": "x"}"#).problem(401, "not-authorized");
     world.post("/v1/jobs", "{}").problem(401, "not-authorized");
     assert!(world.started.lock().unwrap().is_empty());
     let path = world.url(&format!("/v1/captures/{id}/pin"));
