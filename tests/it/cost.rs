@@ -255,7 +255,7 @@ fn a_motion_adds_what_acts_on_it() {
     let short = motion(folder.path(), "short.csv", 1, 40.0);
     let fast = motion(folder.path(), "fast.csv", 100, 50.0);
     let broken = folder.path().join("broken.csv");
-    std::fs::write(&broken, std::fs::read_to_string(&turn).unwrap().replacen("0.5,", "nan,", 1)).unwrap();
+    std::fs::write(&broken, std::fs::read_to_string(&turn).unwrap().replacen(",0.5,", ",nan,", 1)).unwrap();
     let broken = broken.to_str().unwrap();
     for (more, code, words) in [
         (&["--motion", &*turn, "--horizons", "1min"][..], 2, ["turn.csv ends after 20 s", "within the motion"]),

@@ -67,8 +67,10 @@ pub enum MotionRefusal {
     #[error("{0}")]
     Rate(String),
     /// The motion does not begin with gravity alone.
-    #[error("the motion begins with a specific force of {found:.3} m/s²: expected a sensor at rest, 9.3 to 10.3 m/s²")]
+    #[error("the motion {name} begins with a specific force of {found:.3} m/s²: expected 9.3 to 10.3 m/s², as at rest")]
     Start {
+        /// The motion.
+        name: String,
         /// Size of the first specific force, m/s².
         found: f64,
     },

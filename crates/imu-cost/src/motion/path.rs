@@ -79,7 +79,7 @@ impl Path {
         has_temperature: bool,
     ) -> Result<Self, MotionRefusal> {
         let begin = along.rows.first().copied().unwrap_or_default();
-        let first = attitude_at_rest(&begin)?;
+        let first = attitude_at_rest(along, &begin)?;
         let earth = if is_at_rest(&begin) { first * Vector3::from(begin.gyro_rad_s) } else { Vector3::zeros() };
         let mut path = Self {
             steps: Vec::new(),
@@ -168,11 +168,11 @@ pub(super) fn is_at_rest(begin: &Motion) -> bool {
 
 /// Returns the attitude, sensor to world, of a sensor at rest: z up, x the horizontal direction of the sensor's x axis, or of
 /// its y axis if x is steeper than 45°.
-fn attitude_at_rest(begin: &Motion) -> Result<UnitQuaternion<f64>, MotionRefusal> {
+fn attitude_at_rest(along: &Along, begin: &Motion) -> Result<UnitQuaternion<f64>, MotionRefusal> {
     let force = Vector3::from(begin.accel_m_s2);
     let found = force.norm();
     if (found - imu_core::units::STANDARD_GRAVITY_M_S2).abs() > GRAVITY_WITHIN_M_S2 {
-        return Err(MotionRefusal::Start { found });
+        return Err(MotionRefusal::Start { name: along.name.clone(), found });
     }
     let up = force / found;
     let ahead = if up.x.abs() <= STEEP { Vector3::x() } else { Vector3::y() };
