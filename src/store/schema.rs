@@ -2,7 +2,7 @@
 
 use super::StoreError;
 use super::damage::Damage;
-use super::file_id::{refuse_replaced, written};
+use super::file_id::{id_of, refuse_replaced, written};
 use super::lock::Mark;
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
@@ -143,8 +143,12 @@ fn configure_writer(connection: &Connection) -> Result<(), rusqlite::Error> {
 }
 
 /// Returns whether a file is a database of captures, of any version. This is determined from SQLite's header (its first
-/// 16 bytes, and the application's id in bytes 68 to 71, big endian).
+/// 16 bytes, and the application's id in bytes 68 to 71, big endian). A file that this process writes is not opened: see
+/// [`refuse_absent`].
 pub(super) fn is_database(path: &Path) -> bool {
+    if id_of(path).is_some_and(|id| written().values().any(|written| *written == id)) {
+        return true;
+    }
     let mut head = [0; 72];
     let read = path.is_file() && std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut head)).is_ok();
     read && head.starts_with(b"SQLite format 3\0") && head[68..] == APPLICATION_ID.to_be_bytes()
@@ -180,14 +184,7 @@ pub(super) fn set_durability(connection: &Connection, durability: Durability) ->
 /// Returns a connection that can only read. It never checkpoints: only the writer does.
 pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     check_sqlite()?;
-    // SQLite does not tell a file that may not be read from one that is absent.
-    match std::fs::File::open(path).and_then(|file| file.metadata()) {
-        Ok(file) if file.len() > 0 => {}
-        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
-            return Err(StoreError::NotReadable(path.to_owned()));
-        }
-        _ => return Err(StoreError::NoDatabase(path.to_owned())),
-    }
+    refuse_absent(path)?;
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let mut connection = Connection::open_with_flags(path, flags)?;
     refuse_replaced(path)?;
@@ -213,6 +210,23 @@ pub(super) fn reader_connection(path: &Path) -> Result<Connection, StoreError> {
     connection.pragma_update(None, "wal_autocheckpoint", 0)?;
     common_pragmas(&connection)?;
     Ok(connection)
+}
+
+/// Fails if there is no database, or if this user may not read it: SQLite does not distinguish these.
+///
+/// The file is not opened for this. Closing any descriptor of a database drops all locks that SQLite holds on it for
+/// this process (sqlite.org/howtocorrupt.html, 2.2): another process could then delete the log of the running writer.
+fn refuse_absent(path: &Path) -> Result<(), StoreError> {
+    let not_readable = || Err(StoreError::NotReadable(path.to_owned()));
+    match std::fs::metadata(path) {
+        Ok(file) if file.len() > 0 => {}
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => return not_readable(),
+        _ => return Err(StoreError::NoDatabase(path.to_owned())),
+    }
+    match rustix::fs::access(path, rustix::fs::Access::READ_OK) {
+        Err(rustix::io::Errno::ACCESS) => not_readable(),
+        _ => Ok(()),
+    }
 }
 
 fn common_pragmas(connection: &Connection) -> Result<(), rusqlite::Error> {
@@ -310,5 +324,42 @@ mod tests {
         FileId::written(&path);
         assert!(reader_connection(&path).is_err());
         FileId::forget(&path);
+    }
+
+    /// The last connection of another process removes the log, unless the writer's lock prevents it.
+    #[test]
+    fn a_reader_leaves_the_writer_its_locks() {
+        const FOREIGN: &str = "VN100D_FOREIGN_READER";
+        if let Some(path) = std::env::var_os(FOREIGN) {
+            let connection = Connection::open_with_flags(Path::new(&path), OpenFlags::SQLITE_OPEN_READ_WRITE).unwrap();
+            let captures: i64 = connection.query_row("SELECT count(*) FROM capture", [], |row| row.get(0)).unwrap();
+            assert_eq!(captures, 1);
+            return connection.close().unwrap();
+        }
+        let world = crate::store::tests::World::new();
+        world.complete("desk");
+        let path = world.store.path().to_owned();
+        drop(world.reader());
+        assert!(is_of_database(&path) && is_of_database(&wal_path(&path)));
+        let foreign = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "store::schema::tests::a_reader_leaves_the_writer_its_locks"])
+            .env(FOREIGN, &path)
+            .output()
+            .unwrap();
+        let stdout = String::from_utf8_lossy(&foreign.stdout);
+        assert!(foreign.status.success() && stdout.contains("1 passed"), "{stdout}");
+        assert!(wal_path(&path).exists() && shm_path(&path).exists(), "the log of the running writer was deleted");
+        world.complete("shelf");
+        world.store.close().unwrap();
+        assert_eq!(crate::store::check(&path).unwrap().findings, []);
+    }
+
+    #[test]
+    fn a_pipe_is_no_database_and_is_not_waited_for() {
+        let directory = tempfile::tempdir().unwrap();
+        let pipe = directory.path().join("vn100d.db");
+        rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+        assert!(matches!(reader_connection(&pipe), Err(StoreError::NoDatabase(_))));
+        assert!(!is_of_database(&pipe));
     }
 }
