@@ -60,6 +60,11 @@ impl Together {
         stated.map_or(Ok(()), |stated| self.plan.sampled(stated)).map_err(contradicted)
     }
 
+    /// Returns the first capture's id; none for a recording.
+    pub(super) fn id(&self) -> Option<i64> {
+        self.captures.first().and_then(|of| of.id)
+    }
+
     /// Returns the sensor (its serial number, with its model if that is known) and the date of the first capture, each if it is known.
     pub(super) fn unit_and_date(&self) -> [Option<String>; 2] {
         let Some(of) = self.captures.first() else { return [None, None] };
@@ -234,7 +239,7 @@ pub(super) fn contradicted(error: SamplingError) -> anyhow::Error {
     usage(error.to_string())
 }
 
-fn same_file(one: &str, two: &str) -> bool {
+pub(super) fn same_file(one: &str, two: &str) -> bool {
     let place = |name: &str| Path::new(name).canonicalize().ok();
     one == two || place(one).is_some_and(|place_of_one| place(two) == Some(place_of_one))
 }

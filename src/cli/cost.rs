@@ -105,6 +105,8 @@ pub(super) struct Real {
     pub gridded: Gridded,
     /// Whether frames or lines were rejected on the way in.
     pub rejected: bool,
+    /// The capture's id; none for a recording.
+    pub id: Option<i64>,
     /// The sensor, if it is known.
     pub unit: Option<String>,
     /// The date, if it is known.
@@ -115,7 +117,8 @@ impl Real {
     pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>) -> anyhow::Result<Self> {
         let together = analysis::open(context, &[named.to_owned()], rate_hz)?;
         let (name, rejected, [unit, date]) = (together.name(), together.rejected(), together.unit_and_date());
-        Ok(Self { name, gridded: jobs::resting(&together.source, together.plan)?, rejected, unit, date })
+        let id = together.id();
+        Ok(Self { name, gridded: jobs::resting(&together.source, together.plan)?, rejected, id, unit, date })
     }
 
     /// Returns a sentence if samples are outside the part that is compared.

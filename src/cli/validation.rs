@@ -1,5 +1,6 @@
 //! `vn100d report --validation`: the validation sheet of a sensor model.
 
+use super::analysis::same_file;
 use super::args::ReportArgs;
 use super::cost::{Real, refused};
 use super::output::Output;
@@ -21,9 +22,22 @@ pub(super) fn run(context: &Context, args: &ReportArgs, path: &Path) -> anyhow::
     let mut read: Vec<&Path> = args.captures.iter().filter_map(|named| file(named)).collect();
     read.push(path);
     let output = out.map(|out| Output::create(out, args.force, &read)).transpose()?;
+    if args.sampling.stated().is_some() {
+        return Err(usage(
+            "--validation takes the sampling of the model's file: leave out --filter-window and --internal-rate",
+        ));
+    }
     let model = model::load(path)?;
     let reals: Vec<Real> =
         args.captures.iter().map(|named| Real::open(context, named, args.rate)).collect::<Result<_, _>>()?;
+    for (number, real) in reals.iter().enumerate() {
+        if reals[..number]
+            .iter()
+            .any(|other| other.id == real.id && (real.id.is_some() || same_file(&other.name, &real.name)))
+        {
+            return Err(usage(format!("`{}` is given twice: it would count as two recordings", real.name)));
+        }
+    }
     let request = Request {
         align_s: of.align.as_secs_f64(),
         horizons_s: of.horizons.iter().map(Duration::as_secs_f64).collect(),
@@ -36,7 +50,7 @@ pub(super) fn run(context: &Context, args: &ReportArgs, path: &Path) -> anyhow::
         MeasureError::Cost(error) => refused(path, &error),
         _ => failed(format!("{} and {name}: {error}", args.captures.join(", "))),
     })?;
-    found.notes.extend(reals.iter().filter_map(Real::left_out));
+    found.notes.extend(reals.iter().filter_map(|real| Some(format!("{}: {}", real.name, real.left_out()?))));
     let html = page::validation(&found, SOFTWARE);
     match output {
         Some(output) => output.put(html.as_bytes())?,
@@ -73,8 +87,9 @@ fn evidence<'a>(real: &'a Real, model: &SensorModel, after_s: f64) -> Evidence<'
     });
     let fitted_to = model.provenance.as_ref().and_then(|of| of.get("capture")).and_then(serde_json::Value::as_str);
     let place = |name: &str| Path::new(name).canonicalize().ok();
-    let is_source =
-        fitted_to.is_some_and(|of| of == real.name || place(of).is_some_and(|of| place(&real.name) == Some(of)));
+    let is_it = |of: &str| of == real.name || place(of).is_some_and(|of| place(&real.name) == Some(of));
+    // A model of several captures has the names of all.
+    let is_source = fitted_to.is_some_and(|of| is_it(of) || of.split(" + ").any(is_it));
     Evidence {
         name: real.name.clone(),
         rest: jobs::rest(recording),

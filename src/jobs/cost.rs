@@ -7,7 +7,9 @@
 use super::motion::at_rest;
 use super::{Gridded, JobError, Plan, SampleSource, gridded};
 use imu_core::units::format_duration;
-use imu_cost::{Corners, Cost, CostError, Growing, LEAST_PIECES, Pieces, Quantity, Request, Rest, cost, measured};
+use imu_cost::{
+    Corners, Cost, CostError, Growing, LEAST_PIECES, MeasureError, Pieces, Quantity, Request, Rest, cost, measured_both,
+};
 use imu_diagnosis::report::{Bands, Cause, CauseCost, GapCost, MeasuredGrowth, MeasuredPieces, Sense};
 use imu_diagnosis::{Outcome, Recording, Verdict};
 use imu_model::effects::Effect;
@@ -25,6 +27,8 @@ const MEASURED_S: [f64; 12] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0, 120.0, 300.
 const ALIGN_S: f64 = 30.0;
 /// The most samples of alignment and horizon: 10 min at 800 Hz. Courses are run sample by sample.
 const SAMPLES_MAX: f64 = 6e5;
+/// The most samples of a record whose pieces are measured: a day at 800 Hz.
+const RECORD_MAX: f64 = 7e7;
 /// Bands that differ by less are not worth a sentence, as the logarithm of their ratio.
 const MATERIAL: f64 = 0.05;
 /// A size without an interval matters from this share of the mean square error on; a cause is named from it on.
@@ -138,12 +142,16 @@ pub fn add_cost(outcome: &mut Outcome, recording: &Recording, sim: &SensorModel)
     let all = Quantity::all().iter().filter_map(|of| Some((of.to_string(), bands(*of)?)));
     let mut notes = after.notes.clone();
     notes.extend(before.notes.iter().filter(|note| !after.notes.contains(note)).cloned());
+    let measured = measured_growth(recording, sim, &outcome.augmented, &request).unwrap_or_else(|error| {
+        outcome.diagnosis.notes.push(format!("the growth of errors was not measured in pieces: {error}"));
+        None
+    });
     let found = GapCost {
         align_s: ALIGN_S,
         horizons_s: request.horizons_s.clone(),
         quantities: all.collect(),
         notes,
-        measured: measured_growth(recording, sim, &outcome.augmented, &request),
+        measured,
     };
     let causes: Vec<BTreeMap<String, CauseCost>> = outcome
         .diagnosis
@@ -175,16 +183,22 @@ fn measured_growth(
     sim: &SensorModel,
     augmented: &SensorModel,
     request: &Request,
-) -> Option<MeasuredGrowth> {
+) -> Result<Option<MeasuredGrowth>, MeasureError> {
+    // Courses of a model that changes with time are run from switch-on to every piece.
+    if recording.length_s() * sim.internal_rate_hz(sim.rate_hz) > RECORD_MAX {
+        return Err(MeasureError::Long);
+    }
     let fits = |horizon_s: &f64| {
         let long_s = ALIGN_S + horizon_s;
         LEAST_PIECES as f64 * long_s <= recording.length_s()
             && long_s * sim.internal_rate_hz(sim.rate_hz) <= SAMPLES_MAX
     };
     let horizons_s: Vec<f64> = MEASURED_S.into_iter().filter(fits).collect();
+    if horizons_s.is_empty() {
+        return Ok(None);
+    }
     let request = Request { horizons_s, ..request.clone() };
-    let of = |model: &SensorModel| measured(&rest(recording), "the recording", model, &request).ok();
-    let (before, after) = (of(sim)?, of(augmented)?);
+    let [before, after] = measured_both(&rest(recording), "the recording", [sim, augmented], &request)?;
     let both = |(one, other): (&Option<Pieces>, &Option<Pieces>)| {
         let (one, other) = (one.as_ref()?, other.as_ref()?);
         Some(MeasuredPieces {
@@ -205,7 +219,7 @@ fn measured_growth(
     let quantities = after.quantities.iter().filter_map(quantity).collect();
     let mut notes = after.notes;
     notes.extend(before.notes.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
-    Some(MeasuredGrowth { horizons_s: request.horizons_s, quantities, notes })
+    Ok(Some(MeasuredGrowth { horizons_s: request.horizons_s, quantities, notes }))
 }
 
 /// Returns the corrected model without the effects of its causes that `is_meant` accepts by name and channel. Effects that the

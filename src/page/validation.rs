@@ -3,11 +3,9 @@
 use super::{Kind, escaped, framed, wide};
 use crate::plot;
 use imu_core::sample::Channel;
-use imu_core::units::format_duration;
 use imu_cost::{Comparison, Envelope, LimitState, LimitVerdict, ModelError, Quantity, Sheet, SheetVerdict, number};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::time::Duration;
 
 /// Returns the page, with the version of the program that made it.
 pub fn validation(sheet: &Sheet, software: &str) -> String {
@@ -41,6 +39,10 @@ fn body(sheet: &Sheet, software: &str) -> String {
 }
 
 fn capitalised(text: &str) -> String {
+    // A name with an underscore stays as it is.
+    if text.split_whitespace().next().is_some_and(|word| word.contains('_')) {
+        return text.to_owned();
+    }
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
@@ -52,15 +54,11 @@ fn list(out: &mut String, title: &str, sentences: &[String]) {
     }
 }
 
-fn time(time_s: f64) -> String {
-    Duration::try_from_secs_f64(time_s).map_or_else(|_| "–".to_owned(), format_duration)
-}
-
 fn name(quantity: Quantity) -> String {
     quantity.to_string().replace('_', " ")
 }
 
-/// A unit of a row, in which its numbers are between 1 and 1000, and the decimals of its uncertainties.
+/// The unit of a row, in which D is at least 1 where a prefix allows it.
 struct Shown {
     factor: f64,
     unit: String,
@@ -165,7 +163,9 @@ fn row(out: &mut String, quantity: Quantity, horizon_s: f64, of: Option<&Compari
         return;
     };
     let class = if of.rms.agrees() { "number" } else { "number bad" };
-    let theil = of.bias_proportion.map_or_else(|| "–".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+    // Of two errors that chance may have made there is no proportion.
+    let theil = of.bias_proportion.filter(|_| !(of.bias.agrees() && of.scatter.agrees()));
+    let theil = theil.map_or_else(|| "–".to_owned(), |share| format!("{:.0} %", 100.0 * share));
     let [low, high] = of.coverage_ci95.map(|share| 100.0 * share);
     let shown = Shown::of(quantity, of.rms.measured);
     let cells = [
@@ -213,6 +213,10 @@ fn pictures(out: &mut String, sheet: &Sheet) {
     }
 }
 
+fn recordings(count: usize) -> String {
+    format!("{count} {}", if count == 1 { "recording" } else { "recordings" })
+}
+
 fn envelope(out: &mut String, of: &Envelope) {
     let list = |of: &BTreeSet<String>| match of.is_empty() {
         true => "not stated".to_owned(),
@@ -232,7 +236,7 @@ fn envelope(out: &mut String, of: &Envelope) {
     let rows = [
         (
             "time of data",
-            format!("{} in {} recordings, {} Hz", time(of.total_s), of.recordings.len(), number(of.rate_hz)),
+            format!("{} in {}, {} Hz", time(of.total_s), recordings(of.recordings.len()), number(of.rate_hz)),
         ),
         ("time since switch-on", format!("{} to {}", time(from), time(to))),
         ("temperature", degrees(of.temperature_c)),
@@ -272,15 +276,15 @@ fn envelope(out: &mut String, of: &Envelope) {
 fn credibility(out: &mut String, sheet: &Sheet) {
     let (units, dates) = (sheet.envelope.units.len(), sheet.envelope.dates.len());
     let validation = format!(
-        "{} recordings at rest, {}; units stated: {units}; dates stated: {dates}",
-        sheet.envelope.recordings.len(),
+        "{} at rest, {}; units stated: {units}; dates stated: {dates}",
+        recordings(sheet.envelope.recordings.len()),
         time(sheet.envelope.total_s)
     );
     let rows = [
         ("Data pedigree", "the table of recordings above; where they lie and how they were made is not checked"),
         ("Verification", "closed forms against runs of the simulator and against numpy: docs/cost.md of the program"),
         ("Validation", &validation),
-        ("Input pedigree", "the model's file states where its numbers come from (provenance)"),
+        ("Input pedigree", "the model's file, and its `provenance` if it has one"),
         ("Uncertainty characterization", "u_val of the data and of the intervals that the model states"),
         ("Results robustness", "not shown: how much the result moves if an assumption is dropped"),
         ("Use history, management", "not shown"),

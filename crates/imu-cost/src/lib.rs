@@ -66,7 +66,7 @@ pub use filter_parameters::{
     ChannelParameters, FILTER_FORMAT, FilterError, FilterParameters, FilterRequest, Inflation, InflationCause, Over,
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
-pub use measured::{Growing, LEAST_PIECES, Measured, Pieces, measured};
+pub use measured::{Growing, LEAST_PIECES, Measured, Pieces, measured, measured_both};
 pub use motion::{Along, MOTION_ROWS_MAX, MotionRefusal};
 pub use pieces::{MeasureError, Rest, piece_error};
 pub use request::{CostError, Quantity, Request, Tolerance};
@@ -74,7 +74,7 @@ pub use sheet::{
     Comparison, Covered, Envelope, Evidence, LimitState, LimitVerdict, ModelError, SHEET_FORMAT, Sheet, SheetVerdict,
     sheet,
 };
-pub use shown::number;
+pub use shown::{number, time};
 
 use channel::ChannelErrors;
 use compose::{Composed, compose};

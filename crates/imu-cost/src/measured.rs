@@ -12,7 +12,7 @@
 //!
 //! Refused: a recording of another rate, and one with fewer than [`LEAST_PIECES`] disjoint pieces at every horizon.
 
-use crate::pieces::{MeasureError, Piece, Rest, disjoint, pieces};
+use crate::pieces::{MeasureError, Piece, Rest, disjoint, has_begins, pieces};
 use crate::request::{Quantity, Request};
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
@@ -83,7 +83,33 @@ pub fn measured(
     model: &SensorModel,
     request: &Request,
 ) -> Result<Measured, MeasureError> {
-    let found = pieces(record, 0, model, request, LEAST_PIECES)?;
+    of_pieces(record, real, model, request, false)
+}
+
+/// Measures the same pieces for a model and for another one, as [`measured`] does for one.
+///
+/// # Errors
+/// Those of [`measured`].
+pub fn measured_both(
+    record: &Rest<'_>,
+    real: &str,
+    models: [&SensorModel; 2],
+    request: &Request,
+) -> Result<[Measured; 2], MeasureError> {
+    let plain = Request { tolerances: Vec::new(), motion: None, ..request.clone() };
+    let has_begins = has_begins(models[0], &plain)? || has_begins(models[1], &plain)?;
+    let [one, other] = models.map(|model| of_pieces(record, real, model, request, has_begins));
+    Ok([one?, other?])
+}
+
+fn of_pieces(
+    record: &Rest<'_>,
+    real: &str,
+    model: &SensorModel,
+    request: &Request,
+    has_begins: bool,
+) -> Result<Measured, MeasureError> {
+    let found = pieces(record, 0, model, request, LEAST_PIECES, has_begins)?;
     let growing = |(quantity, all): (&Quantity, &Vec<Vec<Piece>>)| {
         let summaries = all.iter().zip(&found.lengths).map(|(pieces, length)| summary(pieces, *length));
         (*quantity, Growing { unit: quantity.unit(), pieces: summaries.collect() })
@@ -297,7 +323,8 @@ mod tests {
     fn correlated_pieces_count_as_few() {
         let pieces = |errors: &[f64]| -> f64 {
             let predicted = Predicted { mean: 0.0, sd: 1.0, band95: 2.0 };
-            let piece = |(begin, error): (usize, &f64)| Piece { begin, run: [0; 2], error: *error, predicted };
+            let piece =
+                |(begin, error): (usize, &f64)| Piece { begin, length: 1, run: [0; 2], error: *error, predicted };
             let all: Vec<Piece> = errors.iter().enumerate().map(piece).collect();
             independent(&all.iter().collect::<Vec<&Piece>>())
         };

@@ -68,6 +68,24 @@ pub enum MeasureError {
         /// Their length, s.
         length_s: f64,
     },
+    /// The simulations that show what chance makes would take too long.
+    #[error("the recordings are too long to be simulated: expected a part of them, or fewer at once")]
+    Long,
+    /// The model predicts nothing that the recordings show.
+    #[error("no quantity has a prediction for these recordings: {reason}")]
+    NoPrediction {
+        /// Why.
+        reason: String,
+    },
+    /// A recording among several cannot be compared.
+    #[error("{recording}: {error}")]
+    Of {
+        /// The recording.
+        recording: String,
+        /// The reason.
+        #[source]
+        error: Box<Self>,
+    },
     /// The model's bands cannot be computed.
     #[error(transparent)]
     Cost(#[from] CostError),
@@ -91,6 +109,8 @@ impl Predicted {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Piece {
     pub begin: usize,
+    /// Alignment and horizon, samples.
+    pub length: usize,
     pub run: [usize; 2],
     pub error: f64,
     pub predicted: Predicted,
@@ -110,7 +130,13 @@ pub(crate) struct Found {
 /// A model's predictions at one begin, by quantity and then by horizon.
 type Predictions = BTreeMap<Quantity, Vec<Predicted>>;
 
-/// Returns the pieces of a recording, which has the number `record` among others. Limits and a motion of the request are ignored.
+/// Returns whether a model's predictions change with time, so that pieces begin at some places only.
+pub(crate) fn has_begins(model: &SensorModel, request: &Request) -> Result<bool, CostError> {
+    Ok(changes(model, crate::request::Setting::new(request, model)?.temperature_is_constant))
+}
+
+/// Returns the pieces of a recording, which has the number `number` among others. With `has_begins` they are those of a model that
+/// changes with time. Limits and a motion of the request are ignored.
 ///
 /// # Errors
 /// [`MeasureError`] if rate or channels differ, if no quantity has `least` disjoint pieces of the shortest horizon, or for a request
@@ -121,8 +147,9 @@ pub(crate) fn pieces(
     model: &SensorModel,
     request: &Request,
     least: usize,
+    has_begins: bool,
 ) -> Result<Found, MeasureError> {
-    if (record.rate_hz / model.rate_hz - 1.0).abs() > SAME_RATE {
+    if !((record.rate_hz / model.rate_hz - 1.0).abs() <= SAME_RATE) {
         return Err(MeasureError::Rate { found_hz: record.rate_hz, expected_hz: model.rate_hz });
     }
     let request = Request { tolerances: Vec::new(), motion: None, ..request.clone() };
@@ -141,12 +168,12 @@ pub(crate) fn pieces(
     if most < least {
         return Err(MeasureError::Few { found: most, least, length_s: shortest as f64 / model.rate_hz });
     }
-    let is_moving = changes(model, setting.temperature_is_constant);
+    let is_moving = has_begins || changes(model, setting.temperature_is_constant);
     let last = runs.iter().flat_map(|(_, of)| of.iter().map(|[_, to]| *to)).max().unwrap_or(0);
     let begins = begins(is_moving, last, shortest);
     let mut notes: Vec<String> = Vec::new();
     let predictions = predictions(&Laws { model, request: &request, is_moving, last }, &begins, &horizons, &mut notes)?;
-    if is_moving {
+    if is_moving && !notes.iter().any(|note| note.starts_with("the model changes")) {
         notes.push(format!(
             "the model changes with time: pieces begin at {} places, each with its own band",
             begins.len()
@@ -193,6 +220,10 @@ fn predictions(
     let mut all = Vec::with_capacity(begins.len());
     for begin in begins {
         let fitting = horizons.iter().filter(|horizon| !is_moving || begin + align + *horizon <= last).count();
+        if fitting == 0 {
+            all.push(Predictions::new());
+            continue;
+        }
         let horizons_s = request.horizons_s[..fitting].to_vec();
         let begin_s = request.begin_s + *begin as f64 / model.rate_hz;
         let found = match cost(&bare, &model.name, &Request { begin_s, horizons_s, ..request.clone() }) {
@@ -294,14 +325,15 @@ impl Place<'_> {
             let add = |(begin, prediction): (usize, &Predictions)| {
                 let predicted = *prediction.get(&quantity)?.get(at)?;
                 let error = piece_error(self.record, quantity, begin, self.align, self.horizons[at]);
-                Some(Piece { begin, run: [self.number, run], error, predicted })
+                Some(Piece { begin, length, run: [self.number, run], error, predicted })
             };
             if self.is_moving {
                 let own = self.begins.iter().copied().zip(self.predictions);
                 all.extend(own.filter(|(begin, _)| begin >= from && begin + length <= *to).filter_map(add));
             } else {
                 let last = (to - from).checked_sub(length).map(|room| from + room);
-                let begins = last.into_iter().flat_map(|last| (*from..=last).step_by((length / OVERLAP).max(1)));
+                let places = (0..).map(|k| from + k * length.max(OVERLAP) / OVERLAP);
+                let begins = last.into_iter().flat_map(|last| places.clone().take_while(move |begin| *begin <= last));
                 all.extend(begins.filter_map(|begin| add((begin, self.predictions.first()?))));
             }
         }

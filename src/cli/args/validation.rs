@@ -1,5 +1,6 @@
 //! Arguments of `report --validation`.
 
+use super::complete;
 use super::cost::Tolerances;
 use clap::Args;
 use imu_core::units::parse_duration;
@@ -13,7 +14,7 @@ pub struct ValidationArgs {
     #[arg(long, requires = "model")]
     pub validation: bool,
     /// The sensor model (JSON)
-    #[arg(long, value_name = "FILE", requires = "validation")]
+    #[arg(long, value_name = "FILE", requires = "validation", add = complete::models())]
     pub model: Option<PathBuf>,
     /// Times of unaided integration, increasing, separated by commas
     #[arg(

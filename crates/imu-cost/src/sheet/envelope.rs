@@ -3,15 +3,14 @@
 use super::{Comparison, Evidence};
 use crate::USED;
 use crate::request::Quantity;
+use crate::shown::time;
 use imu_core::sample::Channel;
-use imu_core::units::format_duration;
 use imu_model::EffectKind;
 use imu_model::effects::Effect;
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::time::Duration;
 
 /// A temperature that moves by less shows nothing of an effect of temperature, K.
 const SAME_TEMPERATURE_K: f64 = 1.0;
@@ -52,6 +51,8 @@ pub struct Covered {
     pub date: Option<String>,
     /// The least and the largest temperature, °C, if it was measured.
     pub temperature_c: Option<[f64; 2]>,
+    /// Begin and end since switch-on, s.
+    pub since_switch_on_s: [f64; 2],
     /// Mean specific force along x, y and z, m/s², of the axes that it has: the pose.
     pub specific_force_m_s2: BTreeMap<Channel, f64>,
 }
@@ -70,6 +71,7 @@ impl Covered {
             unit: of.unit.clone(),
             date: of.date.clone(),
             temperature_c: of.temperature_c,
+            since_switch_on_s: [of.begin_s, end_s(of)],
             specific_force_m_s2: means.collect(),
         }
     }
@@ -80,16 +82,17 @@ fn missing<'a>(of: &'a Evidence<'_>) -> impl Iterator<Item = bool> + 'a {
     of.rest.missing.iter().copied().chain(std::iter::repeat(false))
 }
 
+/// Returns the end of a recording since switch-on, s.
+fn end_s(of: &Evidence<'_>) -> f64 {
+    of.begin_s + of.rest.channels.first().map_or(0, |(_, values)| values.len()) as f64 / of.rest.rate_hz
+}
+
 fn is_accel(channel: Channel) -> bool {
     [Channel::AccelX, Channel::AccelY, Channel::AccelZ].contains(&channel)
 }
 
 fn is_gyro(channel: Channel) -> bool {
     [Channel::GyroX, Channel::GyroY, Channel::GyroZ].contains(&channel)
-}
-
-fn time(time_s: f64) -> String {
-    Duration::try_from_secs_f64(time_s).map_or_else(|_| format!("{time_s} s"), format_duration)
 }
 
 impl Envelope {
@@ -105,10 +108,7 @@ impl Envelope {
         let temperatures = evidence.iter().filter_map(|of| of.temperature_c);
         let temperature_c = temperatures.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]);
         let begin_s = evidence.iter().map(|of| of.begin_s).fold(f64::INFINITY, f64::min);
-        let ends = evidence.iter().map(|of| {
-            let samples = of.rest.channels.first().map_or(0, |(_, values)| values.len());
-            of.begin_s + samples as f64 / of.rest.rate_hz
-        });
+        let ends = evidence.iter().map(end_s);
         Self {
             rate_hz: evidence.first().map_or(0.0, |of| of.rest.rate_hz),
             total_s: recordings.iter().map(|of| of.length_s).sum(),
@@ -130,17 +130,19 @@ impl Envelope {
     ) -> Vec<String> {
         let mut all = Vec::new();
         for quantity in Quantity::all() {
-            let last = quantities.get(quantity).map(|of| {
-                let with_number = of.iter().zip(horizons_s).filter(|(found, _)| found.is_some());
-                with_number.map(|(_, horizon_s)| *horizon_s).fold(0.0, f64::max)
+            let without = quantities.get(quantity).map(|of| {
+                let open = of.iter().zip(horizons_s).filter(|(found, _)| found.is_none());
+                open.map(|(_, horizon_s)| time(*horizon_s)).collect::<Vec<_>>()
             });
-            match last {
+            match without {
                 None => {
-                    all.push(format!("{quantity}: model or recordings lack its channels, or it has no closed form"))
+                    all.push(format!("{quantity}: model or recordings lack its channels, or it has no closed form"));
                 }
-                Some(last) if last == 0.0 => all.push(format!("{quantity}: too few pieces at every horizon")),
-                Some(last) if horizons_s.last().is_some_and(|end| last < *end) => {
-                    all.push(format!("{quantity} beyond {}: too few pieces", time(last)));
+                Some(without) if without.len() == horizons_s.len() => {
+                    all.push(format!("{quantity}: too few pieces at every horizon, or no noise to compare"));
+                }
+                Some(without) if !without.is_empty() => {
+                    all.push(format!("{quantity} after {}: too few pieces", without.join(", ")));
                 }
                 Some(_) => {}
             }
@@ -163,19 +165,11 @@ impl Envelope {
         if !self.has_poses() {
             all.push("other poses: the recordings show one".to_owned());
         }
-        match self.units.len() {
-            0 => all.push("other units: the recordings do not state theirs".to_owned()),
-            1 => all.push("other units: the recordings are of one".to_owned()),
-            _ => {}
-        }
-        match self.dates.len() {
-            0 => all.push("other days: the recordings do not state theirs".to_owned()),
-            1 => all.push("other days: the recordings are of one".to_owned()),
-            _ => {}
-        }
-        let [from, to] = self.since_switch_on_s;
-        let before = if from > 0.0 { format!("before {} and ", time(from)) } else { String::new() };
-        all.push(format!("times {before}after {} from switch-on", time(to)));
+        all.extend(others("units", self.recordings.iter().map(|of| of.unit.as_deref())));
+        all.extend(others("days", self.recordings.iter().map(|of| of.date.as_deref())));
+        let spans = union(self.recordings.iter().map(|of| of.since_switch_on_s));
+        let spans: Vec<String> = spans.iter().map(|[from, to]| format!("{} to {}", time(*from), time(*to))).collect();
+        all.push(format!("times from switch-on other than {}", spans.join(", ")));
         all
     }
 
@@ -193,15 +187,49 @@ impl Envelope {
     fn outside_temperature(&self, model: &SensorModel) -> Vec<String> {
         let depends = |effect: &&Arc<dyn Effect>| effect.kind() == EffectKind::TemperatureBias;
         let has_effect = model.channels.values().flat_map(|of| &of.effects).any(|of| depends(&of));
-        match self.temperature_c {
-            None => vec!["temperatures: the recordings have none".to_owned()],
-            Some([low, high]) => {
-                let mut all = vec![format!("temperatures below {low:.1} °C and above {high:.1} °C")];
-                if has_effect && high - low < SAME_TEMPERATURE_K {
-                    all.push(format!("temperature_bias: the temperature moved by {:.2} K", high - low));
-                }
-                all
-            }
+        let ranges = union(self.recordings.iter().filter_map(|of| of.temperature_c));
+        if ranges.is_empty() {
+            return vec!["temperatures: the recordings have none".to_owned()];
+        }
+        let list: Vec<String> = ranges.iter().map(|[low, high]| format!("{low:.1} to {high:.1}")).collect();
+        let mut all = vec![format!("temperatures other than {} °C", list.join(", "))];
+        let unknown = self.recordings.iter().filter(|of| of.temperature_c.is_none()).count();
+        if unknown > 0 {
+            all.push(format!("the temperature of {unknown} of the recordings, which have none"));
+        }
+        let moved = ranges.last().map_or(0.0, |of| of[1]) - ranges.first().map_or(0.0, |of| of[0]);
+        if has_effect && moved < SAME_TEMPERATURE_K {
+            all.push(format!("temperature_bias: the temperature moved by {moved:.2} K"));
+        }
+        all
+    }
+}
+
+/// Returns a sentence on other units or days, unless every recording states its own and there are several.
+fn others<'a>(what: &str, stated: impl Iterator<Item = Option<&'a str>>) -> Option<String> {
+    let stated: Vec<Option<&str>> = stated.collect();
+    let unknown = stated.iter().filter(|of| of.is_none()).count();
+    let known: BTreeSet<&str> = stated.into_iter().flatten().collect();
+    match (known.len(), unknown) {
+        (0, _) => Some(format!("other {what}: the recordings do not state theirs")),
+        (1, 0) => Some(format!("other {what}: the recordings are of one")),
+        (known, 1..) => {
+            Some(format!("other {what}: {unknown} recordings do not state theirs, the others are of {known}"))
+        }
+        _ => None,
+    }
+}
+
+/// Returns ranges without overlaps, in order.
+fn union(ranges: impl Iterator<Item = [f64; 2]>) -> Vec<[f64; 2]> {
+    let mut all: Vec<[f64; 2]> = ranges.collect();
+    all.sort_by(|one, other| one[0].total_cmp(&other[0]));
+    let mut joined: Vec<[f64; 2]> = Vec::new();
+    for range in all {
+        match joined.last_mut().filter(|last| range[0] <= last[1]) {
+            Some(last) => last[1] = last[1].max(range[1]),
+            None => joined.push(range),
         }
     }
+    joined
 }

@@ -8,9 +8,10 @@
 //! `u_val`² = `u_d`² + `u_input`² its standard uncertainty. The closed forms' own error of 10⁻⁵ does not count. If 0 is inside the
 //! interval, the model's error is too small to be seen in these data.
 //!
-//! The pieces of all recordings count together. Intervals count independent pieces only, and fewer if recordings differ among
-//! themselves by more than their pieces explain.
+//! The pieces of all recordings count together: E is about these recordings. How far D scatters by chance is that of simulated records
+//! with the same pieces (`chance`), so that overlaps and common parts of the errors count as the model has them.
 
+mod chance;
 mod compare;
 mod envelope;
 #[cfg(test)]
@@ -18,15 +19,20 @@ mod tests;
 
 pub use envelope::{Covered, Envelope};
 
+use crate::USED;
 use crate::measured::LEAST_PIECES;
 use crate::pieces::{MeasureError, Piece, Rest, disjoint, pieces};
 use crate::request::{Quantity, Request, Setting};
-use compare::{Inputs, compare};
+use chance::simulated;
+use compare::{Compared, Inputs};
 use imu_model::motion::Temperatures;
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF as _, Normal};
 use std::collections::BTreeMap;
 
+/// Data that would not show an error of this share of the prediction do not validate it.
+const HIDDEN_MAX: f64 = 0.5;
 /// The format's name; a change that old readers would misread gets a new number.
 pub const SHEET_FORMAT: &str = "vn100d-validation-1";
 
@@ -91,6 +97,9 @@ pub struct ModelError {
     pub u_val: f64,
     /// The 95 % interval of E.
     pub ci95: [f64; 2],
+    /// E in standard uncertainties, of that side of the interval that 0 is on.
+    #[serde(skip)]
+    pub standardized: f64,
 }
 
 impl ModelError {
@@ -119,6 +128,10 @@ pub struct Comparison {
     pub coverage: f64,
     /// The 95 % interval of that share.
     pub coverage_ci95: [f64; 2],
+    /// The least and the largest ratio of a recording's root mean square to the predicted one, if recordings differ by more than chance
+    /// makes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recordings_differ: Option<[f64; 2]>,
 }
 
 /// The verdict on a limit.
@@ -183,7 +196,13 @@ pub fn sheet(
     // The order is checked before the limits' horizons are added.
     Setting::new(&Request { tolerances: Vec::new(), ..request.clone() }, model)?;
     let mut horizons_s = request.horizons_s.clone();
-    horizons_s.extend(request.tolerances.iter().map(|of| of.horizon_s));
+    let samples = |time_s: f64| (time_s * model.rate_hz).round();
+    for limit in &request.tolerances {
+        // Times of one sample are one horizon.
+        if !horizons_s.iter().any(|own| samples(*own) == samples(limit.horizon_s)) {
+            horizons_s.push(limit.horizon_s);
+        }
+    }
     horizons_s.sort_by(f64::total_cmp);
     horizons_s.dedup();
     let own = |of: &Evidence<'_>| Request {
@@ -194,38 +213,79 @@ pub fn sheet(
         ..request.clone()
     };
     let (mut all, mut notes): (BTreeMap<Quantity, Vec<Vec<Piece>>>, Vec<String>) = Default::default();
-    let (mut lengths, mut covered) = (Vec::new(), Vec::new());
-    for (number, of) in evidence.iter().enumerate() {
-        let found = pieces(&of.rest, number, model, &own(of), usize::from(evidence.len() == 1) * LEAST_PIECES)?;
-        covered.push(Covered::by(of, found.length_s));
+    let (mut lengths, mut covered, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
+    let requests: Vec<(&Evidence<'_>, Request)> = evidence.iter().map(|of| (of, own(of))).collect();
+    for (number, (of, request)) in requests.iter().enumerate() {
+        let least = if evidence.len() == 1 { LEAST_PIECES } else { 0 };
+        let found = pieces(&of.rest, number, model, request, least, false).map_err(|error| match error {
+            MeasureError::Cost(error) => MeasureError::Cost(error),
+            error if evidence.len() > 1 => MeasureError::Of { recording: of.name.clone(), error: Box::new(error) },
+            error => error,
+        })?;
+        // A recording without a piece shows nothing, whatever its unit or temperature.
+        match found.pieces.values().flatten().any(|pieces| !pieces.is_empty()) {
+            true => covered.push(Covered::by(of, found.length_s)),
+            false => notes.push(format!("{} has no piece, and does not count", of.name)),
+        }
         for (quantity, pieces) in found.pieces {
             let pooled = all.entry(quantity).or_insert_with(|| vec![Vec::new(); pieces.len()]);
             pooled.iter_mut().zip(pieces).for_each(|(pooled, own)| pooled.extend(own));
         }
         lengths = found.lengths;
-        notes.extend(
-            found.notes.into_iter().map(|note| if evidence.len() > 1 { format!("{}: {note}", of.name) } else { note }),
-        );
+        remarks.push((of.name.clone(), found.notes));
     }
-    let inputs = evidence.first().map(|of| Inputs::new(model, &own(of))).transpose()?.flatten();
+    notes.extend(once(&remarks));
+    let inputs = requests.first().map(|(_, request)| Inputs::new(model, request)).transpose()?.flatten();
+    let enough = |quantity: &Quantity| {
+        let shortest = all.get(quantity).and_then(|of| of.first()).zip(lengths.first());
+        shortest.map_or(0, |(pieces, length)| disjoint(pieces, *length).len())
+    };
+    let most = all.keys().map(enough).max().unwrap_or(0);
+    if most < LEAST_PIECES {
+        let shortest_s = lengths.first().copied().unwrap_or(0) as f64 / model.rate_hz;
+        return Err(match all.is_empty() && !notes.is_empty() {
+            true => MeasureError::NoPrediction { reason: notes.join("; ") },
+            false => MeasureError::Few { found: most, least: LEAST_PIECES, length_s: shortest_s },
+        });
+    }
+    let runs = simulated(model, &requests, &all)?.ok_or(MeasureError::Long)?;
     let compared = |(quantity, pooled): (&Quantity, &Vec<Vec<Piece>>)| {
-        let of = |(at, pieces): (usize, &Vec<Piece>)| compare(pieces, lengths[at], *quantity, at, inputs.as_ref());
+        let of = |(at, pieces): (usize, &Vec<Piece>)| {
+            let runs = runs.get(quantity).and_then(|of| of.get(at)).map_or(&[][..], Vec::as_slice);
+            let (length, inputs) = (lengths[at], inputs.as_ref());
+            Compared { pieces, length, quantity: *quantity, at, inputs, runs }.comparison()
+        };
         (*quantity, pooled.iter().enumerate().map(of).collect())
     };
     let quantities: BTreeMap<Quantity, Vec<Option<Comparison>>> = all.iter().map(compared).collect();
-    if quantities.values().flatten().flatten().next().is_none() {
-        let (least, shortest) = (LEAST_PIECES, lengths.first().copied().unwrap_or(0));
-        let found = all.values().filter_map(|of| Some(disjoint(of.first()?, shortest).len())).max().unwrap_or(0);
-        return Err(MeasureError::Few { found, least, length_s: shortest as f64 / model.rate_hz });
+    let differing: Vec<String> = quantities
+        .iter()
+        .filter_map(|(quantity, of)| {
+            let [least, most] = of.iter().rev().flatten().find_map(|of| of.recordings_differ)?;
+            Some(format!("{quantity} × {} to × {}", crate::number(least), crate::number(most)))
+        })
+        .collect();
+    if !differing.is_empty() {
+        notes.push(format!(
+            "recordings differ among themselves by more than chance makes (measured over predicted: {}): the error of another one \
+             may be larger than its interval here",
+            differing.join(", ")
+        ));
     }
     let found = |of: &crate::Tolerance| {
-        let at = horizons_s.iter().position(|own| *own == of.horizon_s)?;
+        let at = horizons_s.iter().position(|own| samples(*own) == samples(of.horizon_s))?;
         quantities.get(&of.quantity)?.get(at)?.as_ref()
     };
     let limits: Vec<LimitVerdict> = request.tolerances.iter().map(|of| LimitVerdict::on(of, found(of))).collect();
     let envelope = Envelope::of(evidence, covered);
     let mut not_validated = envelope.outside(model, &quantities, &horizons_s);
     not_validated.extend(inputs.iter().filter_map(|of| of.open(quantities.keys().copied())));
+    if model.provenance.as_ref().is_some_and(|of| of.contains_key("capture")) {
+        not_validated.push(
+            "a recording that the model was fitted to under another name: it is recognised by its name alone"
+                .to_owned(),
+        );
+    }
     let (verdict, reason) = verdict(evidence, &quantities, &limits);
     Ok(Sheet {
         format: SHEET_FORMAT,
@@ -240,6 +300,21 @@ pub fn sheet(
         not_validated,
         notes,
     })
+}
+
+/// Returns the notes of recordings, those of all once, the others with the recording's name.
+fn once(remarks: &[(String, Vec<String>)]) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    for (name, notes) in remarks {
+        for note in notes {
+            let is_of_all = remarks.iter().all(|(_, others)| others.contains(note));
+            let note = if is_of_all { note.clone() } else { format!("{name}: {note}") };
+            if !all.contains(&note) {
+                all.push(note);
+            }
+        }
+    }
+    all
 }
 
 impl LimitVerdict {
@@ -274,13 +349,27 @@ fn verdict(
             (missed, _) => (SheetVerdict::NotValid, format!("the model misses {}", of_limits(missed))),
         };
     }
-    let all: Vec<&Comparison> = quantities.values().flatten().flatten().collect();
-    let apart = all.iter().filter(|of| !of.rms.agrees()).count();
-    // One in twenty intervals misses by chance, and horizons of a record go together.
-    let by_chance = all.len() as f64 / 20.0 + 2.0 * (all.len() as f64 / 20.0).sqrt();
-    let found = format!("{apart} of {} comparisons differ by more than their uncertainty", all.len());
-    match apart as f64 > by_chance {
-        true => (SheetVerdict::NotValid, found),
-        false => (SheetVerdict::Validated, format!("{found}: as many as by chance")),
+    let all: Vec<&ModelError> =
+        quantities.values().flatten().flatten().flat_map(|of| [&of.rms, &of.bias, &of.scatter]).collect();
+    // All together miss 0 by chance in 5 % (Bonferroni).
+    let most = Normal::standard().inverse_cdf(1.0 - 0.025 / all.len().max(1) as f64);
+    let apart = all.iter().filter(|of| of.standardized.abs() > most).count();
+    // The size of an error that the best horizon of a quantity would show, the largest of all quantities.
+    let hidden = |of: &&Comparison| 0.5 * (of.rms.ci95[1] - of.rms.ci95[0]) / of.rms.predicted;
+    let best = |of: &Vec<Option<Comparison>>| of.iter().flatten().map(|of| hidden(&of)).reduce(f64::min);
+    let hidden = quantities.values().filter_map(best).fold(0.0, f64::max);
+    match apart {
+        _ if all.is_empty() => (SheetVerdict::Undecided, "no quantity has a comparison".to_owned()),
+        0 => {
+            let none = format!("none of {} errors of the model is beyond its uncertainty", all.len());
+            let size =
+                format!("an error of the predicted root mean square below {:.0} % would not be seen", 100.0 * hidden);
+            let state = if hidden < HIDDEN_MAX { SheetVerdict::Validated } else { SheetVerdict::Undecided };
+            (state, format!("{none}; {size}"))
+        }
+        _ => (
+            SheetVerdict::NotValid,
+            format!("{apart} of {} errors of the model are beyond their uncertainty", all.len()),
+        ),
     }
 }

@@ -75,10 +75,10 @@ fn a_true_model_is_validated_as_often_as_stated() {
     let (truth, stated) = (model(TRUE), stated(1.0));
     let (mut inside, mut count) = ([0_u32; 3], 0_u32);
     let mut validated = 0;
-    for seed in 0..60 {
+    for seed in 0..40 {
         let parts = 1 + seed % 4;
         let nights: Vec<Columns> =
-            (0..parts).map(|part| simulated(&truth, 10 * seed + part, 2400.0 / parts as f64)).collect();
+            (0..parts).map(|part| simulated(&truth, 1000 + 10 * seed + part, 2400.0 / parts as f64)).collect();
         let evidence: Vec<Evidence> = nights.iter().map(|of| evidence("night", of)).collect();
         let found = sheet(&stated, "t", &evidence, &request(&[1.0, 10.0, 60.0])).unwrap();
         validated += u32::from(found.verdict == SheetVerdict::Validated);
@@ -89,11 +89,12 @@ fn a_true_model_is_validated_as_often_as_stated() {
                 assert!((error.error - (error.predicted - error.measured)).abs() <= 1e-12 * error.measured.abs());
             }
             assert!(of.independent <= of.pieces as f64 && of.bias_proportion.unwrap() <= 1.0, "{of:?}");
+            assert!(of.recordings_differ.is_none() || parts > 1, "{of:?}");
         }
     }
-    // Careful rather than too narrow; 700 comparisons of 60 nights resolve 1 %.
-    assert!(inside.iter().all(|inside| f64::from(*inside) >= 0.94 * f64::from(count)), "{inside:?} of {count}");
-    assert!(validated >= 57, "{validated} of 60");
+    // 470 comparisons of 40 nights resolve about 2 %.
+    assert!(inside.iter().all(|inside| f64::from(*inside) >= 0.93 * f64::from(count)), "{inside:?} of {count}");
+    assert!(validated >= 36, "{validated} of 40");
 }
 
 #[test]
@@ -107,6 +108,60 @@ fn a_wrong_model_is_not_valid() {
         assert!(of.bias.agrees() && of.bias_proportion.unwrap() < 0.2, "{of:?}");
         assert_eq!(found.verdict, SheetVerdict::NotValid, "{}", found.reason);
     }
+}
+
+/// One axis of six is wrong: the others do not outvote it.
+#[test]
+fn one_wrong_axis_is_enough() {
+    let night = simulated(&model(TRUE), 5, 3600.0);
+    let mut wrong = stated(1.0);
+    let axis = wrong.channels.get_mut(&Channel::GyroZ).unwrap();
+    (axis.n, axis.uncertainty) = (3e-4, None);
+    let found = sheet(&wrong, "t", &[evidence("night", &night)], &request(&[1.0, 10.0, 60.0])).unwrap();
+    assert_eq!(found.verdict, SheetVerdict::NotValid, "{}", found.reason);
+}
+
+/// A course that the model states twenty times too large is seen although all pieces have it in common.
+#[test]
+fn a_course_of_the_wrong_size_is_not_valid() {
+    let with = |size: f64| {
+        let ramp = format!(r#", "effects": [{{"effect": "rate_ramp", "R": {size:e}}}]"#);
+        model(&format!(r#""gyro_z": {{"N": 1e-5{ramp}}}"#))
+    };
+    let night = simulated(&with(2e-6), 4, 3600.0);
+    let of = |model: &SensorModel| sheet(model, "t", &[evidence("night", &night)], &request(&[60.0])).unwrap();
+    assert_eq!(of(&with(4e-5)).verdict, SheetVerdict::NotValid);
+    let right = of(&with(2e-6));
+    let error = right.quantities[&Quantity::Heading][0].as_ref().unwrap().rms;
+    assert!(right.verdict == SheetVerdict::Validated && error.u_val < 0.1 * error.measured, "{error:?}");
+}
+
+/// A slow process of the true model is a part that all pieces of a record have in common.
+#[test]
+fn a_slow_process_is_no_bias() {
+    let slow = model(r#""gyro_z": {"N": 1e-5, "effects": [{"effect": "gauss_markov", "sigma": 1e-3, "tc_s": 20000}]}"#);
+    let nights: Vec<Columns> = (0..20).map(|seed| simulated(&slow, 500 + seed, 1200.0)).collect();
+    let is_valid = |night: &Columns| {
+        let found = sheet(&slow, "t", &[evidence("night", night)], &request(&[10.0, 60.0])).unwrap();
+        found.verdict == SheetVerdict::Validated
+    };
+    assert!(nights.iter().filter(|night| is_valid(night)).count() >= 18);
+}
+
+/// Sensors that differ are reported, and the error is about these recordings.
+#[test]
+fn recordings_that_differ_are_reported() {
+    let loud = model(&TRUE.replace("1e-4", "3e-4").replace("1e-3", "3e-3"));
+    let nights = [simulated(&model(TRUE), 1, 1800.0), simulated(&model(TRUE), 2, 1800.0), simulated(&loud, 3, 1800.0)];
+    let all_of = |nights: &[Columns]| {
+        let evidence: Vec<Evidence> = nights.iter().map(|of| evidence("night", of)).collect();
+        sheet(&stated(1.0), "t", &evidence, &request(&[1.0])).unwrap()
+    };
+    let differing = all_of(&nights);
+    let [least, most] = all(&differing).next().unwrap().recordings_differ.unwrap();
+    assert!((0.7..1.3).contains(&least) && (2.4..3.6).contains(&most), "{least} {most}");
+    assert!(differing.notes.iter().any(|note| note.contains("differ among themselves")), "{:?}", differing.notes);
+    assert!(all(&all_of(&nights[..2])).all(|of| of.recordings_differ.is_none()));
 }
 
 /// A ramp that the model lacks turns all pieces alike.
@@ -191,15 +246,15 @@ fn the_sheet_states_what_the_recordings_do_not_cover() {
     let found = sheet(&own, "t", std::slice::from_ref(&cold), &request(&[1.0, 600.0])).unwrap();
     for expected in [
         "velocity_y: model or recordings lack its channels",
-        "heading beyond 1s: too few pieces",
-        "horizons beyond 10m",
+        "heading after 10 min: too few pieces",
+        "horizons beyond 10 min",
         "mag_x: unaided integration",
-        "temperatures below 21.0 °C and above 21.4 °C",
+        "temperatures other than 21.0 to 21.4 °C",
         "temperature_bias: the temperature moved by 0.40 K",
         "motion: the recordings are at rest",
         "other units: the recordings are of one",
         "other days: the recordings are of one",
-        "times after 20m from switch-on",
+        "times from switch-on other than 0 s to 20 min",
         "other poses: the recordings show one",
     ] {
         assert!(found.not_validated.iter().any(|of| of.contains(expected)), "{expected}: {:#?}", found.not_validated);
@@ -213,7 +268,9 @@ fn the_sheet_states_what_the_recordings_do_not_cover() {
     turned.iter_mut().filter(|(of, _)| *of == Channel::AccelX).flat_map(|(_, of)| of).for_each(|value| *value += 9.8);
     let other = Evidence { begin_s: 5.0, rest: evidence("", &turned).rest, ..other };
     let found = sheet(&own, "t", &[cold, other], &request(&[1.0])).unwrap();
-    assert!(!found.not_validated.iter().any(|of| of.contains("other ")), "{:#?}", found.not_validated);
+    let others = ["other units", "other days", "other poses"];
+    let is_other = |of: &String| others.iter().any(|other| of.starts_with(other));
+    assert!(!found.not_validated.iter().any(is_other), "{:#?}", found.not_validated);
 }
 
 #[test]
@@ -228,5 +285,12 @@ fn recordings_that_cannot_be_compared_are_refused() {
     assert!(refusal(&[], 60.0).contains("0 disjoint pieces"));
     let mut fast = evidence("fast", &night);
     fast.rest.rate_hz = 100.0;
-    assert!(refusal(&[fast], 1.0).contains("expected the same rate"));
+    assert!(refusal(&[fast.clone()], 1.0).contains("expected the same rate"));
+    let message = refusal(&[evidence("one", &night), fast], 1.0);
+    assert!(message.contains("fast: ") && message.contains("expected the same rate"), "{message}");
+    // A recording too short for a piece does not take the others' away.
+    let warm = model(r#""gyro_z": {"N": 1e-4, "effects": [{"effect": "warm_up", "amplitude": 1e-4, "tau_s": 60}]}"#);
+    let (long, short) = (simulated(&warm, 1, 1200.0), simulated(&warm, 2, 5.0));
+    let found = sheet(&warm, "t", &[evidence("long", &long), evidence("short", &short)], &request(&[1.0])).unwrap();
+    assert!(found.envelope.recordings.len() == 1 && found.notes.iter().any(|of| of.contains("short has no piece")));
 }
