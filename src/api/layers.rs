@@ -31,8 +31,9 @@ pub(super) async fn observe(State(state): State<ApiState>, request: Request, nex
     // The process id distinguishes requests of one start from those of the next.
     let id = format!("{:x}-{number:x}", std::process::id());
     let (method, path) = (request.method().clone(), request.uri().path().to_owned());
+    let as_page = problem::is_for_people(request.headers());
     let response = next.run(request).await;
-    let mut response = problem::finish(response, &id, &path);
+    let mut response = problem::finish(response, &id, &path, as_page);
     let status = response.status().as_u16();
     state.parts.metrics.request(status);
     tracing::debug!(request = id, %method, path, status, took_ms = started.elapsed().as_millis() as u64, "Answered.");

@@ -2,7 +2,7 @@
 //!
 //! In: requests. Out: JSON, text, streams of samples, problem documents. Status, health and metrics are answered from
 //! memory, also while the disk hangs; the database is read on threads for blocking work, a bounded number at a time.
-//! Guarantees: every error is a problem document (RFC 9457), no number is NaN, no request makes the capture wait.
+//! Guarantees: every error is a problem document (RFC 9457), or a page for a browser, no number is NaN, no request makes the capture wait.
 //! Refuses: heads that take longer than 5 s, bodies above 64 KiB, more than 1024 connections, more large queries,
 //! bodies and imports than `docs/api.md` lists, readers that stop reading for 30 s, changes without the token beyond
 //! loopback, on loopback any other host's name. A panic ends the process on purpose: committed data is safe, and a
@@ -22,6 +22,7 @@ mod imports;
 mod jobs;
 mod latest;
 mod layers;
+mod lists;
 mod models;
 mod openapi;
 mod page;

@@ -63,11 +63,16 @@ pub(super) fn made(is_new: bool, place: &str, body: impl Serialize) -> Response 
 }
 
 fn link(uri: &Uri, next: &str) -> Option<HeaderValue> {
-    let kept =
-        uri.query().unwrap_or_default().split('&').filter(|pair| !pair.is_empty() && !pair.starts_with("cursor="));
-    let mut query: Vec<String> = kept.map(str::to_owned).collect();
-    query.push(format!("cursor={next}"));
-    HeaderValue::from_str(&format!("<{}?{}>; rel=\"next\"", uri.path(), query.join("&"))).ok()
+    HeaderValue::from_str(&format!("<{}>; rel=\"next\"", with(uri, "cursor", next))).ok()
+}
+
+/// Returns the path and query of an address, of whose query one parameter is replaced. `value` needs no encoding.
+pub(super) fn with(uri: &Uri, key: &str, value: &str) -> String {
+    let is_other = |pair: &&str| !pair.is_empty() && pair.split('=').next() != Some(key);
+    let mut query: Vec<String> =
+        uri.query().unwrap_or_default().split('&').filter(is_other).map(str::to_owned).collect();
+    query.push(format!("{key}={value}"));
+    format!("{}?{}", uri.path(), query.join("&"))
 }
 
 #[cfg(test)]

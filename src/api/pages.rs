@@ -17,9 +17,15 @@ use axum::response::{Html, IntoResponse, Response};
 use imu_core::units::format_duration;
 use serde::Deserialize;
 
-/// Nothing from other hosts, and no script but the daemon's own file.
-const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; \
-                      img-src 'self' data:; form-action 'none'; base-uri 'none'; frame-ancestors 'none'";
+/// Returns the policy of a page: nothing from other hosts, and no script but the daemon's own file. `forms` are the places
+/// to which its forms may be sent without scripts.
+fn policy(forms: &str) -> HeaderValue {
+    let text = format!(
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; img-src 'self' data:; \
+         form-action {forms}; base-uri 'none'; frame-ancestors 'none'"
+    );
+    HeaderValue::from_str(&text).unwrap_or(HeaderValue::from_static("default-src 'none'"))
+}
 
 /// The wanted part of the first page.
 #[derive(Debug, Deserialize)]
@@ -39,8 +45,18 @@ pub(super) struct SeriesQuery {
 
 /// Returns a page's answer.
 pub(super) fn html(page: String) -> Response {
-    let headers = [(header::CONTENT_SECURITY_POLICY, POLICY), (header::CACHE_CONTROL, "no-store")];
+    let headers = [
+        (header::CONTENT_SECURITY_POLICY, policy("'none'")),
+        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    ];
     (headers, Html(page)).into_response()
+}
+
+/// Returns the answer of a page with a search, which a browser sends itself.
+pub(super) fn html_with_search(page: String) -> Response {
+    let mut response = html(page);
+    response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy("'self'"));
+    response
 }
 
 /// Returns the script of all pages.

@@ -2,13 +2,16 @@
 //!
 //! A handler returns an [`ApiError`]. Its response carries a [`Problem`] as an extension and no body. [`finish`], which
 //! handles every answer last, writes the body with the request's id. It also does so for all other answers with an
-//! error status (an unknown path, a method that is not allowed), so that every error has this form.
+//! error status (an unknown path, a method that is not allowed), so that every error has this form. A browser that goes to
+//! an address gets the same as a page.
 
+use super::pages;
 use crate::control::{ControlError, ImportError};
 use crate::jobs::JobError;
+use crate::page::{RefusalView, refusal};
 use crate::store::{StoreError, StoreErrorKind};
 use axum::body::Body;
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use imu_cost::CostError;
 use serde::Serialize;
@@ -295,8 +298,20 @@ impl IntoResponse for ApiError {
     }
 }
 
-/// Gives an error answer its body; other answers pass unchanged.
-pub(super) fn finish(mut response: Response, request_id: &str, path: &str) -> Response {
+/// Returns whether an error is shown as a page: `Accept` names HTML and no JSON, as a browser's does.
+pub(super) fn is_for_people(headers: &HeaderMap) -> bool {
+    let ranges: Vec<String> = headers
+        .get_all(header::ACCEPT)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .map(|range| range.split(';').next().unwrap_or_default().trim().to_ascii_lowercase())
+        .collect();
+    ranges.iter().any(|media| media == "text/html") && !ranges.iter().any(|media| media.ends_with("json"))
+}
+
+/// Gives an error answer its body, a document or a page; other answers pass unchanged.
+pub(super) fn finish(mut response: Response, request_id: &str, path: &str, as_page: bool) -> Response {
     let status = response.status();
     if !(status.is_client_error() || status.is_server_error()) {
         return response;
@@ -315,13 +330,30 @@ pub(super) fn finish(mut response: Response, request_id: &str, path: &str) -> Re
         reasons: error.reasons,
         retry_after_s: error.retry_after_s,
     };
-    let body = serde_json::to_vec(&problem).unwrap_or_default();
-    let headers = response.headers_mut();
-    headers.remove(header::CONTENT_LENGTH);
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    *response.body_mut() = Body::from(body);
+    let (head, body) = if as_page { problem.page() } else { problem.document() }.into_parts();
+    response.headers_mut().remove(header::CONTENT_LENGTH);
+    for (name, value) in &head.headers {
+        response.headers_mut().insert(name, value.clone());
+    }
+    *response.body_mut() = body;
     response
+}
+
+impl Problem {
+    fn document(&self) -> Response {
+        let headers = [(header::CONTENT_TYPE, PROBLEM_JSON), (header::CACHE_CONTROL, "no-store")];
+        (headers, serde_json::to_vec(self).unwrap_or_default()).into_response()
+    }
+
+    fn page(&self) -> Response {
+        pages::html(refusal(&RefusalView {
+            title: self.title,
+            detail: &self.detail,
+            reasons: &self.reasons,
+            retry_after_s: self.retry_after_s,
+            instance: &self.instance,
+        }))
+    }
 }
 
 fn unexplained(status: StatusCode, path: &str) -> ApiError {
@@ -366,6 +398,21 @@ mod tests {
         ] {
             assert_eq!(ProblemType::of(status), kind);
             assert_eq!(unexplained(status, "/x").status, status);
+        }
+    }
+
+    #[test]
+    fn a_browser_gets_a_page_and_a_program_the_document() {
+        let is_for_people = |accept: &[&'static str]| {
+            let headers = accept.iter().map(|value| (header::ACCEPT, HeaderValue::from_static(value)));
+            super::is_for_people(&headers.collect())
+        };
+        assert!(is_for_people(&["text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"]));
+        assert!(is_for_people(&["image/png", "Text/HTML; q=0.5"]));
+        for program in
+            [&[][..], &["*/*"], &["application/json"], &["text/html, application/problem+json"], &["text/htm"]]
+        {
+            assert!(!is_for_people(program), "{program:?}");
         }
     }
 

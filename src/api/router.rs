@@ -3,7 +3,9 @@
 use super::held;
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
-use super::{analysis, captures, diagnoses, health, imports, jobs, models, openapi, pages, plots, samples, status};
+use super::{
+    analysis, captures, diagnoses, health, imports, jobs, lists, models, openapi, pages, plots, samples, status,
+};
 use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, Version, header};
 use axum::{Router, middleware};
@@ -56,6 +58,10 @@ pub fn router(parts: ApiParts) -> Router {
     // The last layer is the outermost.
     routes
         .route("/", axum::routing::get(pages::dashboard))
+        .route("/captures", axum::routing::get(lists::captures))
+        .route("/diagnoses", axum::routing::get(lists::diagnoses))
+        .route("/jobs", axum::routing::get(lists::jobs))
+        .route("/models", axum::routing::get(lists::models))
         .route("/captures/{id}", axum::routing::get(pages::capture))
         .route("/captures/{id}/series/{channel}", axum::routing::get(pages::series))
         .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))

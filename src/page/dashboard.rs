@@ -49,7 +49,7 @@ pub fn dashboard(view: &DashboardView<'_>) -> String {
     // Assistive technology announces problems in time to act, and also that the daemon does not answer.
     let mut out = format!("<p id=\"lost\" class=\"alarm\" role=\"alert\"></p><div id=\"live\">{live}</div>");
     controls(&mut out, view);
-    out += "<footer><a href=\"/v1/status\">status as JSON</a> · <a href=\"/v1/captures\">captures</a> · \
+    out += "<footer>As JSON: <a href=\"/v1/status\">status</a> · <a href=\"/v1/captures\">captures</a> · \
             <a href=\"/v1/jobs\">jobs</a> · <a href=\"/v1/diagnoses\">diagnoses</a> · <a href=\"/v1/models\">models</a> · \
             <a href=\"/metrics\">metrics</a> · <a href=\"/openapi.json\">the interface</a></footer>";
     framed("vn100d", Kind::Live(5), &out)
@@ -196,7 +196,7 @@ fn jobs(out: &mut String, counts: &JobsStatus, jobs: &[JobRow]) {
     let is_shown = |job: &&JobRow| matches!(job.state, JobState::Running | JobState::Queued | JobState::Failed);
     let under_way: Vec<&JobRow> = jobs.iter().filter(is_shown).collect();
     if under_way.is_empty() && counts.running + counts.queued == 0 {
-        *out += "<p class=\"soft\">None is under way.</p></section>";
+        *out += "<p class=\"soft\">None is under way.</p><p><a href=\"/jobs\">all jobs</a></p></section>";
         return;
     }
     let _ = write!(
@@ -224,7 +224,7 @@ fn jobs(out: &mut String, counts: &JobsStatus, jobs: &[JobRow]) {
             job.capture
         );
     }
-    *out += "</table></div></section>";
+    *out += "</table></div><p><a href=\"/jobs\">all jobs</a></p></section>";
 }
 
 fn captures(out: &mut String, captures: &[CaptureRow]) {
@@ -252,7 +252,7 @@ fn captures(out: &mut String, captures: &[CaptureRow]) {
             of.missing
         );
     }
-    *out += "</table></div></section>";
+    *out += "</table></div><p><a href=\"/captures\">all captures</a></p></section>";
 }
 
 /// Returns what a row says behind the name.
@@ -272,7 +272,7 @@ fn diagnoses(out: &mut String, diagnoses: &[DiagnosisRow]) {
     for of in diagnoses {
         let _ = write!(out, "<li><a href=\"/diagnoses/{}\">{}</a></li>", of.job.id, escaped(&of.summary_or_state()));
     }
-    *out += "</ul></section>";
+    *out += "</ul><p><a href=\"/diagnoses\">all diagnoses</a></p></section>";
 }
 
 /// Writes the forms, which scripts show and send; users without scripts have curl.

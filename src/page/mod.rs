@@ -7,6 +7,8 @@ mod capture;
 mod dashboard;
 mod diagnosis;
 mod figure;
+mod list;
+mod refusal;
 #[cfg(test)]
 mod rows;
 mod series;
@@ -16,6 +18,8 @@ mod waiting;
 pub use capture::{CaptureView, Facts, Figure, capture};
 pub use dashboard::{DashboardView, Stored, dashboard, live};
 pub use diagnosis::{Links, diagnosis, diagnosis_body};
+pub use list::{ListView, SEARCH_MAX, captures, diagnoses, jobs, models};
+pub use refusal::{RefusalView, refusal};
 pub use series::{SeriesView, series};
 pub use validation::validation;
 pub use waiting::waiting;
@@ -62,7 +66,8 @@ fn framed(title: &str, kind: Kind, body: &str) -> String {
         Kind::File => (String::new(), ""),
         _ => (
             format!("<script src=\"{SCRIPT_PATH}\" defer></script>"),
-            "<header class=\"top\"><a href=\"/\">vn100d</a></header>",
+            "<header class=\"top\"><a href=\"/\">vn100d</a><nav aria-label=\"lists\"><a href=\"/captures\">captures</a>\
+             <a href=\"/diagnoses\">diagnoses</a><a href=\"/jobs\">jobs</a><a href=\"/models\">models</a></nav></header>",
         ),
     };
     let waits = if let Kind::Waiting(s) = kind { format!(" data-waits=\"{s}\"") } else { String::new() };

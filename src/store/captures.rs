@@ -388,13 +388,13 @@ pub(super) fn create(
     Ok(id)
 }
 
-const CAPTURE_COLUMNS: &str = "id, name, source, state, created_utc_ns, start_at_utc_ns, started_utc_ns, ended_utc_ns, \
+pub(super) const CAPTURE_COLUMNS: &str = "id, name, source, state, created_utc_ns, start_at_utc_ns, started_utc_ns, ended_utc_ns, \
     planned_duration_ns, sample_time_ns, rate_hz, rate_assumed, samples, missing, gaps, segments, \
     (SELECT json_group_object(cause, count) FROM rejected WHERE capture_id = capture.id), pinned, \
     (SELECT json_group_array(json_array(channel, unit, resolution, original_unit, factor)) \
         FROM channel WHERE capture_id = capture.id), sensor, configuration, software, delete_at_utc_ns, note";
 
-fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
+pub(super) fn capture_of(row: &Row<'_>) -> Result<CaptureRow, StoreError> {
     type Raw = (String, String, Option<f64>, Option<String>, Option<f64>);
     let count = |index| row.get::<_, i64>(index).map(|count| count as u64);
     let time = |index| row.get::<_, Option<i64>>(index).map(|ns| ns.map(UtcNs));

@@ -24,7 +24,7 @@ const DROP_MAX: i64 = 100;
 const ENDED_KEPT: i64 = 1000;
 
 /// The kinds of jobs that this program knows: those of a newer program wait for it.
-const KNOWN: &str = "kind IN ('allan', 'noise', 'statistics', 'diagnosis')";
+pub(super) const KNOWN: &str = "kind IN ('allan', 'noise', 'statistics', 'diagnosis')";
 
 /// The kind of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]

@@ -30,9 +30,9 @@ pub struct ModelRow {
     pub body: String,
 }
 
-const HEAD: &str = "model_id, name, rate_hz, created_utc_ns";
+pub(super) const HEAD: &str = "model_id, name, rate_hz, created_utc_ns";
 
-fn entry_of(row: &Row<'_>) -> rusqlite::Result<ModelEntry> {
+pub(super) fn entry_of(row: &Row<'_>) -> rusqlite::Result<ModelEntry> {
     let id = called(row.get(0)?);
     Ok(ModelEntry { id, name: row.get(1)?, rate_hz: row.get(2)?, created_at: UtcNs(row.get(3)?) })
 }

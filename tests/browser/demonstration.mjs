@@ -29,6 +29,7 @@ export async function demonstration(browser, checks, address) {
   await diagnosed(page, checks, address);
   await checks.page(page, "diagnosis");
   await checks.page(await goTo(page, address), "first-idle");
+  await listed(page, checks, plain.context);
   await hostile(page, checks, visit, address);
   await visit.end();
   await plain.end();
@@ -94,6 +95,25 @@ async function diagnosed(page, checks, address) {
   const sentence = await page.locator("h1").innerText();
   checks.that("diagnosis", /^accel_z: a 11\.4\d* Hz tone .* that the model lacks/.test(sentence), `it says ${sentence}`);
   await page.getByRole("heading", { name: "What the model lacks" }).waitFor();
+}
+
+/// From the first page to the list of captures, where a search finds the capture, also without scripts.
+async function listed(page, checks, plain) {
+  await page.getByRole("navigation", { name: "lists" }).getByRole("link", { name: "captures" }).click();
+  await heading(page, "Captures");
+  await page.getByRole("searchbox").fill("DEMO");
+  await page.getByRole("button", { name: "search" }).click();
+  await page.waitForURL(/\/captures\?q=DEMO$/);
+  const row = page.getByRole("row").filter({ has: page.getByRole("link", { name: "demo", exact: true }) });
+  checks.same("list", await row.count(), 1, "rows of the capture that was searched");
+  await checks.page(page, "captures");
+  await checks.plain(plain, page.url(), "captures-without-scripts");
+  for (const list of ["diagnoses", "jobs", "models"]) {
+    await page.getByRole("navigation", { name: "lists" }).getByRole("link", { name: list }).click();
+    await page.waitForURL(new RegExp(`/${list}$`));
+    checks.that("list", (await page.getByRole("row").count()) > 1, `the list of ${list} has no row`);
+    await checks.page(page, list);
+  }
 }
 
 /// Diagnosed again, with a model that is a file.

@@ -1,8 +1,9 @@
 //! The pages in a browser, as users see them: `tests/browser/pages.mjs` against the demonstration and a daemon with a
-//! token.
+//! token. The lists byte by byte, also as no browser asks for them.
 
 use crate::world::{Process, World, program};
 use serde_json::Value;
+use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::Command;
 use vn100_testkit::tool;
@@ -11,10 +12,11 @@ use vn100_testkit::tool;
 const TOKEN: &str = "correct-horse-battery";
 /// The properties that the script must have checked, and the minimum number of checks: a script that checks nothing is
 /// no success. Pages are checked at two widths on light and on dark.
-const HELD: [(&str, u64); 16] = [
+const HELD: [(&str, u64); 17] = [
     ("accessible", 48),
     ("diagnosis", 1),
     ("escaped", 10),
+    ("list", 4),
     ("lost", 1),
     ("moves", 8),
     ("picture", 500),
@@ -83,4 +85,78 @@ fn people_go_from_the_first_page_to_the_diagnosis_and_every_page_is_sound() {
     }
     assert_eq!(demo.terminate(), Some(0), "{}", demo.log());
     drop(sensor);
+}
+
+/// Returns the whole answer, head and body, to a request of these bytes.
+fn answer(world: &World, method: &str, target: &[u8], accept: &str) -> String {
+    let host = world.url.trim_start_matches("http://");
+    let mut stream = std::net::TcpStream::connect(host).unwrap();
+    stream.set_read_timeout(Some(std::time::Duration::from_secs(20))).unwrap();
+    let rest = format!(" HTTP/1.1\r\nHost: {host}\r\nAccept: {accept}\r\nConnection: close\r\n\r\n");
+    stream.write_all(&[method.as_bytes(), b" ", target, rest.as_bytes()].concat()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+#[test]
+fn a_capture_is_found_in_the_list_by_its_note_and_no_request_breaks_a_list() {
+    let world = World::new();
+    let daemon = world.daemon("", &[]);
+    for number in 0..3 {
+        let csv = format!("time_s,gyro_x_rad_s\n0.000,0\n0.025,{number}\n0.050,1\n");
+        let (status, body) =
+            world.request_as("POST", &format!("/v1/imports?name=desk_{number}"), "text/csv", &csv).unwrap();
+        assert_eq!(status, 201, "{body}\n{}", daemon.log());
+    }
+    let note = r#"{"note": "100 % <script>alert(1)</script> on \"foam\"", "pinned": true}"#;
+    assert_eq!(world.request("PATCH", "/v1/captures/desk_1", note).unwrap().0, 200);
+    let get = |target: &str| answer(&world, "GET", target.as_bytes(), "text/html");
+    let all = get("/captures");
+    let places = ["desk_2", "desk_1", "desk_0"].map(|name| all.find(&format!("\">{name}</a>")).unwrap());
+    assert!(places.is_sorted() && all.contains("<td class=\"\">kept</td>"), "{all}");
+    assert!(all.contains("100 % &lt;script&gt;alert(1)&lt;/script&gt; on &quot;foam&quot;"), "{all}");
+    let found = get("/captures?q=ON+%22Foam");
+    assert!(
+        found.contains(">desk_1</a>") && !found.contains(">desk_0</a>") && !found.contains("<script>alert"),
+        "{found}"
+    );
+    for (escaped, expected) in [("%25", [false, true, false]), ("k_2", [false, false, true]), ("DESK_", [true; 3])] {
+        let found = get(&format!("/captures?q={escaped}"));
+        assert_eq!([0, 1, 2].map(|number| found.contains(&format!(">desk_{number}</a>"))), expected, "{escaped}");
+    }
+    let long = format!("q={}", "%C3%A9".repeat(1700));
+    let queries: [(&[u8], &str); 16] = [
+        (b"page=0", "400"),
+        (b"page=-1", "400"),
+        (b"page=1e9", "400"),
+        (b"page=abc", "400"),
+        (b"page=", "400"),
+        (b"page=1000000000", "200"),
+        (b"page=1&page=2", "400"),
+        (b"x=1", "400"),
+        (long.as_bytes(), "400"),
+        (b"q=%", "200"),
+        (b"q=_&page=4294967295", "200"),
+        (b"q=%27%22%5C%3Cscript%3E", "200"),
+        (b"q=it's\"", "200"),
+        (b"q=%FF%FE", "200"),
+        (b"q=\xff\xc3", "200"),
+        (b"q=a%00b", "400"),
+    ];
+    for list in ["captures", "diagnoses", "jobs", "models"] {
+        for (query, status) in queries {
+            let target = [format!("/{list}?").as_bytes(), query].concat();
+            let shown = String::from_utf8_lossy(&target).into_owned();
+            let page = answer(&world, "GET", &target, "text/html");
+            assert!(page.starts_with(&format!("HTTP/1.1 {status} ")), "{shown}: {page}");
+            assert!(page.contains("<h1>") && page.contains("<p") && !page.contains("<script>"), "{shown}: {page}");
+        }
+        let head = answer(&world, "HEAD", format!("/{list}").as_bytes(), "text/html");
+        assert!(head.starts_with("HTTP/1.1 200 ") && head.ends_with("\r\n\r\n"), "{head}");
+    }
+    let gone = get("/captures/desk_9");
+    assert!(gone.starts_with("HTTP/1.1 404 ") && gone.contains("<h1>There is nothing here.</h1>"), "{gone}");
+    let document = answer(&world, "GET", b"/captures/desk_9", "*/*");
+    assert!(document.contains("content-type: application/problem+json"), "{document}");
 }

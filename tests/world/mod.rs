@@ -202,6 +202,11 @@ impl World {
 
     /// Returns status and body of a request; `None` if nothing answers.
     pub fn request(&self, method: &str, route: &str, body: &str) -> Option<(u16, String)> {
+        self.request_as(method, route, "application/json", body)
+    }
+
+    /// Returns status and body of a request with a body of this media type; `None` if nothing answers.
+    pub fn request_as(&self, method: &str, route: &str, media: &str, body: &str) -> Option<(u16, String)> {
         let agent: ureq::Agent = ureq::Agent::config_builder()
             .http_status_as_error(false)
             .timeout_global(Some(Duration::from_secs(20)))
@@ -211,8 +216,8 @@ impl World {
         let answer = match method {
             "GET" => agent.get(&url).call(),
             "DELETE" => agent.delete(&url).call(),
-            "POST" => agent.post(&url).header("content-type", "application/json").send(body),
-            "PATCH" => agent.patch(&url).header("content-type", "application/json").send(body),
+            "POST" => agent.post(&url).header("content-type", media).send(body),
+            "PATCH" => agent.patch(&url).header("content-type", media).send(body),
             other => panic!("{other}"),
         };
         let mut answer = answer.ok()?;

@@ -5,6 +5,7 @@ mod captures;
 mod daemon;
 mod diagnoses;
 mod limits;
+mod lists;
 mod samples;
 
 use super::{ApiParts, Limits, listen, router, serve};
