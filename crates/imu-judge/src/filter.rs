@@ -1,6 +1,6 @@
 //! The filter: an error-state extended Kalman filter of attitude, velocity, position and the biases of both triads.
 //!
-//! In: samples, the noise that the filter is told, fixes. Out: a state and the covariance of its errors. The nominal state is a
+//! In: samples, the noise that the filter assumes, fixes. Out: a state and the covariance of its errors. The nominal state is a
 //! strapdown integration with a quaternion. The errors are those of truth less estimate; that of the attitude is a small turn in
 //! the frame of navigation:
 //!
@@ -41,7 +41,7 @@ const GAUSS: [(f64, f64); 4] = [
     (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
 ];
 
-/// What a filter is told about the noise of an axis.
+/// The noise that a filter assumes on an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Density {
     /// White noise, U/√Hz.
@@ -50,7 +50,7 @@ pub struct Density {
     pub k: f64,
 }
 
-/// What a filter is told: x, y, z of the gyroscope (rad/s), then of the accelerometer (m/s²).
+/// The noise that a filter assumes: x, y, z of the gyroscope (rad/s), then of the accelerometer (m/s²).
 pub type Noise = [Density; 6];
 
 /// A sample: x, y, z of the gyroscope, rad/s, then of the accelerometer, m/s².

@@ -1,6 +1,6 @@
 //! Outages: a filter that has fixes for a while and then none, and its errors at the end.
 //!
-//! In: samples of a sensor at rest, the noise that the filter is told, a plan. Out: the errors at the end of each outage and the
+//! In: samples of a sensor at rest, the noise that the filter assumes, a plan. Out: the errors at the end of each outage and the
 //! covariance that the filter states for them. The truth is known because the sensor does not move.
 //!
 //! The record is cut into stretches of alignment, aided phase and outage. A filter begins anew in each, so the outages of a
@@ -38,7 +38,7 @@ pub struct Plan {
     /// The standard deviation of each axis of it, m/s or m.
     pub aid_sd: f64,
     /// The standard deviation of each angle of the attitude, which is observed at the same times, rad. At rest heading is
-    /// observed by nothing else, and roll and pitch cannot be told from an accelerometer's bias.
+    /// observed by nothing else, and an accelerometer's bias looks like roll and pitch.
     pub attitude_sd: f64,
 }
 

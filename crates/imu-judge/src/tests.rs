@@ -1,11 +1,11 @@
 //! The filter against derivatives, closed forms, and worlds whose noise it knows.
 
+use crate::assumed::{assumed, channels};
 use crate::filter::{
     ATTITUDE, Covariance, Density, Errors, Filter, Fix, Noise, POSITION, STATES, Sample, State, VELOCITY,
 };
 use crate::outage::{Aid, Outcome, Plan, aligned, outages};
 use crate::score::score;
-use crate::told::{channels, told};
 use imu_core::units::STANDARD_GRAVITY_M_S2;
 use imu_cost::{Over, Quantity, Request, cost};
 use imu_model::simulator::{SensorModel, Simulator};
@@ -43,7 +43,7 @@ fn simulated(seed: u64, length_s: f64) -> Vec<Sample> {
     samples
 }
 
-fn told_n(factor: f64) -> Noise {
+fn scaled_n(factor: f64) -> Noise {
     NOISE.map(|of| Density { n: factor * of.n, ..of })
 }
 
@@ -160,7 +160,7 @@ fn a_filter_that_knows_its_noise_is_consistent() {
         let samples = simulated(seed, 2400.0);
         for aid in [Aid::ZeroVelocity, Aid::Position] {
             let of = |noise: &Noise| outages(&samples, RATE_HZ, Vector3::z(), noise, &plan(aid), seed);
-            let [right, bold, shy] = [1.0, 0.2, 5.0].map(|factor| of(&told_n(factor)));
+            let [right, bold, shy] = [1.0, 0.2, 5.0].map(|factor| of(&scaled_n(factor)));
             assert_eq!(right.len(), 40);
             for at in [ATTITUDE, VELOCITY, POSITION] {
                 let triad = |of: &[Outcome]| score(of, at..at + 3).unwrap();
@@ -191,11 +191,11 @@ fn scores_of_known_errors() {
 }
 
 #[test]
-fn a_sensor_of_white_noise_and_walks_is_told_as_it_is() {
+fn the_pairs_of_a_sensor_of_white_noise_and_walks_are_its_own() {
     let plan = Plan { outage_s: 60.0, ..plan(Aid::Position) };
     let request = plan.request(20.0);
     assert_eq!((request.over, request.align_s), (Some(Over { from_s: 20.0, to_s: 60.0 }), 40.0));
-    let [datasheet, allan, ten, closest, covering] = told(&model(), &NOISE, &request).unwrap();
+    let [datasheet, allan, ten, closest, covering] = assumed(&model(), &NOISE, &request).unwrap();
     for (own, expected) in closest.iter().chain(&covering).zip(NOISE.iter().cycle()) {
         assert!((own.n / expected.n - 1.0).abs() < 1e-3 && (own.k / expected.k - 1.0).abs() < 1e-3, "{own:?}");
     }

@@ -3,7 +3,7 @@
 use crate::table::{Judged, PARTS};
 use crate::worlds::{begin_s, plan};
 use imu_core::sample::Channel;
-use imu_judge::{Aid, Outcome, Plan, Sample, channels, outages, own, told};
+use imu_judge::{Aid, Outcome, Plan, Sample, assumed, channels, outages, own};
 use imu_model::simulator::SensorModel;
 use nalgebra::Vector3;
 
@@ -49,7 +49,7 @@ pub fn run(plain: &str, model: &str, samples: &str) -> Result<(), Box<dyn std::e
     let has_accel = present[3..] == [true; 3];
     let mean = |at: usize| samples.iter().map(|of| of[at]).sum::<f64>();
     let up = if has_accel { Vector3::new(mean(3), mean(4), mean(5)).normalize() } else { Vector3::z() };
-    let outcomes = told(&model, &own(&plain), &plan.request(begin_s(&plan)))?
+    let outcomes = assumed(&model, &own(&plain), &plan.request(begin_s(&plan)))?
         .map(|noise| -> Vec<Outcome> { outages(&samples, rate_hz, up, &noise, &plan, 1) });
     // Without an accelerometer attitude alone is judged.
     let parts = if has_accel { &PARTS[..] } else { &PARTS[1..2] };

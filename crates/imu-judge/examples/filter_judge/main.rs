@@ -1,4 +1,4 @@
-//! A filter as a judge of what it is told about its sensor's noise: `imu_judge` on simulated worlds and on recordings at rest.
+//! A filter as a judge of the noise that it assumes of its sensor: `imu_judge` on simulated worlds and on recordings at rest.
 //!
 //! ```text
 //! cargo run --release -p imu-judge --example filter_judge -- worlds [NIGHTS [fitted|interval]]
@@ -15,15 +15,15 @@ mod held_out;
 mod table;
 mod worlds;
 
-use worlds::Told;
+use worlds::Source;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let given: Vec<String> = std::env::args().skip(1).collect();
     match given.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
-        ["worlds"] => worlds::run(20, Told::Truth),
-        ["worlds", nights] => worlds::run(nights.parse()?, Told::Truth),
-        ["worlds", nights, "fitted"] => worlds::run(nights.parse()?, Told::Fitted),
-        ["worlds", nights, "interval"] => worlds::run(nights.parse()?, Told::FromInterval),
+        ["worlds"] => worlds::run(20, Source::Truth),
+        ["worlds", nights] => worlds::run(nights.parse()?, Source::Truth),
+        ["worlds", nights, "fitted"] => worlds::run(nights.parse()?, Source::Fitted),
+        ["worlds", nights, "interval"] => worlds::run(nights.parse()?, Source::FromInterval),
         ["held-out", plain, model, samples] => held_out::run(plain, model, samples),
         _ => Err("expected `worlds [NIGHTS [fitted|interval]]` or `held-out PLAIN.json MODEL.json SAMPLES.csv`".into()),
     }

@@ -11,7 +11,7 @@ pub const PARTS: [Range<usize>; 4] =
 
 /// The scores of all filters, in the order of [`NAMES`].
 pub struct Judged {
-    /// By filter, then by part; `None` for a filter that is told of no noise at all on some axis.
+    /// By filter, then by part; `None` for a filter that assumes no noise at all on some axis.
     pub scores: Vec<Option<Vec<Score>>>,
 }
 

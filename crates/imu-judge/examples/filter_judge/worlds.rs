@@ -3,7 +3,7 @@
 use crate::table::{Judged, PARTS, head, summary};
 use imu_cost::FilterRequest;
 use imu_diagnosis::{Options, Recording, diagnose};
-use imu_judge::{Aid, Density, Noise, Outcome, Plan, Sample, channels, outages, own, told};
+use imu_judge::{Aid, Density, Noise, Outcome, Plan, Sample, assumed, channels, outages, own};
 use imu_model::simulator::{ChannelModel, SensorModel, Simulator};
 use imu_noise::allan::FixedPoint;
 use imu_noise::whittle::{DstEstimator, Transform, fit_as_sampled};
@@ -129,7 +129,7 @@ pub fn begin_s(plan: &Plan) -> f64 {
 
 /// What the consistent pairs are those of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Told {
+pub enum Source {
     /// The true model, for outages of about the judged length.
     Truth,
     /// The true model, for horizons from the time between two fixes on.
@@ -160,18 +160,18 @@ fn fitted(samples: &[Sample]) -> Result<(SensorModel, Noise), Box<dyn std::error
 /// The outcomes of all filters of one world, by aid, filter and night.
 type Outcomes = Vec<Vec<Vec<Vec<Outcome>>>>;
 
-fn judged(at: usize, nights: usize, of: Told) -> Result<Outcomes, Box<dyn std::error::Error>> {
+fn judged(at: usize, nights: usize, of: Source) -> Result<Outcomes, Box<dyn std::error::Error>> {
     let (name, gyro, accel) = WORLDS[at];
     let truth = model(name, gyro, accel)?;
     let seed = |night: usize| 1_000_000 * (at as u64 + 1) + night as u64;
-    let (told_of, allan) = match of {
-        Told::Fitted => fitted(&night(&truth, seed(nights))?)?,
-        Told::Truth | Told::FromInterval => (truth.clone(), own(&truth)),
+    let (model, allan) = match of {
+        Source::Fitted => fitted(&night(&truth, seed(nights))?)?,
+        Source::Truth | Source::FromInterval => (truth.clone(), own(&truth)),
     };
     let plan = plan(Aid::Position);
-    let from_s = if of == Told::FromInterval { plan.interval_s } else { begin_s(&plan) };
+    let from_s = if of == Source::FromInterval { plan.interval_s } else { begin_s(&plan) };
     let request = FilterRequest { record_s: Some(NIGHT_S), ..plan.request(from_s) };
-    let noise = told(&told_of, &allan, &request)?;
+    let noise = assumed(&model, &allan, &request)?;
     let mut all: Outcomes = vec![vec![Vec::new(); noise.len()]; AIDS.len()];
     for place in 0..nights {
         let samples = night(&truth, seed(place))?;
@@ -190,7 +190,7 @@ fn judged(at: usize, nights: usize, of: Told) -> Result<Outcomes, Box<dyn std::e
 const AIDS: [Aid; 2] = [Aid::ZeroVelocity, Aid::Position];
 
 /// Prints the tables of all worlds.
-pub fn run(nights: usize, told: Told) -> Result<(), Box<dyn std::error::Error>> {
+pub fn run(nights: usize, source: Source) -> Result<(), Box<dyn std::error::Error>> {
     let found: Vec<Mutex<Result<Outcomes, String>>> = WORLDS.iter().map(|_| Mutex::new(Err(String::new()))).collect();
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
@@ -199,7 +199,7 @@ pub fn run(nights: usize, told: Told) -> Result<(), Box<dyn std::error::Error>> 
                 loop {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let Some(own) = found.get(at) else { break };
-                    let outcomes = judged(at, nights, told).map_err(|error| error.to_string());
+                    let outcomes = judged(at, nights, source).map_err(|error| error.to_string());
                     *own.lock().unwrap_or_else(|poisoned| poisoned.into_inner()) = outcomes;
                 }
             });

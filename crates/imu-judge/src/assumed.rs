@@ -1,4 +1,4 @@
-//! What filters are told: the datasheet's values, those of the Allan deviation, ten times these, and the consistent pairs.
+//! The noise that filters assume: the datasheet's values, those of the Allan deviation, ten times these, and the consistent pairs.
 
 use crate::filter::{Density, Noise};
 use imu_core::sample::{Channel, Triad};
@@ -6,7 +6,7 @@ use imu_core::units::{RAD_PER_DEG, SECONDS_PER_HOUR, STANDARD_GRAVITY_M_S2};
 use imu_cost::{FilterError, FilterRequest, filter_parameters};
 use imu_model::simulator::SensorModel;
 
-/// The names of what [`told`] returns.
+/// The names of what [`assumed`] returns.
 pub const NAMES: [&str; 5] = ["datasheet", "Allan × 1", "Allan × 10", "closest", "covering"];
 
 /// The channels of a filter in the order of [`Noise`].
@@ -30,7 +30,7 @@ pub fn own(model: &SensorModel) -> Noise {
     channels().map(|of| model.channels.get(&of).map_or(Density::default(), |of| Density { n: of.n, k: of.k }))
 }
 
-/// Returns what five filters are told about the sensor of a model, in the order of [`NAMES`].
+/// Returns the noise that five filters assume of the sensor of a model, in the order of [`NAMES`].
 ///
 /// `allan` has N and K of the Allan deviation. The consistent pairs are those that the model has for the request. As in the files
 /// of `noise --consistent`, no number is below the sensor's own, which are N and K of the model. A channel that the model lacks has
@@ -38,7 +38,7 @@ pub fn own(model: &SensorModel) -> Noise {
 ///
 /// # Errors
 /// [`FilterError`] for a model that cannot be simulated, and a request that makes no sense.
-pub fn told(model: &SensorModel, allan: &Noise, request: &FilterRequest) -> Result<[Noise; 5], FilterError> {
+pub fn assumed(model: &SensorModel, allan: &Noise, request: &FilterRequest) -> Result<[Noise; 5], FilterError> {
     let found = filter_parameters(model, &model.name, request)?;
     let pair = |covers: bool| {
         let mut noise = Noise::default();
