@@ -1,7 +1,7 @@
 //! The schedule's shell: requests each night's capture when its time has come.
 //!
-//! A night's capture is known by its name: if a capture has that name, or had it before somebody renamed it, the night
-//! is done, regardless of its origin and state. So a restart starts no second one, and no state has to be stored.
+//! A night's capture is known by its name: if a capture has that name, or was made since the night's start and had it
+//! before somebody renamed it, the night is done, regardless of its origin and state. So a restart starts no second one, and no state has to be stored.
 
 use super::retention::candidate;
 use crate::clock::{Clock, rfc3339};
@@ -185,12 +185,12 @@ impl Scheduler {
         now: Moment,
         mut judge: Judge,
     ) -> Result<(Judge, Verdict, bool), StoreError> {
-        let name = due.map(|night| night.name.clone());
+        let due = due.map(|night| (night.name.clone(), night.start_utc_ns));
         let ask = move |store: &Store| {
             let reader = store.reader()?;
             let captures: Vec<Candidate> = reader.retention_rows()?.iter().map(candidate).collect();
             let verdict = judge.look(now, &captures);
-            let is_there = name.map_or(Ok(false), |name| reader.has_been_named(&name))?;
+            let is_there = due.map_or(Ok(false), |(name, start)| reader.has_been_named(&name, start))?;
             Ok((judge, verdict, is_there))
         };
         self.store.offload(ask).await
@@ -361,6 +361,22 @@ mod tests {
         };
         world.scheduler.store.offload(rename).await.unwrap();
         // The next run of the daemon.
+        assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
+        assert_eq!(world.asked(), [night("2027-01-15")]);
+    }
+
+    #[tokio::test]
+    async fn a_mistaken_name_that_was_taken_back_skips_no_night() {
+        let world = World::at(START_NS - MINUTE_NS);
+        let id = make(&world.scheduler.store, "desk").await;
+        let rename = move |store: &Store| {
+            for name in [night("2027-01-15"), "desk".to_owned()] {
+                store.change_capture(id, CaptureChange { name: Some(name), ..CaptureChange::default() })?;
+            }
+            store.set_state(id, CaptureState::Complete, START_NS)
+        };
+        world.scheduler.store.offload(rename).await.unwrap();
+        world.clock.advance(Duration::from_secs(60));
         assert_eq!(world.look(&mut Course::default()).await, (night("2027-01-16"), None));
         assert_eq!(world.asked(), [night("2027-01-15")]);
     }

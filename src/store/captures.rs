@@ -1,6 +1,6 @@
 //! Captures: creation, changes, lists and deletion.
 
-use super::names::{NAME_MAX, check_name, check_note, free_name, numbered, pin};
+use super::names::{NAME_MAX, as_id, check_name, check_note, free_name, numbered, pin};
 use super::sql::{find, run, value};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
 use imu_core::sample::{CaptureConfiguration, Channel, DiscardCause, SensorDescription};
@@ -458,7 +458,7 @@ impl Reader {
     pub fn resolve(&self, asked: &str) -> Result<i64, StoreError> {
         let (sql, key) = if asked == "latest" {
             ("SELECT max(id) FROM capture WHERE lifecycle = 'live' AND ?1 IS NOT NULL", Sql::Integer(0))
-        } else if let Ok(id) = asked.parse::<i64>() {
+        } else if let Some(id) = as_id(asked) {
             ("SELECT id FROM capture WHERE lifecycle = 'live' AND id = ?1", Sql::Integer(id))
         } else {
             ("SELECT id FROM capture WHERE lifecycle = 'live' AND name = ?1", Sql::Text(asked.to_owned()))

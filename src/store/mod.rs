@@ -69,7 +69,7 @@ pub use import::{Import, ImportEnd};
 pub use jobs::{JobCheckpoint, JobKind, JobRow, JobState, NewJob, QUEUE_JOBS_MAX, RESULTS_KEPT};
 pub use lists::{Found, LIST_ROWS, ListedDiagnosis, ListedJob, Search};
 pub use models::{ModelEntry, ModelRow};
-pub use names::{CaptureChange, NAME_MAX, NOTE_MAX, check_name, check_note};
+pub use names::{CaptureChange, NAME_MAX, NOTE_MAX, as_id, check_name, check_note, printable};
 pub use page::{Page, PageRequest};
 pub use progress::{BYTES_PER_SAMPLE, WriterProgress};
 use queue::SharedWaiting;
@@ -295,15 +295,35 @@ impl Store {
         self.begin(schema::Durability::AtCommit, work)?.wait()
     }
 
+    /// Does work as [`Self::execute`] does; `committed` then runs with its result on the writer's thread, before any
+    /// other work.
+    pub(crate) fn execute_then<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
+        committed: impl FnOnce(&T) + Send + 'static,
+    ) -> Result<T, StoreError> {
+        self.begin_then(schema::Durability::AtCommit, work, committed)?.wait()
+    }
+
     /// Begins work as [`Self::execute`] does, without waiting. Work is done in the order in which it was begun.
     pub(crate) fn begin<T: Send + 'static>(
         &self,
         durability: schema::Durability,
         work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<Begun<T>, StoreError> {
+        self.begin_then(durability, work, |_| ())
+    }
+
+    fn begin_then<T: Send + 'static>(
+        &self,
+        durability: schema::Durability,
+        work: impl FnOnce(&Transaction<'_>) -> Result<T, StoreError> + Send + 'static,
+        committed: impl FnOnce(&T) + Send + 'static,
+    ) -> Result<Begun<T>, StoreError> {
         let (reply, answer) = std::sync::mpsc::sync_channel(1);
         let job = move |connection: Result<&mut rusqlite::Connection, StoreError>| {
             let result = connection.and_then(|connection| writer::in_transaction(connection, durability, work));
+            let result = result.inspect(committed);
             let failure = result.as_ref().err().filter(|error| writer::concerns_storage(error)).map(Failure::of);
             // The caller may have stopped waiting.
             let _ = reply.send(result);

@@ -32,18 +32,18 @@ impl Store {
     /// name, [`StoreError::NoSuchCapture`], or the error that the database reports.
     pub fn change_capture(&self, id: i64, change: CaptureChange) -> Result<(), StoreError> {
         let CaptureChange { name, note, pinned } = change;
-        if let Some(name) = &name {
-            check_name(name)?;
-        }
         let note = note.map(|note| check_note(&note)).transpose()?;
         let utc_ns = self.utc_ns();
-        let renamed = self.execute(move |transaction| {
+        let progress = self.inner.progress.clone();
+        let work = move |transaction: &Transaction<'_>| {
             let sql =
                 "SELECT name, state IN ('waiting', 'capturing') FROM capture WHERE id = ?1 AND lifecycle = 'live'";
             let found = find(transaction, sql, [id], |row| Ok((row.get::<_, String>(0)?, row.get::<_, bool>(1)?)))?;
             let Some((old, is_open)) = found else { return Err(no_such(id)) };
             let name = name.filter(|name| *name != old);
             if let Some(name) = &name {
+                // The present name stays allowed: it may be older than the rules.
+                check_name(name)?;
                 rename(transaction, id, &old, name, utc_ns)?;
             }
             if let Some(note) = note {
@@ -53,12 +53,14 @@ impl Store {
                 pin(transaction, id, pinned)?;
             }
             Ok(name.filter(|_| is_open))
-        })?;
-        if let Some(name) = renamed {
-            // The status comes from memory.
-            super::progress::locked(&self.inner.progress).renamed.insert(id, name);
-        }
-        Ok(())
+        };
+        // The status comes from memory: the writer sets it with the commit, so that the last of two names stays.
+        let committed = move |renamed: &Option<String>| {
+            if let Some(name) = renamed {
+                super::progress::locked(&progress).renamed.insert(id, name.clone());
+            }
+        };
+        self.execute_then(work, committed).map(drop)
     }
 
     /// Returns the name that a running capture was given since the start of this process.
@@ -68,15 +70,28 @@ impl Store {
 }
 
 impl Reader {
-    /// Returns whether a capture that is shown has this name, or had it before it was renamed.
+    /// Returns the names that a capture had before it was renamed, each once.
     ///
     /// # Errors
     /// The error that the database reports.
-    pub fn has_been_named(&self, name: &str) -> Result<bool, StoreError> {
+    pub fn earlier_names(&self, id: i64) -> Result<Vec<String>, StoreError> {
+        let sql = "SELECT DISTINCT detail ->> '$.from' FROM event WHERE capture_id = ?1 AND kind = ?2 \
+                   AND detail ->> '$.from' IS NOT NULL ORDER BY 1";
+        let mut statement = self.connection.prepare_cached(sql)?;
+        let names = statement.query_map(params![id, EventKind::Renamed.name()], |row| row.get(0))?;
+        Ok(names.collect::<Result<_, _>>()?)
+    }
+
+    /// Returns whether a capture that is shown has this name, or whether one that was made at this time (UTC, ns) or
+    /// later had it before it was renamed.
+    ///
+    /// # Errors
+    /// The error that the database reports.
+    pub fn has_been_named(&self, name: &str, made_since_utc_ns: i64) -> Result<bool, StoreError> {
         let sql = "SELECT EXISTS (SELECT 1 FROM capture WHERE name = ?1 AND lifecycle = 'live') OR EXISTS \
                    (SELECT 1 FROM event JOIN capture ON capture.id = capture_id AND lifecycle = 'live' \
-                   WHERE kind = ?2 AND detail ->> '$.from' = ?1)";
-        Ok(value(&self.connection, sql, params![name, EventKind::Renamed.name()])?)
+                   AND created_utc_ns >= ?3 WHERE kind = ?2 AND detail ->> '$.from' = ?1)";
+        Ok(value(&self.connection, sql, params![name, EventKind::Renamed.name(), made_since_utc_ns])?)
     }
 }
 
@@ -102,6 +117,12 @@ pub(super) fn pin(transaction: &Transaction<'_>, id: i64, pinned: bool) -> Resul
     changed_one(id, transaction.execute(sql, params![id, pinned])?)
 }
 
+/// Returns the id that a text means: digits alone, without a sign. A number above all ids means none that exists.
+pub fn as_id(text: &str) -> Option<i64> {
+    let is_number = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| text.parse().unwrap_or(i64::MAX))
+}
+
 /// Checks whether a capture may have this name.
 ///
 /// # Errors
@@ -111,7 +132,7 @@ pub fn check_name(name: &str) -> Result<(), StoreError> {
         "it is empty or begins or ends with a space"
     } else if name == "latest" {
         "`latest` means the capture made last"
-    } else if name.bytes().all(|byte| byte.is_ascii_digit()) {
+    } else if as_id(name).is_some() {
         "a number means the capture with that id"
     } else if name.chars().count() > NAME_MAX {
         "it is longer than 100 characters"
@@ -138,6 +159,15 @@ pub fn check_note(note: &str) -> Result<Option<String>, StoreError> {
         return Err(StoreError::NoteRefused("it holds a line end or another control character: a note is one line"));
     }
     Ok(Some(note.to_owned()).filter(|note| !note.is_empty()))
+}
+
+/// Returns a text in one line without control characters, which a terminal would obey: those of a database or a daemon
+/// may be anybody's.
+pub fn printable(text: &str) -> String {
+    if !text.contains(char::is_control) {
+        return text.to_owned();
+    }
+    text.split(char::is_control).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
 pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, StoreError> {
@@ -191,6 +221,21 @@ mod tests {
     }
 
     #[test]
+    fn only_digits_mean_an_id() {
+        let world = World::new();
+        let ids = ["desk", "+1", "-1"].map(|name| world.complete(name));
+        assert_eq!(ids, [1, 2, 3]);
+        let found = |asked: &str| world.reader().resolve(asked).ok();
+        assert_eq!(["1", "01", "+1", "-1", "latest"].map(found), [Some(1), Some(1), Some(2), Some(3), Some(3)]);
+        for absent in ["", "+2", "-2", " 1", "1 ", "4", "99999999999999999999", "١"] {
+            assert_eq!(found(absent), None, "{absent:?}");
+        }
+        for number in ["1", "01", "99999999999999999999"] {
+            assert!(matches!(check_name(number), Err(StoreError::NameRefused { .. })), "{number}");
+        }
+    }
+
+    #[test]
     fn name_note_and_protection_change_together_or_not_at_all() {
         let world = World::new();
         let note = Some(" on foam, 23 °C ".to_owned());
@@ -226,10 +271,48 @@ mod tests {
         let messages: Vec<&str> = events.iter().map(|event| event.message.as_str()).collect();
         assert_eq!(messages, ["capture `desk` was renamed to `night`", "capture `night` was renamed to `desk`"]);
         let reader = world.reader();
-        assert!(["desk", "night", "shelf"].iter().all(|name| reader.has_been_named(name).unwrap()));
-        assert!(!reader.has_been_named("free").unwrap());
+        assert_eq!(reader.earlier_names(id).unwrap(), ["desk", "night"]);
+        let had = |name: &str, since: i64| reader.has_been_named(name, since).unwrap();
+        assert!(["desk", "night", "shelf"].iter().all(|name| had(name, 0)) && !had("free", 0));
+        // An earlier name counts only of a capture that was made since; a present one always.
+        assert!(had("desk", i64::MAX) && !had("night", i64::MAX));
         let missing = world.store.change_capture(99, CaptureChange::default());
         assert!(matches!(missing, Err(StoreError::NoSuchCapture(_))));
+    }
+
+    #[test]
+    fn of_renamings_at_once_the_status_has_the_last() {
+        let world = World::new();
+        let id = world.capturing();
+        std::thread::scope(|scope| {
+            for thread in 0..4 {
+                let store = &world.store;
+                scope.spawn(move || {
+                    for number in 0..50 {
+                        let name = Some(format!("{thread}-{number}"));
+                        store.change_capture(id, CaptureChange { name, ..CaptureChange::default() }).unwrap();
+                    }
+                });
+            }
+        });
+        assert_eq!(world.store.renamed(id), Some(world.reader().capture(id).unwrap().name));
+    }
+
+    #[test]
+    fn a_name_that_is_older_than_the_rules_does_not_keep_a_note_out() {
+        let world = World::new();
+        let id = world.complete("desk");
+        let old = "a/b";
+        let sql = "UPDATE capture SET name = ?2 WHERE id = ?1";
+        world.store.execute(move |transaction| Ok(transaction.execute(sql, params![id, old])?)).unwrap();
+        let change = |name: &str, note: &str| {
+            let (name, note) = (Some(name.to_owned()), Some(note.to_owned()));
+            world.store.change_capture(id, CaptureChange { name, note, pinned: None })
+        };
+        change(old, "on foam").unwrap();
+        assert!(matches!(change("c/d", "other"), Err(StoreError::NameRefused { .. })));
+        let row = world.reader().capture(id).unwrap();
+        assert_eq!((row.name.as_str(), row.note.as_deref()), (old, Some("on foam")));
     }
 
     #[test]
@@ -245,5 +328,11 @@ mod tests {
         let out = world.directory.path().join("out.db");
         crate::store::recover(&path, &out, false).unwrap();
         assert_eq!(Reader::open(&out).unwrap().capture(id).unwrap().note, note);
+        // What another program wrote is salvaged as a note, without control characters.
+        let foreign = Connection::open(&path).unwrap();
+        foreign.execute("UPDATE capture SET note = ?1", ["\u{1b}[2Jon\nfoam"]).unwrap();
+        foreign.close().unwrap();
+        crate::store::recover(&path, &out, true).unwrap();
+        assert_eq!(Reader::open(&out).unwrap().capture(id).unwrap().note.as_deref(), Some("[2Jon foam"));
     }
 }

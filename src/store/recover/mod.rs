@@ -14,6 +14,7 @@ use super::backup::NewFile;
 use super::batch::{BatchRow, Run, StoredRow};
 use super::check::{Finding, check};
 use super::insert::insert;
+use super::names::{check_note, printable};
 use super::{SOFTWARE, StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
 use cells::{get, named};
@@ -185,7 +186,7 @@ impl<'a> Rebuilt<'a> {
             text(19).filter(|json| is_json(json)),
             text(20).unwrap_or_else(|| SOFTWARE.to_owned()),
             text(21),
-            text(NOTE).filter(|note| !note.is_empty()),
+            text(NOTE).and_then(|note| check_note(&printable(&note)).ok().flatten()),
         ];
         connection.execute(sql, values)?;
         let mut gaps: Vec<Gap> = salvage.gaps.get(&id).into_iter().flatten().filter_map(|row| gap_of(row)).collect();
