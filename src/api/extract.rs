@@ -67,6 +67,10 @@ impl<T: DeserializeOwned> FromRequest<ApiState> for J<T> {
         if !is_json {
             return Err(no_json());
         }
+        // A list would be read as the members in their order.
+        if bytes.trim_ascii_start().first() != Some(&b'{') {
+            return Err(ApiError::bad_request("the body: expected a JSON object, `{…}`"));
+        }
         serde_json::from_slice(&bytes)
             .map(|body| Self(Some(body), permit))
             .map_err(|error| ApiError::bad_request(format!("the body: {error}")))

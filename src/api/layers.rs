@@ -81,7 +81,8 @@ pub(super) async fn authorize(State(state): State<ApiState>, request: Request, n
         Some(token) if !bears(request.headers(), token) => ApiError::new(
             ProblemType::NotAuthorized,
             "requests that change something need `Authorization: Bearer TOKEN` with the token of the daemon's \
-             configuration (`http.token` or `http.token-file`; `vn100d import` takes it from its own, see --config)",
+             configuration (`http.token` or `http.token-file`; commands such as `vn100d import` and `vn100d start` take it from their own, \
+             see --config)",
         )
         .into_response(),
         _ => next.run(request).await,

@@ -137,8 +137,9 @@ async function change(form) {
   const method = form.dataset.method ?? "POST";
   const body = form.dataset.json ? JSON.parse(form.dataset.json) : {};
   for (const [name, value] of new FormData(form)) {
-    // An empty field asks for nothing, but takes away what a change would change.
-    if ((value === "" && method === "POST") || value.size === 0) continue;
+    // An empty field asks for nothing. A change has only what was changed here: the rest may have changed elsewhere.
+    if (method === "POST" ? value === "" : value === form.elements[name].defaultValue) continue;
+    if (value.size === 0) continue;
     if (value instanceof File) {
       try {
         body[name] = JSON.parse(await value.text());
@@ -151,6 +152,7 @@ async function change(form) {
   }
   const path = form.dataset.post.replace("{id}", form.dataset.id ?? "");
   const empty = Object.keys(body).length === 0;
+  if (empty && method === "PATCH") return { refused: "Nothing was changed here." };
   try {
     const answer = await fetch(path, {
       method,
@@ -158,6 +160,8 @@ async function change(form) {
       body: empty ? undefined : JSON.stringify(body),
     });
     const told = await answer.json().catch(() => ({}));
+    // What was saved is what the next change starts from.
+    if (answer.ok && method === "PATCH") for (const field of form.querySelectorAll("input:not([type])")) field.defaultValue = field.value;
     return answer.ok ? told : { refused: told.detail ?? `The daemon answered ${answer.status}.` };
   } catch {
     return { refused: "The daemon is not reached: whether it has heard this is not known." };

@@ -223,6 +223,9 @@ fn name_note_and_protection_are_changed_by_one_request() {
         (&format!(r#"{{"name": "{long_name}"}}"#), "longer than 100 characters"),
         (&format!(r#"{{"note": "{long_note}"}}"#), "longer than 1000 characters"),
         (r#"{"note": "a\u0007"}"#, "a note is one line"),
+        (r#"["other", "x", true]"#, "expected a JSON object"),
+        (" [null]", "expected a JSON object"),
+        ("null", "expected a JSON object"),
     ] {
         let found = world.patch(&path, body).problem(400, "bad-request");
         assert!(found.contains(detail) && found.len() < 500, "{body}: {found}");

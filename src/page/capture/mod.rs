@@ -233,7 +233,7 @@ fn controls(out: &mut String, of: &CaptureRow, token: bool) {
     }
     let _ = write!(
         out,
-        "<form data-post=\"/v1/captures/{id}\" data-method=\"PATCH\">\
+        "<form data-post=\"/v1/captures/{id}\" data-method=\"PATCH\" autocomplete=\"off\">\
          <label>name <input name=\"name\" maxlength=\"100\" value=\"{}\" required></label>\
          <label>note <input name=\"note\" maxlength=\"1000\" size=\"40\" value=\"{}\" placeholder=\"on foam, 23 °C\"></label>\
          <button>save</button></form>",
