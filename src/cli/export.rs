@@ -10,8 +10,11 @@ use super::{Context, Outcome, print_json, usage};
 use crate::store::StoreError;
 use anyhow::Context as _;
 use imu_core::sample::{Channel, ChannelError};
-use imu_files::export::samples::{About, ExportError, SampleFormat, Tally, partition_path};
+use imu_files::export::samples::{About, ExportError, SampleFormat, Tally, is_parquet_of, partition_path};
+use std::fs::File;
+use std::io::ErrorKind::NotFound;
 use std::io::{BufWriter, IsTerminal as _, Write};
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
@@ -109,7 +112,7 @@ fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Resu
             }
             Ok(source) => {
                 let (path, rejected) = (folder.join(partition_path(&source.about)), source.rejected);
-                let report = place(source, &path, &stop).inspect_err(|_| take_away_empty(&path, folder));
+                let report = place(context, source, folder, &stop).inspect_err(|_| take_away_empty(&path, folder));
                 report.map(|report| (report, rejected))
             }
             Err(error) => Err(error),
@@ -144,32 +147,53 @@ fn is_gone(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(StoreError::NoSuchCapture(_)))
 }
 
-fn place(source: Samples, path: &Path, stop: &Stop) -> anyhow::Result<Report> {
+fn place(context: &Context, source: Samples, folder: &Path, stop: &Stop) -> anyhow::Result<Report> {
+    let about = source.about.clone();
+    let path = folder.join(partition_path(&about));
     if let Some(parent) = path.parent() {
         std::fs::create_dir_all(parent).with_context(|| format!("{} cannot be made", parent.display()))?;
     }
-    let output = Output::create(path, true, &[])?;
+    let output = Output::create(&path, true, &[])?;
     let shown = path.display().to_string();
     let report = write(source, SampleFormat::Parquet, false, output.file(), stop, &shown)?;
     output.keep()?;
-    remove_earlier_names(path)?;
+    remove_earlier_names(context, &about, folder, &path);
     Ok(report)
 }
 
-/// Removes files of the same capture under names that it had before it was renamed: `capture-ID-…-DATABASE.parquet`.
-fn remove_earlier_names(path: &Path) -> anyhow::Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let (Some((_, end)), Some(begin)) = (name.rsplit_once('-'), name.splitn(3, '-').nth(1)) else { return Ok(()) };
-    let (begin, end) = (format!("capture-{begin}-"), format!("-{end}"));
-    let folder = path.parent().unwrap_or(Path::new("."));
-    for entry in std::fs::read_dir(folder).with_context(|| format!("{} cannot be read", folder.display()))? {
-        let other = entry?.file_name();
-        let other = other.to_string_lossy();
-        if other != name && other.starts_with(&begin) && other.ends_with(&end) {
-            std::fs::remove_file(folder.join(&*other)).with_context(|| format!("{other} cannot be removed"))?;
+/// Removes files of the same capture under names that it had before it was renamed. A file of which this is not certain
+/// stays, with a note.
+fn remove_earlier_names(context: &Context, about: &About, folder: &Path, written: &Path) {
+    let names = context.reader().and_then(|reader| Ok(reader.earlier_names(about.id.unwrap_or_default())?));
+    let names = names.unwrap_or_else(|error| {
+        eprintln!("note: the earlier names of {} are not known: {error:#}", written.display());
+        Vec::new()
+    });
+    for name in names {
+        let earlier = About { name, ..about.clone() };
+        let old = folder.join(partition_path(&earlier));
+        let id = |path: &Path| path.symlink_metadata().ok().map(|file| (file.dev(), file.ino()));
+        // A file system may take both names for one.
+        if id(&old).is_none() || id(&old) == id(written) {
+            continue;
+        }
+        let removed = remove_if_of(&earlier, &old, written);
+        if let Err(error) = removed.or_else(|error| if error.kind() == NotFound { Ok(()) } else { Err(error) }) {
+            eprintln!("note: {} stays beside {}: {error}", old.display(), written.display());
         }
     }
-    Ok(())
+}
+
+/// Removes a file of this capture, once the file that replaces it is on the disk.
+fn remove_if_of(about: &About, old: &Path, written: &Path) -> std::io::Result<()> {
+    if !old.symlink_metadata()?.is_file() || !is_parquet_of(about, File::open(old)?) {
+        return Err(std::io::Error::other("it is not known to be of the same capture"));
+    }
+    File::open(written)?.sync_all()?;
+    if let Some(parent) = written.parent() {
+        File::open(parent)?.sync_all()?;
+    }
+    std::fs::remove_file(old)
 }
 
 /// Removes folders that were made for a file that was not written; the system keeps folders that are not empty.

@@ -18,7 +18,7 @@ mod text;
 
 pub use self::bucket::Bucket;
 pub use self::mcap::McapSink;
-pub use self::parquet::{ParquetSink, ROW_GROUP_ROWS};
+pub use self::parquet::{ParquetSink, ROW_GROUP_ROWS, is_parquet_of};
 pub use self::partition::partition_path;
 pub use self::tally::{GAPS_LISTED, Tally};
 pub use self::text::{TextFormat, TextHead, TextSink, TextWriter};
