@@ -30,7 +30,7 @@ pub use validation::ValidationArgs;
 #[derive(Debug, Parser)]
 #[command(name = "vn100d", version, max_term_width = 100, arg_required_else_help = true, after_help = AFTER_HELP)]
 pub struct Cli {
-    /// Directory of the database vn100d.db (default: $VN100D_DATA_DIR, else $STATE_DIRECTORY, else $XDG_STATE_HOME/vn100d, else ~/.local/state/vn100d)
+    /// Directory of the database vn100d.db (default: $VN100D_DATA_DIR, else $STATE_DIRECTORY, else $XDG_STATE_HOME/vn100d, else ~/.local/state/vn100d; commands that read may find that of a running daemon, docs/cli.md)
     #[arg(long, global = true, value_name = "DIR")]
     pub data_dir: Option<PathBuf>,
     /// Configuration file (default: $VN100D_CONFIG, else $XDG_CONFIG_HOME/vn100d/vn100d.toml, else /etc/vn100d/vn100d.toml, else built-in values)

@@ -3,7 +3,7 @@
 use super::args::{ClientArgs, DeleteArgs, NoteArgs, PinArgs, RenameArgs, StartArgs, StopArgs};
 use super::client::{self, Change, shown};
 use super::{Context, Outcome, failed, print_json, usage};
-use crate::store::{check_name, check_note};
+use crate::store::{check_name, check_note, printable};
 use anyhow::Context as _;
 use serde_json::{Map, Value, json};
 use std::io::{BufRead, IsTerminal as _, Write};
@@ -17,7 +17,9 @@ struct Daemon {
 impl Daemon {
     fn of(context: &Context, client: &ClientArgs) -> anyhow::Result<Self> {
         let listen = client.listen.as_deref();
-        Ok(Self { base_url: context.daemon_url(listen)?, token: context.token_for(listen)? })
+        let base_url = context.daemon_url(listen)?;
+        context.refuse_another(&base_url, client::PATIENCE)?;
+        Ok(Self { base_url, token: context.token_for(listen)? })
     }
 
     fn ask(&self, how: Change, path: &str, body: Option<&Value>) -> anyhow::Result<Value> {
@@ -26,6 +28,19 @@ impl Daemon {
 
     fn get(&self, path: &str) -> anyhow::Result<Value> {
         Ok(client::get(&self.base_url, path)?)
+    }
+
+    /// Returns these captures, each once. They are looked up before the first change: after a deletion, `latest` is
+    /// another one.
+    fn captures(&self, named: &[String]) -> anyhow::Result<Vec<Value>> {
+        let mut rows: Vec<Value> = Vec::new();
+        for named in named {
+            let row = self.get(&path(named)?)?;
+            if !rows.iter().any(|known| known["id"] == row["id"]) {
+                rows.push(row);
+            }
+        }
+        Ok(rows)
     }
 
     /// Returns the id of the capture that runs or waits. The database knows it at once, the status a moment later.
@@ -87,7 +102,7 @@ pub(super) fn start(context: &Context, args: &StartArgs) -> anyhow::Result<Outco
 /// Returns what was started, and the name that was given instead of a taken one.
 fn started(row: &Value, asked: Option<&str>) -> String {
     let begins = match row["start_at"].as_str() {
-        Some(at) => format!("waits until {at}"),
+        Some(at) => format!("waits until {}", printable(at)),
         None => "begins".to_owned(),
     };
     let planned = row["planned_duration_s"].as_f64().and_then(|s| std::time::Duration::try_from_secs_f64(s).ok());
@@ -125,17 +140,19 @@ pub(super) fn pin(context: &Context, args: &PinArgs, pinned: bool) -> anyhow::Re
 
 /// Deletes captures with their samples.
 pub(super) fn delete(context: &Context, args: &DeleteArgs) -> anyhow::Result<Outcome> {
+    let stdin = std::io::stdin();
+    if !args.yes && !stdin.is_terminal() {
+        return Err(usage(
+            "standard input is no terminal, so that nobody can be asked: --yes deletes without a question",
+        ));
+    }
     let daemon = Daemon::of(context, &args.client)?;
-    // Names are looked up once: `latest` is another capture after the first deletion.
-    let rows: Vec<Value> =
-        args.captures.iter().map(|named| daemon.get(&path(named)?)).collect::<anyhow::Result<_>>()?;
-    let ids: Vec<String> = rows.iter().map(|row| row["id"].to_string()).collect();
-    if !args.yes && std::io::stdin().is_terminal() && !is_wanted(&rows, &mut std::io::stdin().lock())? {
+    let rows = daemon.captures(&args.captures)?;
+    if !args.yes && !is_wanted(&rows, &mut stdin.lock())? {
         return Err(failed("nothing is deleted"));
     }
-    each(context, &ids, |id| {
-        daemon.ask(Change::Delete, &path(id)?, None)?;
-        let row = rows.iter().find(|row| row["id"].to_string() == *id).unwrap_or(&Value::Null);
+    each(context, &rows, |row| {
+        daemon.ask(Change::Delete, &path(&shown(&row["id"]))?, None)?;
         let answer = json!({ "id": row["id"], "name": row["name"], "deleted": true });
         Ok((answer, format!("{} is deleted", called(row))))
     })
@@ -168,33 +185,37 @@ pub(super) fn note(context: &Context, args: &NoteArgs) -> anyhow::Result<Outcome
     let daemon = Daemon::of(context, &args.client)?;
     let row = daemon.ask(Change::Patch, &path(&args.capture)?, Some(&json!({ "note": args.text })))?;
     let sentence = match row["note"].as_str() {
-        Some(note) => format!("{}: {note}", called(&row)),
+        Some(note) => format!("{}: {}", called(&row), printable(note)),
         None => format!("{} has no note", called(&row)),
     };
     tell(context, &row, &sentence)
 }
 
-/// Does this with each capture and prints each answer; after a failure it states how many were done.
-fn each(
+/// Does this with each capture and prints each answer, also those before a failure, which states how many were done.
+fn each<T>(
     context: &Context,
-    captures: &[String],
-    mut ask: impl FnMut(&String) -> anyhow::Result<(Value, String)>,
+    captures: &[T],
+    mut ask: impl FnMut(&T) -> anyhow::Result<(Value, String)>,
 ) -> anyhow::Result<Outcome> {
     let mut answers = Vec::new();
-    for named in captures {
-        let done = answers.len();
-        let asked = ask(named);
-        let (answer, sentence) =
-            if done == 0 { asked? } else { asked.with_context(|| format!("{done} before it are done"))? };
-        if !context.json {
-            client::print(&sentence)?;
+    let mut all = || -> anyhow::Result<Outcome> {
+        for capture in captures {
+            let done = answers.len();
+            let asked = ask(capture);
+            let (answer, sentence) =
+                if done == 0 { asked? } else { asked.with_context(|| format!("{done} before it are done"))? };
+            if !context.json {
+                client::print(&sentence)?;
+            }
+            answers.push(answer);
         }
-        answers.push(answer);
-    }
-    if context.json {
+        Ok(Outcome::Done)
+    };
+    let outcome = all();
+    if context.json && (outcome.is_ok() || !answers.is_empty()) {
         print_json(&answers)?;
     }
-    Ok(Outcome::Done)
+    outcome
 }
 
 #[cfg(test)]
@@ -211,6 +232,14 @@ mod tests {
         let row = json!({"id": 3, "name": "desk", "planned_duration_s": 1.5, "start_at": "2027-01-15T08:00:00Z"});
         assert_eq!(started(&row, Some("desk")), "capture 3 `desk` waits until 2027-01-15T08:00:00Z, 1.5s of samples");
         assert!(!started(&row, None).contains("taken"));
+    }
+
+    #[test]
+    fn what_a_daemon_says_does_not_command_the_terminal() {
+        let row = json!({"id": "\u{1b}[1m", "name": "a\u{9b}2J\nb", "start_at": "\u{7}at", "planned_duration_s": 1.0});
+        let text = started(&row, None);
+        assert!(!text.contains(char::is_control), "{text:?}");
+        assert_eq!(text, "capture [1m `a 2J b` waits until at, 1s of samples");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! `vn100d captures`: the list.
 
 use super::{Context, Outcome, all, print_json, table};
+use crate::store::printable;
 use std::io::Write as _;
 
 /// Prints all captures, newest first.
@@ -26,7 +27,7 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
     for capture in &captures {
         let mut cells = vec![
             capture.id.to_string(),
-            capture.name.clone(),
+            printable(&capture.name),
             capture.state.name().to_owned(),
             capture.started_at.map(|time| time.to_string()).unwrap_or_default(),
             format!("{:.1}", capture.duration_s),
@@ -39,7 +40,7 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
             cells.push(capture.delete_at.map(|time| time.to_string()).unwrap_or_default());
         }
         if notes {
-            cells.push(capture.note.clone().unwrap_or_default());
+            cells.push(capture.note.as_deref().map(printable).unwrap_or_default());
         }
         rows.add_row(cells);
     }

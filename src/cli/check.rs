@@ -1,6 +1,7 @@
 //! `vn100d check`: checks whether a database is intact and its accounting adds up.
 
 use super::{Context, Outcome, print_json};
+use crate::store::printable;
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -21,7 +22,11 @@ pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Resul
         write!(
             stdout,
             "capture {} `{}`: {} samples, {} missing, {} batches with the right checksum",
-            capture.id, capture.name, capture.samples, capture.missing, capture.batches
+            capture.id,
+            printable(&capture.name),
+            capture.samples,
+            capture.missing,
+            capture.batches
         )?;
         match capture.without_checksum {
             0 => writeln!(stdout)?,
@@ -29,9 +34,10 @@ pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Resul
         }
     }
     for finding in &report.findings {
+        let message = printable(&finding.message);
         match finding.capture {
-            Some(capture) => writeln!(stdout, "{}: capture {capture}: {}", finding.check, finding.message)?,
-            None => writeln!(stdout, "{}: {}", finding.check, finding.message)?,
+            Some(capture) => writeln!(stdout, "{}: capture {capture}: {message}", finding.check)?,
+            None => writeln!(stdout, "{}: {message}", finding.check)?,
         }
     }
     match report.findings.len() {

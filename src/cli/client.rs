@@ -3,6 +3,7 @@
 use super::connection::Watched;
 use crate::api::ProblemType;
 use crate::config::{JOIN_GROUP, MACHINE_TOKEN};
+use crate::store::printable;
 use serde_json::Value;
 use std::io::{self, Write};
 use std::path::Path;
@@ -12,7 +13,7 @@ use std::time::Duration;
 use ureq::unversioned::resolver::DefaultResolver;
 
 /// Maximum time for an answer: the daemon answers from memory, or reports within 10 s that it cannot.
-const PATIENCE: Duration = Duration::from_secs(12);
+pub(super) const PATIENCE: Duration = Duration::from_secs(12);
 /// Maximum time for the daemon to report that it wants a body.
 const PERMISSION: Duration = Duration::from_secs(5);
 /// Maximum size of an answer in bytes.
@@ -57,6 +58,17 @@ pub enum ClientError {
         /// The error of the connection.
         reason: String,
     },
+    /// The daemon was there, but did not answer to a change.
+    #[error(
+        "the daemon at {base_url} gave no answer ({reason}), so that it is not known whether it has done it: look with \
+         `vn100d captures` or in its log before you do it again"
+    )]
+    Unanswered {
+        /// The address.
+        base_url: String,
+        /// The error of the connection.
+        reason: String,
+    },
     /// The body could not be read.
     #[error("it cannot be read to its end: {0}")]
     Body(#[source] io::Error),
@@ -87,7 +99,7 @@ impl ClientError {
             Self::Refused { kind, .. } if kind == ProblemType::Busy.uri() => super::Failure::Other,
             // The disk behind it is full or fails.
             Self::Refused { status: 503, .. } => super::Failure::InputOutput,
-            Self::BrokenOff { .. } | Self::Body(_) => super::Failure::InputOutput,
+            Self::BrokenOff { .. } | Self::Unanswered { .. } | Self::Body(_) => super::Failure::InputOutput,
             _ => super::Failure::Other,
         }
     }
@@ -140,7 +152,7 @@ pub(super) enum Change {
 /// Returns the JSON that the daemon answers to a request that changes something; null if its answer is empty.
 ///
 /// # Errors
-/// [`ClientError`]. After [`ClientError::BrokenOff`] it is not known whether the daemon has done it.
+/// [`ClientError`]. After [`ClientError::Unanswered`] it is not known whether the daemon has done it.
 pub(super) fn change(
     base_url: &str,
     how: Change,
@@ -178,8 +190,13 @@ pub(super) fn change(
         None => request.body(()).map_err(ureq::Error::from).and_then(|request| agent.run(request)),
     };
     match answered {
-        Ok(response) => read(base_url, response, (0, 0)),
-        Err(error) if connected.load(Ordering::Acquire) => Err(broken_off(base_url, (0, 0), &error)),
+        Ok(response) => read(base_url, response, (0, 0)).map_err(|error| match error {
+            ClientError::BrokenOff { base_url, reason, .. } => ClientError::Unanswered { base_url, reason },
+            other => other,
+        }),
+        Err(error) if connected.load(Ordering::Acquire) => {
+            Err(ClientError::Unanswered { base_url: base_url.to_owned(), reason: error.to_string() })
+        }
         Err(error) => Err(ClientError::Unreachable { base_url: base_url.to_owned(), reason: error.to_string() }),
     }
 }
@@ -329,22 +346,24 @@ fn why_no_token(file: &Path) -> &'static str {
     if refused { JOIN_GROUP } else { "" }
 }
 
-/// Writes `text` and a line end to standard output; a reader that has gone is no error.
+/// Writes `text` and a line end to standard output, without control characters inside its lines; a reader that has gone
+/// is no error.
 ///
 /// # Errors
 /// The error that the system reports.
 pub fn print(text: &str) -> Result<(), ClientError> {
-    match writeln!(io::stdout().lock(), "{}", text.trim_end()) {
+    let lines: Vec<String> = text.trim_end().lines().map(printable).collect();
+    match writeln!(io::stdout().lock(), "{}", lines.join("\n")) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         outcome => Ok(outcome?),
     }
 }
 
-/// Returns a value of an answer for display; `–` if it is absent.
+/// Returns a value of an answer for display in a line; `–` if it is absent.
 pub(super) fn shown(value: &Value) -> String {
     match value {
         Value::Null => "–".to_owned(),
-        Value::String(text) => text.clone(),
+        Value::String(text) => printable(text),
         other => other.to_string(),
     }
 }
@@ -445,6 +464,18 @@ mod tests {
         let base_url = format!("http://{}", listener.local_addr().unwrap());
         drop(listener);
         assert!(send(&base_url).is_unreachable());
+    }
+
+    #[test]
+    fn a_change_without_an_answer_is_not_called_harmless_to_repeat() {
+        let cut = "HTTP/1.1 200 OK\r\nContent-Length: 50\r\nConnection: close\r\n\r\n{";
+        for answer in ["", cut] {
+            let body = Value::Object(serde_json::Map::new());
+            let error = change(&answering(answer), Change::Post, "/v1/captures", "", Some(&body)).unwrap_err();
+            assert!(matches!(error, ClientError::Unanswered { .. }), "{error}");
+            assert!(error.to_string().contains("not known") && !error.to_string().contains("doubled"), "{error}");
+            assert_eq!(error.failure(), crate::cli::Failure::InputOutput);
+        }
     }
 
     #[test]

@@ -1,15 +1,17 @@
 //! Completions: what a shell offers for captures, models, channels and plots. The script of `vn100d completions` asks
 //! the program itself, so that the answers are those of the database.
 
-use super::Context;
 use super::args::Cli;
+use super::place::PATIENCE;
+use super::{Context, client};
 use crate::gallery::Picture;
-use crate::store::{CaptureRow, CaptureState, PageRequest};
+use crate::store::{CaptureRow, CaptureState, PageRequest, check_name, printable};
 use clap::{Command, CommandFactory as _};
 use clap_complete::CompleteEnv;
 use clap_complete::engine::{ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter as _};
 use imu_core::sample::Channel;
 use std::ffi::{OsStr, OsString};
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
 
 /// The variable by which a shell's script asks for completions.
@@ -24,9 +26,9 @@ pub(super) fn environment() -> CompleteEnv<'static, fn() -> Command> {
     CompleteEnv::with_factory(Cli::command as fn() -> Command).var(ASKED)
 }
 
-/// Offers captures.
-pub(super) fn captures() -> ArgValueCompleter {
-    ArgValueCompleter::new(|typed: &OsStr| of_database(typed, |_| true))
+/// Offers captures of the daemon that the command asks, which may have another database than the reading commands use.
+pub(super) fn captures_of_daemon() -> ArgValueCompleter {
+    ArgValueCompleter::new(|typed: &OsStr| offer(typed, &of_daemon().unwrap_or_default()))
 }
 
 /// Offers captures and files.
@@ -95,24 +97,56 @@ fn next_of_list(typed: &OsStr, known: &[&str]) -> Vec<CompletionCandidate> {
     beginning(typed, left.map(|name| CompletionCandidate::new(format!("{before}{name}"))))
 }
 
-/// Returns the captures in the database that the command line means; none if it cannot be read. A name that a shell
-/// would take apart is offered as its id.
+/// A capture that is offered, with the members that a daemon's answer has.
+#[derive(Debug, serde::Deserialize)]
+struct Offered {
+    id: i64,
+    name: String,
+    state: String,
+    samples: u64,
+    note: Option<String>,
+}
+
+impl From<CaptureRow> for Offered {
+    fn from(row: CaptureRow) -> Self {
+        let CaptureRow { id, name, state, samples, note, .. } = row;
+        Self { id, name, state: state.name().to_owned(), samples, note }
+    }
+}
+
+/// Returns the captures in the database that the command line means; none if it cannot be read.
 fn of_database(typed: &OsStr, is_wanted: impl Fn(&CaptureRow) -> bool) -> Vec<CompletionCandidate> {
-    let rows: Vec<CaptureRow> = rows().into_iter().filter(is_wanted).collect();
+    offer(typed, &rows().into_iter().filter(is_wanted).map(Offered::from).collect::<Vec<_>>())
+}
+
+/// Returns the captures of the daemon that the command line means; none if it does not answer at once, or has another
+/// database than the named data directory.
+fn of_daemon() -> Option<Vec<Offered>> {
+    let context = context();
+    let base_url = context.daemon_url(option("--listen").as_deref().and_then(OsStr::to_str)).ok()?;
+    context.refuse_another(&base_url, PATIENCE).ok()?;
+    let path = format!("/v1/captures?limit={OFFERED}");
+    let answer = client::get_within(&base_url, &path, PATIENCE).ok()?;
+    serde_json::from_value(answer["captures"].clone()).ok()
+}
+
+/// Returns those that begin with what was typed.
+fn offer(typed: &OsStr, rows: &[Offered]) -> Vec<CompletionCandidate> {
     let latest = (!rows.is_empty()).then(|| CompletionCandidate::new("latest"));
     beginning(typed, rows.iter().map(candidate).chain(latest))
 }
 
-fn candidate(row: &CaptureRow) -> CompletionCandidate {
+/// A name that a shell would take apart, or that means another capture, is offered as its id.
+fn candidate(row: &Offered) -> CompletionCandidate {
     let is_plain = |character: char| character.is_alphanumeric() || "-_.+,".contains(character);
-    let plain = row.name.chars().all(is_plain) && !row.name.starts_with('-');
+    let plain = row.name.chars().all(is_plain) && !row.name.starts_with('-') && check_name(&row.name).is_ok();
     let (value, mut about) =
         if plain { (row.name.clone(), String::new()) } else { (row.id.to_string(), format!("{}, ", row.name)) };
-    about = format!("{about}{}, {} samples", row.state.name(), row.samples);
+    about = format!("{about}{}, {} samples", row.state, row.samples);
     if let Some(note) = &row.note {
         about = format!("{about}, {}", note.chars().take(NOTE_CHARS).collect::<String>());
     }
-    CompletionCandidate::new(value).help(Some(about.into()))
+    CompletionCandidate::new(value).help(Some(printable(&about).into()))
 }
 
 fn rows() -> Vec<CaptureRow> {
@@ -137,25 +171,26 @@ fn words() -> impl Iterator<Item = OsString> {
 
 /// Returns the places that the command line names so far.
 fn context() -> Context {
-    let mut context = Context::default();
-    let mut words = words().peekable();
+    let path = |name| option(name).map(PathBuf::from);
+    Context { data_dir: path("--data-dir"), config: path("--config"), ..Context::default() }
+}
+
+/// Returns the value that the command line gives to an option, the last one.
+fn option(name: &str) -> Option<OsString> {
+    let (mut words, mut last) = (words().peekable(), None);
     while let Some(word) = words.next() {
-        let text = word.to_string_lossy();
-        let (option, mut value) = match text.split_once('=') {
-            Some((option, value)) => (option.to_owned(), Some(PathBuf::from(value))),
-            None => (text.into_owned(), None),
+        let Some(rest) = word.as_bytes().strip_prefix(name.as_bytes()) else { continue };
+        last = match rest {
+            // Bash makes a word of its own of `=`.
+            [] => {
+                words.next_if(|word| word == "=");
+                words.next()
+            }
+            [b'=', value @ ..] => Some(OsStr::from_bytes(value).to_owned()),
+            _ => last,
         };
-        if !["--data-dir", "--config"].contains(&option.as_str()) {
-            continue;
-        }
-        // Bash makes a word of its own of `=`.
-        if value.is_none() && words.peek().is_some_and(|word| word == "=") {
-            words.next();
-        }
-        value = value.or_else(|| words.next().map(PathBuf::from));
-        *if option == "--config" { &mut context.config } else { &mut context.data_dir } = value;
     }
-    context
+    last
 }
 
 #[cfg(test)]
@@ -164,6 +199,22 @@ mod tests {
 
     fn values(candidates: &[CompletionCandidate]) -> Vec<String> {
         candidates.iter().map(|one| one.get_value().to_string_lossy().into_owned()).collect()
+    }
+
+    #[test]
+    fn a_name_is_offered_only_if_it_means_its_capture() {
+        let offered = |name: &str, note: &str| {
+            let (name, note) = (name.to_owned(), Some(note.to_owned()));
+            candidate(&Offered { id: 12, name, state: "complete".to_owned(), samples: 5, note })
+        };
+        let value = |name: &str| offered(name, "").get_value().to_string_lossy().into_owned();
+        for (name, expected) in
+            [("desk", "desk"), ("+7", "+7"), ("-7", "12"), ("a b", "12"), ("7", "12"), ("latest", "12")]
+        {
+            assert_eq!(value(name), expected);
+        }
+        let about = offered("a\u{1b}[2Jb", "x\ty").get_help().unwrap().to_string();
+        assert!(!about.contains(char::is_control), "{about:?}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::args::ImportArgs;
 use super::client;
+use super::place::another_database;
 use super::progress::bar;
 use super::{Context, Outcome, print_json, usage};
 use crate::clock::SystemClock;
@@ -82,20 +83,18 @@ fn writer(context: &Context, args: &ImportArgs) -> anyhow::Result<Writer> {
         return Ok(Writer::Daemon { base_url, token });
     };
     // The daemon must have this very database, so that a recording does not end up in another one.
-    match client::get(&base_url, "/v1/status") {
+    match another_database(&base_url, &database, client::PATIENCE) {
         Err(error) if error.is_unreachable() => {
             Err(refused).context(format!("no daemon answers at {base_url} either (name its address with --listen)"))
         }
         Err(error) => Err(error.into()),
-        Ok(status) => {
-            let theirs = status["storage"]["database"].as_str().unwrap_or_default();
-            let ours = database.canonicalize().unwrap_or(database);
-            if Path::new(theirs) == ours {
-                // Only now: without a daemon, no token is needed, which only its user may read.
-                let token = context.token_for(None)?;
-                return Ok(Writer::Daemon { base_url, token });
-            }
-            Err(refused).context(format!("the daemon at {base_url} has another database ({theirs})"))
+        Ok(None) => {
+            // Only now: without a daemon, no token is needed, which only its user may read.
+            let token = context.token_for(None)?;
+            Ok(Writer::Daemon { base_url, token })
+        }
+        Ok(Some(theirs)) => {
+            Err(refused).context(format!("the daemon at {base_url} has another database ({})", theirs.display()))
         }
     }
 }

@@ -51,13 +51,14 @@ use crate::config::{Config, ConfigError, Environment, MACHINE_TOKEN, Overrides};
 use crate::daemon::DaemonError;
 use crate::daemon::import::ImportError;
 use crate::jobs::JobError;
-use crate::store::{CaptureRow, Page, PageRequest, Reader, StoreError, StoreErrorKind};
+use crate::store::{CaptureRow, Page, PageRequest, Reader, StoreError, StoreErrorKind, printable};
 use args::{Cli, Command};
 use clap::Parser as _;
 use imu_files::recording::{ColumnMap, MessageDefinition, RecordingError, open_regular};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 /// How a command ended, if it did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -134,6 +135,8 @@ pub struct Context {
     pub columns: ColumnMap,
     /// `--message-definition`.
     pub definitions: Vec<MessageDefinition>,
+    /// The database that is read, once it was searched for: a command reads one database.
+    place: OnceLock<place::Place>,
 }
 
 impl Context {
@@ -280,7 +283,7 @@ fn sentence(error: &anyhow::Error) -> String {
             text = format!("{text}: {cause}");
         }
     }
-    text.split(char::is_control).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
+    printable(text.trim())
 }
 
 /// Returns whether a pipe was closed: `vn100d … | head` ends quietly.
@@ -293,7 +296,8 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 
 fn run(cli: Cli) -> anyhow::Result<Outcome> {
     let (columns, definitions) = source::stated(&cli)?;
-    let context = Context { data_dir: cli.data_dir, config: cli.config, json: cli.json, columns, definitions };
+    let (data_dir, config, json) = (cli.data_dir, cli.config, cli.json);
+    let context = Context { data_dir, config, json, columns, definitions, place: OnceLock::new() };
     match cli.command {
         Command::Run(args) => run::run(&context, &args),
         Command::Demo(args) => demo::run(&context, &args),

@@ -7,6 +7,7 @@ use super::subject::{Stop, Subject};
 use super::{Context, Outcome, failed, print_json, usage};
 use crate::gallery::{self, Form, Picture, Window};
 use crate::jobs::{Documents, JobError, JobKind};
+use crate::store::printable;
 use std::io::Write as _;
 use std::path::Path;
 
@@ -48,7 +49,12 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
         let capture = Some(subject.row.id).filter(|_| !subject.of_file);
         print_json(&Report { plot: name, capture, out: &args.out, bytes })?;
     } else {
-        writeln!(std::io::stdout(), "{}: {name} of {}, {bytes} bytes", args.out.display(), subject.row.name)?;
+        writeln!(
+            std::io::stdout(),
+            "{}: {name} of {}, {bytes} bytes",
+            args.out.display(),
+            printable(&subject.row.name)
+        )?;
     }
     Ok(outcome)
 }

@@ -2,6 +2,7 @@
 
 use super::args::RecoverArgs;
 use super::{Context, Outcome, print_json};
+use crate::store::printable;
 use std::io::Write as _;
 
 /// Salvages; exit code 3 if anything was lost or damaged.
@@ -19,7 +20,7 @@ pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcom
             stdout,
             "capture {} `{}`: {} samples recovered in {} batches, {} samples lost in {} batches; {} gaps recovered, {} lost",
             capture.id,
-            capture.name,
+            printable(&capture.name),
             capture.samples,
             capture.batches,
             capture.samples_lost,
@@ -40,7 +41,7 @@ pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcom
         writeln!(stdout, "unreadable: {pages} pages, {rows} rows on other pages, {frames} pages of the log")?;
     }
     for finding in &report.findings {
-        writeln!(stdout, "found: {}", finding.message)?;
+        writeln!(stdout, "found: {}", printable(&finding.message))?;
     }
     writeln!(stdout, "{}: what is intact of {}", report.out.display(), report.database.display())?;
     Ok(outcome)

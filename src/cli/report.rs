@@ -9,7 +9,7 @@ use super::{Context, Outcome, print_json, usage, validation};
 use crate::gallery::{self, Window};
 use crate::jobs::{Documents, JobError, JobKind, read_diagnosis};
 use crate::page::{self, CaptureView, Figure};
-use crate::store::DiagnosisRow;
+use crate::store::{DiagnosisRow, printable};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
@@ -75,7 +75,11 @@ pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcom
         let (plots, diagnoses) = (counted(made.plots.len(), "plot", "plots"), made.diagnoses.len());
         let diagnoses = counted(diagnoses, "diagnosis", "diagnoses");
         let out = args.out.display();
-        writeln!(std::io::stdout(), "{out}: report of {}, {plots}, {diagnoses}, {bytes} bytes", subject.row.name)?;
+        writeln!(
+            std::io::stdout(),
+            "{out}: report of {}, {plots}, {diagnoses}, {bytes} bytes",
+            printable(&subject.row.name)
+        )?;
     }
     Ok(outcome)
 }

@@ -2,7 +2,7 @@
 
 use super::source::{Source, has_rejected};
 use super::{Context, Outcome, all, print_json, table};
-use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow};
+use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow, printable};
 use imu_core::sample::GapCause;
 use imu_core::sample::audit::{Report, Unchecked};
 use imu_files::recording::{KeepOn, LoadedRecording, columns};
@@ -36,9 +36,10 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     let gaps: Vec<GapRow> = all(|request| Reader::gaps(&reader, id, request))?;
     let mut stdout = std::io::stdout().lock();
     let time = |time: Option<crate::store::UtcNs>| time.map_or_else(|| "–".to_owned(), |time| time.to_string());
-    writeln!(stdout, "capture {} `{}`, {} from {}", row.id, row.name, row.state.name(), row.source)?;
+    let [name, source] = [&row.name, &row.source].map(|text| printable(text));
+    writeln!(stdout, "capture {} `{name}`, {} from {source}", row.id, row.state.name())?;
     if let Some(note) = &row.note {
-        writeln!(stdout, "  note: {note}")?;
+        writeln!(stdout, "  note: {}", printable(note))?;
     }
     writeln!(stdout, "  from {} to {}", time(row.started_at), time(row.ended_at))?;
     writeln!(
@@ -52,18 +53,18 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
         row.segments
     )?;
     for (cause, count) in &row.rejected {
-        writeln!(stdout, "  rejected: {count} ({cause})")?;
+        writeln!(stdout, "  rejected: {count} ({})", printable(cause))?;
     }
     if !row.rejected.is_empty() {
         let events: Page<EventRow> = reader.events(id, &PageRequest::first())?;
         for event in events.rows.iter().filter(|event| event.kind == "rejected").take(REJECTED_SHOWN) {
             let text = event.detail.as_ref().and_then(|detail| detail["text"].as_str()).unwrap_or_default();
             let text: String = text.chars().take(REJECTED_CHARS).collect();
-            writeln!(stdout, "    {}: {text}", event.message)?;
+            writeln!(stdout, "    {}: {}", printable(&event.message), printable(&text))?;
         }
     }
     for remark in row.configuration.remarks() {
-        writeln!(stdout, "  {remark}")?;
+        writeln!(stdout, "  {}", printable(&remark.to_string()))?;
     }
     if row.pinned {
         writeln!(stdout, "  pinned: kept from deletion")?;
@@ -73,7 +74,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     let (sensor, keys) = (&row.sensor, ["model", "serial_number", "firmware"]);
     for (key, text) in keys.into_iter().zip([sensor.model(), sensor.serial_number(), sensor.firmware()]) {
         if let Some(text) = text {
-            writeln!(stdout, "  {key}: {text}")?;
+            writeln!(stdout, "  {key}: {}", printable(text))?;
         }
     }
     for DeviceClockRow { epoch, estimate } in &clocks {

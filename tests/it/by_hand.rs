@@ -3,6 +3,7 @@
 
 use crate::world::{Process, World, program};
 use serde_json::{Value, json};
+use std::path::Path;
 use std::process::Output;
 use std::time::Duration;
 
@@ -52,7 +53,8 @@ fn refused(world: &World, code: i32, arguments: &[&str], why: &str) {
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
     assert!(text.contains(why), "{arguments:?}: {text}");
-    assert_eq!(text.lines().count(), 1, "{text}");
+    // Beside the error there may be a note on which database is read.
+    assert_eq!(text.lines().filter(|line| !line.starts_with("note: this reads ")).count(), 1, "{text}");
     assert!(text.len() < 600 && output.stdout.is_empty(), "{text}");
 }
 
@@ -70,7 +72,7 @@ fn a_capture_goes_through_its_life_by_hand() {
     assert_eq!(started, "capture 1 `desk` begins, 1h of samples\n");
     running(&world, &daemon);
     refused(&world, 1, &["start"], "capture 1 is running until it is complete or stopped: stop it first");
-    refused(&world, 1, &["delete", "desk"], "capture 1 is running: it is not deleted");
+    refused(&world, 1, &["delete", "--yes", "desk"], "capture 1 is running: it is not deleted");
     // While it runs, its name, its note and its protection change; the status knows the name.
     let named = done(&world, &["rename", "desk", "a b?#%é😀"]);
     assert_eq!(named, "capture 1 is named `a b?#%é😀`\n");
@@ -83,7 +85,7 @@ fn a_capture_goes_through_its_life_by_hand() {
     assert!(stopped["samples"].as_u64() > Some(20), "{stopped}");
     refused(&world, 1, &["stop"], "no capture runs or waits");
     refused(&world, 1, &["stop", "1"], "capture 1 is not running");
-    refused(&world, 1, &["delete", "1"], "capture 1 is pinned");
+    refused(&world, 1, &["delete", "1", "--yes"], "capture 1 is pinned");
     assert_eq!(done(&world, &["unpin", "latest"]), "capture 1 `a b?#%é😀` may be deleted\n");
     // The reading commands find the daemon's database, and show the note.
     let shown = done(&world, &["show", "latest"]);
@@ -97,10 +99,13 @@ fn a_capture_goes_through_its_life_by_hand() {
     assert!(page.as_str().unwrap().contains("<p class=\"note\">on concrete</p>"), "{page}");
     assert_eq!(done(&world, &["note", "1", ""]), "capture 1 `a b?#%é😀` has no note\n");
     assert_eq!(answer(&world, &["--json", "show", "1"])["note"], Value::Null);
-    let gone = answer(&world, &["--json", "delete", "latest"]);
+    // Nobody is there who could be asked.
+    refused(&world, 2, &["delete", "latest"], "--yes deletes without a question");
+    assert_eq!(world.get("/v1/captures/1")["id"], 1);
+    let gone = answer(&world, &["--json", "delete", "--yes", "latest"]);
     assert_eq!(gone, json!([{"id": 1, "name": "a b?#%é😀", "deleted": true}]));
     refused(&world, 1, &["show", "1"], "there is no capture `1`");
-    refused(&world, 1, &["delete", "1"], "there is no capture `1`");
+    refused(&world, 1, &["delete", "1", "--yes"], "there is no capture `1`");
     assert_eq!(daemon.terminate(), Some(0));
     assert_eq!(format!("{:?}", world.query("PRAGMA integrity_check")), "[[Text(\"ok\")]]");
 }
@@ -183,9 +188,14 @@ fn without_the_token_or_the_daemon_an_error_names_what_to_do() {
         );
     }
     assert_eq!(daemon.terminate(), Some(0));
-    for command in
-        [&["start"][..], &["stop"], &["pin", "1"], &["delete", "1"], &["rename", "1", "x"], &["note", "1", "x"]]
-    {
+    for command in [
+        &["start"][..],
+        &["stop"],
+        &["pin", "1"],
+        &["delete", "1", "--yes"],
+        &["rename", "1", "x"],
+        &["note", "1", "x"],
+    ] {
         refused(&world, 69, command, "start it with `vn100d run`, or name its address with --listen");
     }
 }
@@ -196,6 +206,17 @@ fn a_reading_command_finds_a_database_or_tells_where_it_looked() {
     let mut daemon = world.daemon(&configuration(&world), &[]);
     done(&world, &["start", "--name", "of the daemon"]);
     done(&world, &["stop"]);
+    // Whose database it is, is printed once, also by commands that read it several times.
+    let note = |data: &Path| {
+        format!("note: this reads {}/vn100d.db, the database of the daemon at {}\n", data.display(), world.url)
+    };
+    let data = world.path("data").canonicalize().unwrap();
+    for command in [&["captures"][..], &["check"], &["export", "--all", "--partitioned", "set"]] {
+        assert_eq!(stderr(&user(&world, command)).trim_end(), note(&data).trim_end(), "{command:?}");
+    }
+    let mut homeless = program();
+    homeless.env_remove("HOME").env_remove("XDG_STATE_HOME").env("XDG_CONFIG_HOME", world.path("home/.config"));
+    assert!(stdout(&homeless.arg("captures").output().unwrap()).contains("of the daemon"));
     assert!(done(&world, &["captures"]).contains("of the daemon"));
     let (copy, home) = (world.path("copy.db"), world.path("home"));
     done(&world, &["backup", "--out", copy.to_str().unwrap()]);
@@ -217,6 +238,11 @@ fn a_reading_command_finds_a_database_or_tells_where_it_looked() {
     assert_eq!(daemon.terminate(), Some(0));
     let own = user(&world, &["captures"]);
     assert!(stdout(&own).contains("own") && stderr(&own).is_empty(), "{}", stderr(&own));
+    // The daemon of a named configuration is asked for, and no other database is read in its place.
+    for command in [&["captures"][..], &["show", "1"], &["check"], &["export", "latest", "--out", "x.csv"]] {
+        let why = format!("no daemon answers at {}", world.url);
+        refused(&world, 69, &[&["--config", config.to_str().unwrap()], command].concat(), &why);
+    }
     std::fs::remove_dir_all(&state).unwrap();
     if !std::path::Path::new("/var/lib/vn100d/vn100d.db").exists() {
         let url = &world.url;
@@ -227,6 +253,123 @@ fn a_reading_command_finds_a_database_or_tells_where_it_looked() {
             &format!("{}/vn100d.db; no daemon answers at {url}; /var/lib", state.display()),
         );
     }
+}
+
+#[test]
+fn a_change_goes_to_no_other_database_than_the_named_one() {
+    let world = World::new();
+    let mut daemon = world.daemon(&configuration(&world), &[]);
+    done(&world, &["start", "--name", "desk"]);
+    done(&world, &["stop"]);
+    let (data, other) = (world.path("data").canonicalize().unwrap(), world.path("other"));
+    let (data, other) = (data.to_str().unwrap(), other.to_str().unwrap());
+    done(&world, &["--data-dir", other, "simulate", "--duration", "1s", "--into-db", "desk"]);
+    let changes = [
+        &["delete", "--yes", "1"][..],
+        &["stop"],
+        &["start"],
+        &["rename", "1", "x"],
+        &["note", "1", "x"],
+        &["pin", "1"],
+        &["unpin", "1"],
+    ];
+    for change in changes {
+        let why = format!("has {data}/vn100d.db, not {other}/vn100d.db");
+        refused(&world, 1, &[&["--data-dir", other], change].concat(), &why);
+    }
+    let mut named = program();
+    named.arg("--config").arg(world.path("vn100d.toml")).args(["delete", "--yes", "1"]).env("VN100D_DATA_DIR", other);
+    assert_eq!(named.output().unwrap().status.code(), Some(1));
+    let row = world.get("/v1/captures/1");
+    assert_eq!((&row["name"], &row["note"], &row["pinned"]), (&json!("desk"), &Value::Null, &json!(false)));
+    done(&world, &["--data-dir", data, "pin", "1"]);
+    assert_eq!(world.get("/v1/captures/1")["pinned"], true);
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+#[test]
+fn of_several_captures_each_is_deleted_once_and_a_failure_hides_no_deletion() {
+    let world = World::new();
+    let mut daemon = world.daemon(&configuration(&world), &[]);
+    for name in ["one", "two", "three"] {
+        done(&world, &["start", "--name", name]);
+        done(&world, &["stop"]);
+    }
+    assert_eq!(done(&world, &["delete", "--yes", "latest", "three", "3"]), "capture 3 `three` is deleted\n");
+    done(&world, &["pin", "one"]);
+    let failed = user(&world, &["--json", "delete", "--yes", "two", "one"]);
+    assert_eq!(failed.status.code(), Some(1));
+    let told: Value = serde_json::from_str(&stdout(&failed)).unwrap();
+    assert_eq!(told, json!([{"id": 2, "name": "two", "deleted": true}]));
+    assert!(stderr(&failed).contains("1 before it are done"), "{}", stderr(&failed));
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+#[test]
+fn a_data_set_follows_a_renaming_and_no_other_file_is_taken_away() {
+    let world = World::new();
+    let _sensor = world.emulate(&[]);
+    let mut daemon = world.daemon(&configuration(&world), &[]);
+    for name in ["other", "desk"] {
+        done(&world, &["start", "--name", name]);
+        running(&world, &daemon);
+        done(&world, &["stop"]);
+    }
+    let set = world.path("set");
+    let export = |capture: &str| {
+        let arguments = ["--json", "export", capture, "--partitioned", set.to_str().unwrap()];
+        let output = user(&world, &arguments);
+        assert!(output.status.success(), "{}", stderr(&output));
+        let report: Value = serde_json::from_str(&stdout(&output)).unwrap();
+        let file = std::path::PathBuf::from(report[0]["file"].as_str().unwrap());
+        let lines = |part: &str| stderr(&output).lines().filter(|line| line.contains(part)).count();
+        assert_eq!(lines("note: this reads"), 1, "{}", stderr(&output));
+        let left = lines("stays beside");
+        (file, left)
+    };
+    let (other, _) = export("other");
+    let (desk, _) = export("desk");
+    assert!(desk.exists() && desk != other);
+    done(&world, &["rename", "desk", "shelf"]);
+    let (shelf, left) = export("latest");
+    assert!(shelf.exists() && shelf != desk && !desk.exists() && left == 0);
+    // Another capture's data under the earlier name, a file that is no Parquet, and a pipe.
+    std::fs::copy(&other, &desk).unwrap();
+    assert_eq!((export("latest"), desk.exists()), ((shelf.clone(), 1), true));
+    std::fs::write(&desk, "mine").unwrap();
+    assert_eq!((export("latest"), desk.exists()), ((shelf.clone(), 1), true));
+    std::fs::remove_file(&desk).unwrap();
+    rustix::fs::mkfifoat(rustix::fs::CWD, &desk, rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR).unwrap();
+    assert_eq!((export("latest"), desk.exists()), ((shelf.clone(), 1), true));
+    std::fs::remove_file(&desk).unwrap();
+    std::fs::copy(&shelf, &desk).unwrap();
+    assert_eq!((export("latest"), desk.exists()), ((shelf.clone(), 0), false));
+    assert!(other.exists());
+    assert_eq!(daemon.terminate(), Some(0));
+}
+
+#[test]
+fn texts_of_a_database_do_not_command_the_terminal() {
+    let world = World::new();
+    let data = world.path("data");
+    let data = data.to_str().unwrap();
+    done_at(data, &["simulate", "--duration", "1s", "--into-db", "x"]);
+    let evil = "\u{1b}[2Ja\u{9b}1m\nb\u{7}";
+    let connection = rusqlite::Connection::open(world.database()).unwrap();
+    connection.execute("UPDATE capture SET name = ?1, note = ?1, source = ?1", [evil]).unwrap();
+    connection.close().map_err(|(_, error)| error).unwrap();
+    let out = world.path("out.db");
+    for command in [&["captures"][..], &["show", "1"], &["check"], &["recover", "--out", out.to_str().unwrap()]] {
+        let text = done_at(data, command);
+        assert!(!text.contains(|one: char| one.is_control() && one != '\n'), "{command:?}: {text:?}");
+        assert!(text.contains("a 1m b") || command[0] == "recover" || command[0] == "check", "{command:?}: {text:?}");
+    }
+}
+
+fn done_at(data: &str, arguments: &[&str]) -> String {
+    let output = program().args(["--data-dir", data]).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    stdout(&output)
 }
 
 /// A database that belongs to somebody else.

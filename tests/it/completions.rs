@@ -1,7 +1,7 @@
 //! Completions: a shell is offered the captures, models, channels and plots that are there.
 
 use crate::export::Place;
-use crate::world::{program, vn100d};
+use crate::world::{World, program, vn100d};
 use std::path::Path;
 use std::process::Command;
 
@@ -34,7 +34,7 @@ fn bash_is_offered_commands_captures_models_channels_and_plots() {
     let shown = of(&[&data[..], &["show", ""]].concat());
     assert_eq!(shown[..4], ["2", "night-1", "latest", "one.csv"], "{shown:?}");
     assert_eq!(of(&[&data[..], &["noise", "latest", "ni"]].concat()), ["night-1"]);
-    assert_eq!(of(&["--data-dir", "=", "data", "pin", "n"]), ["night-1"]);
+    assert_eq!(of(&["--data-dir", "=", "data", "show", "n"]), ["night-1"]);
     assert_eq!(of(&[&data[..], &["diagnose", "--real", "n"]].concat()), ["night-1"]);
     let simulators = of(&[&data[..], &["diagnose", "--sim", ""]].concat());
     assert!(
@@ -49,7 +49,32 @@ fn bash_is_offered_commands_captures_models_channels_and_plots() {
     assert!(of(&["plot", "one.csv", "timeseries-"]).contains(&"timeseries-mag_z".to_owned()));
     assert_eq!(of(&["model", "fit", "x.csv", "--effects", "tone,reson"]), ["tone,resonance"]);
     // Without a database nothing is offered, and no error is seen.
-    assert_eq!(of(&["--data-dir", "nowhere", "pin", "n"]), [""]);
+    assert_eq!(of(&["--data-dir", "nowhere", "show", "n"]), [""]);
+}
+
+#[test]
+fn commands_that_change_are_offered_the_daemon_s_captures_alone() {
+    let place = Place::new();
+    place.done(&["simulate", "--duration", "1s", "--into-db", "night-own"]);
+    let world = World::new();
+    let mut daemon = world.daemon("", &[]);
+    let body = r#"{"name": "night-1"}"#;
+    assert_eq!(world.request("POST", "/v1/captures", body).unwrap().0, 201);
+    let listen = world.url.strip_prefix("http://").unwrap().to_owned();
+    let config = world.path("at.toml");
+    std::fs::write(&config, format!("[http]\nlisten = \"{listen}\"\n")).unwrap();
+    let (config, data) = (config.to_str().unwrap(), world.path("data").canonicalize().unwrap());
+    let data = data.to_str().unwrap();
+    for command in ["stop", "pin", "unpin", "delete", "rename", "note"] {
+        let of = |place_named: &[&str]| bash(&place, &[place_named, &[command, "n"]].concat());
+        assert_eq!(of(&["--config", config]), ["night-1"], "{command}");
+        assert_eq!(of(&["--config", config, "--data-dir", data]), ["night-1"], "{command}");
+        // It would be refused.
+        assert_eq!(of(&["--config", config, "--data-dir", "data"]), [""], "{command}");
+    }
+    assert_eq!(bash(&place, &["pin", "--listen", &listen, "n"]), ["night-1"]);
+    assert_eq!(daemon.terminate(), Some(0));
+    assert_eq!(bash(&place, &["--config", config, "pin", "n"]), [""]);
 }
 
 #[test]

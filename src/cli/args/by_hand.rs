@@ -30,7 +30,7 @@ pub struct StartArgs {
 #[derive(Debug, Args)]
 pub struct StopArgs {
     /// Id, name or `latest` (default: the capture that runs or waits)
-    #[arg(value_name = "CAPTURE", add = complete::captures())]
+    #[arg(value_name = "CAPTURE", add = complete::captures_of_daemon())]
     pub capture: Option<String>,
     /// The daemon
     #[command(flatten)]
@@ -41,7 +41,7 @@ pub struct StopArgs {
 #[derive(Debug, Args)]
 pub struct PinArgs {
     /// Ids, names or `latest`
-    #[arg(required = true, value_name = "CAPTURE", add = complete::captures())]
+    #[arg(required = true, value_name = "CAPTURE", add = complete::captures_of_daemon())]
     pub captures: Vec<String>,
     /// The daemon
     #[command(flatten)]
@@ -52,9 +52,9 @@ pub struct PinArgs {
 #[derive(Debug, Args)]
 pub struct DeleteArgs {
     /// Ids, names or `latest`
-    #[arg(required = true, value_name = "CAPTURE", add = complete::captures())]
+    #[arg(required = true, value_name = "CAPTURE", add = complete::captures_of_daemon())]
     pub captures: Vec<String>,
-    /// Delete without asking; without a terminal there is no question
+    /// Delete without asking; required if standard input is no terminal
     #[arg(long)]
     pub yes: bool,
     /// The daemon
@@ -66,7 +66,7 @@ pub struct DeleteArgs {
 #[derive(Debug, Args)]
 pub struct RenameArgs {
     /// Id, name or `latest`
-    #[arg(value_name = "CAPTURE", add = complete::captures())]
+    #[arg(value_name = "CAPTURE", add = complete::captures_of_daemon())]
     pub capture: String,
     /// The new name
     #[arg(value_name = "NAME")]
@@ -80,7 +80,7 @@ pub struct RenameArgs {
 #[derive(Debug, Args)]
 pub struct NoteArgs {
     /// Id, name or `latest`
-    #[arg(value_name = "CAPTURE", add = complete::captures())]
+    #[arg(value_name = "CAPTURE", add = complete::captures_of_daemon())]
     pub capture: String,
     /// The note, one line of at most 1000 characters; "" removes it
     #[arg(value_name = "TEXT")]
