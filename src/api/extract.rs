@@ -69,7 +69,7 @@ impl<T: DeserializeOwned> FromRequest<ApiState> for J<T> {
         }
         // A list would be read as the members in their order.
         if bytes.trim_ascii_start().first() != Some(&b'{') {
-            return Err(ApiError::bad_request("the body: expected a JSON object, `{…}`"));
+            return Err(ApiError::bad_request("the body is invalid: expected a JSON object, `{…}`"));
         }
         serde_json::from_slice(&bytes)
             .map(|body| Self(Some(body), permit))

@@ -3,7 +3,9 @@
 use super::{Kind, escaped, framed, wide};
 use crate::plot;
 use imu_core::sample::Channel;
-use imu_cost::{Comparison, Envelope, LimitState, LimitVerdict, ModelError, Quantity, Sheet, SheetVerdict, number};
+use imu_cost::{
+    Comparison, Envelope, LimitState, LimitVerdict, ModelError, Quantity, Sheet, SheetVerdict, number, time,
+};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
@@ -117,10 +119,10 @@ fn limits(out: &mut String, limits: &[LimitVerdict]) {
             .as_ref()
             .map_or_else(|| "too few pieces".to_owned(), |own| format!("{} {}", shown.with_interval(own), shown.unit));
         let limit = of.quantity.with_unit(of.limit);
-        let (name, time) = (name(of.quantity), time(of.horizon_s));
+        let (name, after) = (name(of.quantity), time(of.horizon_s));
         let _ = write!(
             out,
-            "<tr><th scope=\"row\">{name} after {time}: {limit}</th><td>{error}</td><td>{verdict}</td></tr>"
+            "<tr><th scope=\"row\">{name} after {after}: {limit}</th><td>{error}</td><td>{verdict}</td></tr>"
         );
     }
     *out += "</table></div>";

@@ -14,7 +14,7 @@ use ::parquet::arrow::ArrowWriter;
 use ::parquet::basic::{Compression, Encoding, ZstdLevel};
 use ::parquet::file::metadata::KeyValue;
 use ::parquet::file::properties::{WriterProperties, WriterPropertiesBuilder};
-use ::parquet::file::reader::{FileReader as _, SerializedFileReader};
+use ::parquet::file::reader::{ChunkReader, FileReader as _, SerializedFileReader};
 use ::parquet::schema::types::ColumnPath;
 use arrow_array::{ArrayRef, Float64Array, Int32Array, Int64Array, RecordBatch, StringArray, TimestampNanosecondArray};
 use arrow_schema::{DataType, Field, Schema, TimeUnit};
@@ -93,8 +93,8 @@ impl<W: Write + Send> Sink for ParquetSink<W> {
 }
 
 /// Returns whether a file is a complete Parquet file of this capture: of its database, with the same first sample. Its
-/// name and its id are not compared.
-pub fn is_parquet_of(about: &About, file: std::fs::File) -> bool {
+/// name and its id are not compared. `file` is an open file, or bytes.
+pub fn is_parquet_of(about: &About, file: impl ChunkReader + 'static) -> bool {
     let Ok(reader) = SerializedFileReader::new(file) else { return false };
     let pairs = reader.metadata().file_metadata().key_value_metadata().map(Vec::as_slice).unwrap_or_default();
     let has = |key: &str, value: &str| pairs.iter().any(|pair| pair.key == key && pair.value.as_deref() == Some(value));
