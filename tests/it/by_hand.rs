@@ -313,6 +313,8 @@ fn a_data_set_follows_a_renaming_and_no_other_file_is_taken_away() {
     for name in ["other", "desk"] {
         done(&world, &["start", "--name", name]);
         running(&world, &daemon);
+        let some = || (world.get(&format!("/v1/captures/{name}"))["samples"].as_u64() > Some(0)).then_some(());
+        world.until("stored samples", PATIENCE, some, &daemon);
         done(&world, &["stop"]);
     }
     let set = world.path("set");
@@ -321,7 +323,8 @@ fn a_data_set_follows_a_renaming_and_no_other_file_is_taken_away() {
         let output = user(&world, &arguments);
         assert!(output.status.success(), "{}", stderr(&output));
         let report: Value = serde_json::from_str(&stdout(&output)).unwrap();
-        let file = std::path::PathBuf::from(report[0]["file"].as_str().unwrap());
+        let file = report[0]["file"].as_str().unwrap_or_else(|| panic!("{report}"));
+        let file = std::path::PathBuf::from(file);
         let lines = |part: &str| stderr(&output).lines().filter(|line| line.contains(part)).count();
         assert_eq!(lines("note: this reads"), 1, "{}", stderr(&output));
         let left = lines("stays beside");
