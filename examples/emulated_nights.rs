@@ -69,7 +69,13 @@ fn night(rate_hz: f64, length: Duration, seed: u64) -> Result<serde_json::Value,
         let (clock, stop) = (Arc::clone(&clock), Arc::clone(&stop_emulator));
         move || terminal.run(sensor, source, &clock, &stop)
     });
-    let capture = CaptureRequest { duration: length, name: Some("night".to_owned()), start_at_utc_ns: None };
+    let capture = CaptureRequest {
+        duration: length,
+        name: Some("night".to_owned()),
+        start_at_utc_ns: None,
+        note: None,
+        numbered: false,
+    };
     let config = tokio::sync::watch::channel(config).1;
     let options = Options { database: folder.join("vn100d.db"), config, capture: Some(capture), clock };
     let found = tokio::runtime::Runtime::new()?.block_on(async {

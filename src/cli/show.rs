@@ -64,7 +64,7 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
         }
     }
     for remark in row.configuration.remarks() {
-        writeln!(stdout, "  {}", printable(&remark.to_string()))?;
+        writeln!(stdout, "  {}", printable(remark))?;
     }
     if row.pinned {
         writeln!(stdout, "  pinned: kept from deletion")?;

@@ -254,7 +254,7 @@ mod tests {
         for (text, expected) in
             [("3 hz", &unit), ("unit", &unit), ("no gap", &unit), ("made", &simulated), ("too short", &simulated)]
         {
-            assert_eq!(diagnoses(text), [expected.clone()], "{text}");
+            assert_eq!(diagnoses(text), std::slice::from_ref(expected), "{text}");
         }
         let jobs = |text: &str| -> Vec<i64> {
             reader.find_jobs(&with(text)).unwrap().rows.iter().map(|found| found.job.id).collect()

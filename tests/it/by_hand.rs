@@ -386,7 +386,7 @@ fn a_database_that_may_not_be_read_is_reported_as_such() {
         program.arg("--data-dir").arg(&data).args(arguments).output().unwrap()
     };
     assert!(run(&mut program(), &["simulate", "--duration", "1s", "--into-db", "x"]).status.success());
-    std::fs::set_permissions(world.database(), std::fs::Permissions::from_mode(0)).unwrap();
+    std::fs::set_permissions(world.database(), std::fs::Permissions::from_mode(0o000)).unwrap();
     let mut command = program();
     if rustix::process::geteuid().is_root() {
         // Root may read everything.

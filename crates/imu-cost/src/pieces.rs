@@ -149,7 +149,8 @@ pub(crate) fn pieces(
     least: usize,
     has_begins: bool,
 ) -> Result<Found, MeasureError> {
-    if !((record.rate_hz / model.rate_hz - 1.0).abs() <= SAME_RATE) {
+    let apart = (record.rate_hz / model.rate_hz - 1.0).abs();
+    if apart.is_nan() || apart > SAME_RATE {
         return Err(MeasureError::Rate { found_hz: record.rate_hz, expected_hz: model.rate_hz });
     }
     let request = Request { tolerances: Vec::new(), motion: None, ..request.clone() };

@@ -207,7 +207,7 @@ fn a_limit_is_met_missed_or_open() {
 fn a_model_is_not_validated_with_what_it_was_fitted_to() {
     let night = simulated(&model(TRUE), 3, 3600.0);
     let source = Evidence { is_source: true, ..evidence("night", &night) };
-    let found = sheet(&stated(1.0), "t", &[source.clone()], &request(&[1.0])).unwrap();
+    let found = sheet(&stated(1.0), "t", std::slice::from_ref(&source), &request(&[1.0])).unwrap();
     assert!(found.verdict == SheetVerdict::Undecided && found.reason.contains("fitted to night"), "{}", found.reason);
     let found = sheet(&stated(1.0), "t", &[evidence("another", &night)], &request(&[1.0])).unwrap();
     assert_eq!(found.verdict, SheetVerdict::Validated);
@@ -285,7 +285,7 @@ fn recordings_that_cannot_be_compared_are_refused() {
     assert!(refusal(&[], 60.0).contains("0 disjoint pieces"));
     let mut fast = evidence("fast", &night);
     fast.rest.rate_hz = 100.0;
-    assert!(refusal(&[fast.clone()], 1.0).contains("expected the same rate"));
+    assert!(refusal(std::slice::from_ref(&fast), 1.0).contains("expected the same rate"));
     let message = refusal(&[evidence("one", &night), fast], 1.0);
     assert!(message.contains("fast: ") && message.contains("expected the same rate"), "{message}");
     // A recording too short for a piece does not take the others' away.
