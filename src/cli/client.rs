@@ -8,7 +8,7 @@ use serde_json::Value;
 use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use ureq::unversioned::resolver::DefaultResolver;
 
@@ -167,9 +167,7 @@ pub(super) fn change(
         .max_redirects(0)
         .proxy(None)
         .build();
-    let connector = Watched::default();
-    let connected = Arc::clone(&connector.connected);
-    let agent = ureq::Agent::with_parts(config, connector, DefaultResolver::default());
+    let (agent, connected) = watched(config);
     let method = match how {
         Change::Post => ureq::http::Method::POST,
         Change::Patch => ureq::http::Method::PATCH,
@@ -201,6 +199,13 @@ pub(super) fn change(
     }
 }
 
+/// Returns an agent, and whether it has reached the daemon.
+fn watched(config: ureq::config::Config) -> (ureq::Agent, Arc<AtomicBool>) {
+    let connector = Watched::default();
+    let connected = Arc::clone(&connector.connected);
+    (ureq::Agent::with_parts(config, connector, DefaultResolver::default()), connected)
+}
+
 /// Returns a text as one segment of a path: a name may hold any character but `/` and control characters.
 pub(super) fn segment(text: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_~".contains(&byte);
@@ -227,9 +232,7 @@ pub(super) fn send(
         .max_redirects(0)
         .proxy(None)
         .build();
-    let connector = Watched::default();
-    let connected = Arc::clone(&connector.connected);
-    let agent = ureq::Agent::with_parts(config, connector, DefaultResolver::default());
+    let (agent, connected) = watched(config);
     let post = |body: &mut dyn io::Read| {
         // The daemon is asked before the first byte is sent, because a refusal would be lost behind bytes that it does
         // not read.

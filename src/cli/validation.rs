@@ -17,16 +17,16 @@ use std::time::Duration;
 
 /// Writes the sheet.
 pub(super) fn run(context: &Context, args: &ReportArgs, path: &Path) -> anyhow::Result<Outcome> {
-    let of = &args.validation;
-    let out = Some(args.out.as_path()).filter(|out| *out != Path::new("-"));
-    let mut read: Vec<&Path> = args.captures.iter().filter_map(|named| file(named)).collect();
-    read.push(path);
-    let output = out.map(|out| Output::create(out, args.force, &read)).transpose()?;
     if args.sampling.stated().is_some() {
         return Err(usage(
             "--validation takes the sampling of the model's file: leave out --filter-window and --internal-rate",
         ));
     }
+    let of = &args.validation;
+    let out = Some(args.out.as_path()).filter(|out| *out != Path::new("-"));
+    let mut read: Vec<&Path> = args.captures.iter().filter_map(|named| file(named)).collect();
+    read.push(path);
+    let output = out.map(|out| Output::create(out, args.force, &read)).transpose()?;
     let model = model::load(path)?;
     let reals: Vec<Real> =
         args.captures.iter().map(|named| Real::open(context, named, args.rate)).collect::<Result<_, _>>()?;

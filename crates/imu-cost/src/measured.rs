@@ -189,7 +189,7 @@ fn share_interval(share: f64, trials: f64) -> [f64; 2] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::pieces::{BEGINS, Predicted};
     use imu_core::sample::Channel;
@@ -201,7 +201,8 @@ mod tests {
         SensorModel::from_json(&text, "t.json").unwrap()
     }
 
-    fn simulated(model: &SensorModel, seed: u64, length_s: f64) -> Vec<(Channel, Vec<f64>)> {
+    /// Returns the samples of a simulated record, by channel.
+    pub(crate) fn simulated(model: &SensorModel, seed: u64, length_s: f64) -> Vec<(Channel, Vec<f64>)> {
         let mut simulator = Simulator::new(model, seed, model.rate_hz, length_s).unwrap();
         let mut columns: Vec<(Channel, Vec<f64>)> = model.channels.keys().map(|of| (*of, Vec::new())).collect();
         let count = (length_s * model.rate_hz) as usize;

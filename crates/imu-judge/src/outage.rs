@@ -3,7 +3,7 @@
 //! In: samples of a sensor at rest, the noise that the filter assumes, a plan. Out: the errors at the end of each outage and the
 //! covariance that the filter states for them. The truth is known because the sensor does not move.
 //!
-//! The record is cut into stretches of alignment, aided phase and outage. A filter begins anew in each, so the outages of a
+//! The record is cut into stretches of alignment, aided phase and outage. In each of them a filter starts again, so the outages of a
 //! sensor of N and K alone are independent. The alignment takes the mean of each channel as its bias, with the variance
 //! N²/T + K²T/3 (`docs/filters.md`). Attitude, velocity and position are exact at its end: position and heading count from there.
 

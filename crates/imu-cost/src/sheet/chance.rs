@@ -19,8 +19,10 @@ use std::collections::BTreeMap;
 const RUNS: usize = 100;
 /// The least number from which a spread is taken.
 pub(super) const LEAST_RUNS: usize = 20;
-/// The most samples in all simulations: minutes.
+/// The most samples of all channels in all simulations: minutes.
 const WORK_MAX: f64 = 4e9;
+/// The most samples of all channels of one record: 1.3 GB.
+const RECORD_MAX: f64 = 4e7;
 
 /// What pieces show, in the quantity's unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,7 +59,7 @@ pub(super) struct Run {
 /// The simulations, by quantity and horizon.
 pub(super) type Runs = BTreeMap<Quantity, Vec<Vec<Run>>>;
 
-/// Simulates the recordings. Returns none if that would take too long.
+/// Simulates the recordings. Returns `None` if that would take too long, or too much memory.
 pub(super) fn simulated(
     model: &SensorModel,
     evidence: &[(&Evidence<'_>, Request)],
@@ -74,29 +76,31 @@ pub(super) fn simulated(
     let samples = |(setting, places): &(Setting<'_>, usize)| (setting.begin + *places as u64) * setting.ratio() as u64;
     let work = settings.iter().map(|of| samples(of) as f64).sum::<f64>() * model.channels.len() as f64;
     let count = RUNS.min((WORK_MAX / work.max(1.0)) as usize);
-    if count < LEAST_RUNS {
+    let longest = settings.iter().map(|(_, places)| *places).max().unwrap_or(0);
+    if count < LEAST_RUNS || longest as f64 * model.channels.len() as f64 > RECORD_MAX {
         return Ok(None);
     }
     let mut runs: Runs =
         pieces.iter().map(|(of, horizons)| (*of, vec![Vec::with_capacity(count); horizons.len()])).collect();
     for run in 0..count {
-        let records: Vec<Record> = settings
-            .iter()
-            .enumerate()
-            .map(|(number, (setting, places))| {
-                let seed = setting.seed.wrapping_add((run * settings.len() + number) as u64);
-                Record::new(setting, &model, seed, *places)
-            })
-            .collect::<Result<_, _>>()?;
+        let mut errors: BTreeMap<Quantity, Vec<Vec<f64>>> =
+            pieces.iter().map(|(of, horizons)| (*of, vec![Vec::new(); horizons.len()])).collect();
+        // One record at a time is in memory. Pieces are in the order of their recordings.
+        for (number, (setting, places)) in settings.iter().enumerate() {
+            let seed = setting.seed.wrapping_add((run * settings.len() + number) as u64);
+            let record = Record::new(setting, &model, seed, *places)?;
+            for (quantity, horizons) in pieces {
+                for (pieces, errors) in horizons.iter().zip(errors.entry(*quantity).or_default()) {
+                    let own = pieces.iter().filter(|piece| piece.run[0] == number);
+                    errors.extend(own.map(|piece| record.error(*quantity, piece)));
+                }
+            }
+        }
         for (quantity, horizons) in pieces {
-            let Some(of_quantity) = runs.get_mut(quantity) else { continue };
-            for (pieces, found) in horizons.iter().zip(of_quantity) {
-                let errors: Vec<f64> =
-                    pieces.iter().map(|piece| records[piece.run[0]].error(*quantity, piece)).collect();
-                found.push(Run {
-                    all: Statistics::of(pieces, &errors),
-                    rms: by_recording(pieces, &errors, records.len()),
-                });
+            let all = runs.entry(*quantity).or_default().iter_mut().zip(horizons).zip(&errors[quantity]);
+            for ((found, pieces), errors) in all {
+                let rms = by_recording(pieces, errors, settings.len());
+                found.push(Run { all: Statistics::of(pieces, errors), rms });
             }
         }
     }

@@ -96,7 +96,7 @@ fn is_gyro(channel: Channel) -> bool {
 }
 
 impl Envelope {
-    pub(super) fn of(evidence: &[Evidence<'_>], recordings: Vec<Covered>) -> Self {
+    pub(super) fn of(evidence: &[&Evidence<'_>], recordings: Vec<Covered>) -> Self {
         let mut largest: BTreeMap<Channel, f64> = BTreeMap::new();
         for of in evidence {
             for (channel, values) in of.rest.channels.iter().filter(|(own, _)| is_accel(*own) || is_gyro(*own)) {
@@ -108,7 +108,7 @@ impl Envelope {
         let temperatures = evidence.iter().filter_map(|of| of.temperature_c);
         let temperature_c = temperatures.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]);
         let begin_s = evidence.iter().map(|of| of.begin_s).fold(f64::INFINITY, f64::min);
-        let ends = evidence.iter().map(end_s);
+        let ends = evidence.iter().map(|of| end_s(of));
         Self {
             rate_hz: evidence.first().map_or(0.0, |of| of.rest.rate_hz),
             total_s: recordings.iter().map(|of| of.length_s).sum(),

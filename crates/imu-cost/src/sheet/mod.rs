@@ -28,7 +28,7 @@ use compare::{Compared, Inputs};
 use imu_model::motion::Temperatures;
 use imu_model::simulator::SensorModel;
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF as _, Normal};
+use statrs::distribution::{ContinuousCDF as _, StudentsT};
 use std::collections::BTreeMap;
 
 /// Data that would not show an error of this share of the prediction do not validate it.
@@ -214,6 +214,7 @@ pub fn sheet(
     };
     let (mut all, mut notes): (BTreeMap<Quantity, Vec<Vec<Piece>>>, Vec<String>) = Default::default();
     let (mut lengths, mut covered, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
+    let mut counting: Vec<&Evidence<'_>> = Vec::new();
     let requests: Vec<(&Evidence<'_>, Request)> = evidence.iter().map(|of| (of, own(of))).collect();
     for (number, (of, request)) in requests.iter().enumerate() {
         let least = if evidence.len() == 1 { LEAST_PIECES } else { 0 };
@@ -224,7 +225,10 @@ pub fn sheet(
         })?;
         // A recording without a piece shows nothing, whatever its unit or temperature.
         match found.pieces.values().flatten().any(|pieces| !pieces.is_empty()) {
-            true => covered.push(Covered::by(of, found.length_s)),
+            true => {
+                covered.push(Covered::by(of, found.length_s));
+                counting.push(of);
+            }
             false => notes.push(format!("{} has no piece, and does not count", of.name)),
         }
         for (quantity, pieces) in found.pieces {
@@ -277,7 +281,7 @@ pub fn sheet(
         quantities.get(&of.quantity)?.get(at)?.as_ref()
     };
     let limits: Vec<LimitVerdict> = request.tolerances.iter().map(|of| LimitVerdict::on(of, found(of))).collect();
-    let envelope = Envelope::of(evidence, covered);
+    let envelope = Envelope::of(&counting, covered);
     let mut not_validated = envelope.outside(model, &quantities, &horizons_s);
     not_validated.extend(inputs.iter().filter_map(|of| of.open(quantities.keys().copied())));
     if model.provenance.as_ref().is_some_and(|of| of.contains_key("capture")) {
@@ -286,7 +290,8 @@ pub fn sheet(
                 .to_owned(),
         );
     }
-    let (verdict, reason) = verdict(evidence, &quantities, &limits);
+    let count = runs.values().flatten().map(Vec::len).max().unwrap_or(0);
+    let (verdict, reason) = verdict(evidence, &quantities, &limits, count);
     Ok(Sheet {
         format: SHEET_FORMAT,
         model: name.to_owned(),
@@ -335,6 +340,7 @@ fn verdict(
     evidence: &[Evidence<'_>],
     quantities: &BTreeMap<Quantity, Vec<Option<Comparison>>>,
     limits: &[LimitVerdict],
+    runs: usize,
 ) -> (SheetVerdict, String) {
     if let Some(own) = evidence.iter().find(|of| of.is_source) {
         let reason = format!("the model was fitted to {}: expected recordings that it was not fitted to", own.name);
@@ -352,7 +358,9 @@ fn verdict(
     let all: Vec<&ModelError> =
         quantities.values().flatten().flatten().flat_map(|of| [&of.rms, &of.bias, &of.scatter]).collect();
     // All together miss 0 by chance in 5 % (Bonferroni).
-    let most = Normal::standard().inverse_cdf(1.0 - 0.025 / all.len().max(1) as f64);
+    let freedom = runs.saturating_sub(1).max(1) as f64;
+    let student = StudentsT::new(0.0, 1.0, freedom);
+    let most = student.map_or(f64::INFINITY, |of| of.inverse_cdf(1.0 - 0.025 / all.len().max(1) as f64));
     let apart = all.iter().filter(|of| of.standardized.abs() > most).count();
     // The size of an error that the best horizon of a quantity would show, the largest of all quantities.
     let hidden = |of: &&Comparison| 0.5 * (of.rms.ci95[1] - of.rms.ci95[0]) / of.rms.predicted;

@@ -1,6 +1,6 @@
 use super::*;
+use crate::measured::tests::simulated;
 use imu_core::sample::Channel;
-use imu_model::simulator::Simulator;
 
 const RATE_HZ: f64 = 20.0;
 
@@ -32,20 +32,6 @@ fn stated(factor: f64) -> SensorModel {
 }
 
 type Columns = Vec<(Channel, Vec<f64>)>;
-
-fn simulated(model: &SensorModel, seed: u64, length_s: f64) -> Columns {
-    let mut simulator = Simulator::new(model, seed, model.rate_hz, length_s).unwrap();
-    let mut columns: Columns = model.channels.keys().map(|of| (*of, Vec::new())).collect();
-    let count = (length_s * model.rate_hz) as usize;
-    while columns[0].1.len() < count {
-        let block = simulator.next_block().unwrap();
-        for (channel, column) in &mut columns {
-            column.extend_from_slice(block.values(*channel).unwrap());
-        }
-    }
-    columns.iter_mut().for_each(|(_, column)| column.truncate(count));
-    columns
-}
 
 fn evidence<'a>(name: &str, columns: &'a Columns) -> Evidence<'a> {
     let channels = columns.iter().map(|(channel, values)| (*channel, values.as_slice())).collect();
@@ -291,6 +277,8 @@ fn recordings_that_cannot_be_compared_are_refused() {
     // A recording too short for a piece does not take the others' away.
     let warm = model(r#""gyro_z": {"N": 1e-4, "effects": [{"effect": "warm_up", "amplitude": 1e-4, "tau_s": 60}]}"#);
     let (long, short) = (simulated(&warm, 1, 1200.0), simulated(&warm, 2, 5.0));
-    let found = sheet(&warm, "t", &[evidence("long", &long), evidence("short", &short)], &request(&[1.0])).unwrap();
+    let hot = Evidence { temperature_c: Some([50.0, 51.0]), begin_s: 9e4, ..evidence("short", &short) };
+    let found = sheet(&warm, "t", &[evidence("long", &long), hot], &request(&[1.0])).unwrap();
     assert!(found.envelope.recordings.len() == 1 && found.notes.iter().any(|of| of.contains("short has no piece")));
+    assert_eq!((found.envelope.temperature_c, found.envelope.since_switch_on_s), (None, [0.0, 1200.0]));
 }
