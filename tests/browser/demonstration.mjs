@@ -136,6 +136,7 @@ async function withFile(page, capture) {
 /// Named as no one should, begun, looked at, stopped, kept and diagnosed without leaving the pages.
 async function hostile(page, checks, visit, address) {
   visit.expected.add("400 /v1/captures").add("422 /v1/captures");
+  await goTo(page, address);
   await start(page, { name: "a/b" });
   await said(page, "name");
   await start(page, { name: "later", duration: "soon" });
