@@ -183,6 +183,15 @@ impl SampleSource for Shelf {
         Ok(stamps_ns.map(|ns| Some((1, *ns as f64 / NANOS_PER_SECOND as f64))).collect())
     }
 
+    fn first_stamp_s(&self, capture_id: i64) -> Result<Option<f64>, StoreError> {
+        match self.recording(capture_id) {
+            Some(of) => {
+                Ok((!of.recording.stamps_ns.is_empty()).then_some(1e-9 * of.recording.info.first_stamp_ns as f64))
+            }
+            None => self.reader(capture_id)?.first_stamp_s(capture_id),
+        }
+    }
+
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
         let Some(Loaded { name, recording, .. }) = self.recording(capture_id) else {
             return self.reader(capture_id)?.extent(capture_id, end_seq);

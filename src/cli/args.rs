@@ -397,6 +397,17 @@ pub struct SimulateArgs {
     pub force: bool,
 }
 
+/// The axis about which an encoder turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum ReferenceAxis {
+    /// The sensor's x axis.
+    X,
+    /// The sensor's y axis.
+    Y,
+    /// The sensor's z axis.
+    Z,
+}
+
 /// Arguments of `diagnose`.
 #[derive(Debug, Args)]
 pub struct DiagnoseArgs {
@@ -406,10 +417,14 @@ pub struct DiagnoseArgs {
     /// The simulator: a sensor model (.json), or a capture or file that a simulator made
     #[arg(long, value_name = "MODEL.json|CAPTURE|FILE", add = complete::simulators())]
     pub sim: String,
-    /// The sensor's motion as another instrument measured it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2;
-    /// the effects that a motion drives are diagnosed too
+    /// The sensor's motion as another instrument measured it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2,
+    /// or with poses (time_s, q_w … q_z, p_x_m …, also EuRoC, TUM, OptiTrack), or with rates about one axis; the effects
+    /// that a motion drives are diagnosed too
     #[arg(long, value_name = "MOTION.csv")]
     pub reference: Option<PathBuf>,
+    /// The axis of a reference with `encoder_rpm`
+    #[arg(long, value_name = "AXIS", value_enum, requires = "reference")]
+    pub reference_axis: Option<ReferenceAxis>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,

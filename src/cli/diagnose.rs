@@ -1,22 +1,21 @@
 //! `vn100d diagnose`: where a recording and a simulator differ, and which effect the simulator lacks.
 
-use super::args::DiagnoseArgs;
+use super::args::{DiagnoseArgs, ReferenceAxis};
 use super::output::{Output, is_same};
 use super::{Context, Outcome, analysis, model, print_json, table, usage};
-use crate::jobs::{TwoThreads, add_cost, gridded};
+use crate::jobs::{TwoThreads, add_cost, gridded, read_reference};
 use crate::page;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
 use imu_core::units::format_duration;
 use imu_cost::Quantity;
 use imu_diagnosis::report::{Cause, Driver, GapCost, Hint, Of, Offset, Place, Sense};
-use imu_diagnosis::{Diagnosis, Drawings, Options, Reference};
-use imu_model::motion::file::Rows;
+use imu_diagnosis::{Diagnosis, Drawings, Known, Options};
 use imu_model::simulator::SensorModel;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Write as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
 use std::time::Duration;
 
@@ -32,7 +31,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     }
     let augmented = args.augmented_model.as_ref().map(create).transpose()?;
     let html = args.html.as_ref().map(create).transpose()?;
-    let reference = args.reference.as_deref().map(reference).transpose()?;
+    let reference = args.reference.as_deref().map(|path| reference(path, args.reference_axis)).transpose()?;
     let mut together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     together.sampled(args.sampling.stated())?;
     let (sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
@@ -73,13 +72,19 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
 }
 
-/// Reads the reference: the sensor's motion.
-fn reference(path: &Path) -> anyhow::Result<Reference> {
+/// Reads the reference: the sensor's motion, poses, or rates about one axis; gzip is unpacked.
+fn reference(path: &Path, axis: Option<ReferenceAxis>) -> anyhow::Result<Known> {
     let name = path.display().to_string();
-    let file = File::open(path).with_context(|| format!("the reference {name} cannot be read"))?;
-    anyhow::ensure!(!file.metadata()?.is_dir(), "the reference {name} is a folder: expected a CSV file");
-    let rows = Rows::new(BufReader::new(file), &name, None)?.collect::<Result<Vec<_>, _>>()?;
-    Reference::new(rows).with_context(|| format!("the reference {name} cannot be used"))
+    let mut file = BufReader::new(File::open(path).with_context(|| format!("the reference {name} cannot be read"))?);
+    anyhow::ensure!(!file.get_ref().metadata()?.is_dir(), "the reference {name} is a folder: expected a CSV file");
+    let mut text = String::new();
+    let read = match file.fill_buf()?.starts_with(&[0x1f, 0x8b]) {
+        true => flate2::bufread::MultiGzDecoder::new(file).read_to_string(&mut text),
+        false => file.read_to_string(&mut text),
+    };
+    read.with_context(|| format!("the reference {name} cannot be read as text"))?;
+    let found = read_reference(&text, &name, axis.map(|axis| axis as usize));
+    found.map_err(|reason| anyhow::anyhow!("the reference {name} cannot be used: {reason}"))
 }
 
 /// Returns the simulator's law: a model's file, or a recording that a simulator made, to which a law is fitted first.

@@ -10,7 +10,7 @@ use super::runner::Keeper;
 use super::{Gridded, JobError, ReferenceMotion, add_cost, fitted, gridded};
 use crate::store::{JobCheckpoint, JobKind, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
-use imu_diagnosis::{Diagnosis, Drawings, Options, Reference, Workers};
+use imu_diagnosis::{Diagnosis, Drawings, Known, Options, Reference, Workers};
 use imu_model::motion::file::Rows;
 use imu_model::motion::{Course, Kind, Site};
 use imu_model::simulator::SensorModel;
@@ -113,26 +113,34 @@ impl DiagnosisParameters {
     }
 }
 
-/// Reads a motion's CSV.
-pub(super) fn of_csv(text: &str) -> Result<Reference, String> {
+/// Reads a reference, `name`: a motion's CSV, poses, or rates about one axis. `axis` is that of an encoder.
+///
+/// # Errors
+/// A sentence for the user.
+pub fn read_reference(text: &str, name: &str, axis: Option<usize>) -> Result<Known, String> {
     if !text.contains('\n') {
-        return Err("expected a motion's CSV with a header line, or one of still, tumble, rate-table".to_owned());
+        return Err("expected a reference with a header line, or one of still, tumble, rate-table".to_owned());
     }
-    let rows = Rows::new(text.as_bytes(), "reference", None).map_err(|error| error.to_string())?;
+    if let Some(external) = imu_pose::read(text, axis).map_err(|error| error.to_string())? {
+        return Ok(Known::External(external));
+    }
+    let rows = Rows::new(text.as_bytes(), name, None).map_err(|error| error.to_string())?;
     let mut refused = None;
     // There are many rows: they are stored once.
     let reference = Reference::new(rows.map_while(|row| row.map_err(|error| refused = Some(error)).ok()));
     match refused {
         Some(error) => Err(error.to_string()),
-        None => reference.map_err(|error| error.to_string()),
+        None => reference.map(Known::Motion).map_err(|error| error.to_string()),
     }
 }
 
 /// Returns the motion of the sensor during a recording.
-fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Reference, JobError> {
+fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Known, JobError> {
     let none = JobError::InsufficientData;
     let text = match given {
-        ReferenceMotion::Stored { sha256, .. } => return of_csv(&reader.reference(sha256)?).map_err(none),
+        ReferenceMotion::Stored { sha256, .. } => {
+            return read_reference(&reader.reference(sha256)?, "reference", None).map_err(none);
+        }
         ReferenceMotion::Named(name) => name,
     };
     let kind = Kind::from_name(text).ok_or_else(|| none(format!("there is no motion `{text}`")))?;
@@ -146,7 +154,7 @@ fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> 
     let course = Course::new(kind, recording.length_s(), Site::default()).map_err(|error| none(error.to_string()))?;
     let time_s = |index: usize| index as f64 / recording.rate_hz;
     let rows = (0..recording.len()).map(|index| (time_s(index), course.at(time_s(index))));
-    Reference::new(rows).map_err(|error| none(error.to_string()))
+    Reference::new(rows).map(Known::Motion).map_err(|error| none(error.to_string()))
 }
 
 /// The result of a diagnosis: parts of one JSON text, unchanged.

@@ -3,7 +3,7 @@
 //! A body may contain a reference of many megabytes. Such a body is read by a separate process, which checks it and
 //! returns it in parts; the daemon holds one part at a time.
 
-use super::diagnosis::of_csv;
+use super::diagnosis::read_reference;
 use super::{DiagnosisParameters, JobError, Simulator};
 use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use crate::store::{JobKind, REFERENCE_PART_BYTES, Store};
@@ -98,7 +98,7 @@ fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
     if Kind::from_name(&text).is_some() {
         return Ok(Content { sim, reference: Some(ReferenceMotion::Named(text)), text: String::new() });
     }
-    of_csv(&text).map_err(|reason| refused(format!("`reference`: {reason}")))?;
+    read_reference(&text, "reference", None).map_err(|reason| refused(format!("`reference`: {reason}")))?;
     let sha256 = Sha256::digest(&text).iter().map(|byte| format!("{byte:02x}")).collect();
     let reference = Some(ReferenceMotion::Stored { sha256, bytes: text.len() as u64 });
     Ok(Content { sim, reference, text })

@@ -104,7 +104,10 @@ pub fn gridded(source: &dyn SampleSource, plan: &Plan, room: u64) -> Result<Grid
     };
     let left_out = total - part.there;
     let from_s = part.first as f64 / plan.rate_hz;
-    let recording = Recording { sampling: plan.sampling.clone(), ..part.recording(plan.rate_hz, &channels) };
+    let mut recording = Recording { sampling: plan.sampling.clone(), ..part.recording(plan.rate_hz, &channels) };
+    if let (Some(begins_s), Some(origin_s)) = (&mut recording.begins_s, source.first_stamp_s(slice.capture_id)?) {
+        *begins_s += origin_s;
+    }
     Ok(Gridded { recording, from_s, left_out, full })
 }
 
@@ -149,7 +152,9 @@ impl Part {
     }
     fn recording(self, rate_hz: f64, channels: &[Channel]) -> Recording {
         let time_s = self.time_s();
-        let mut recording = Recording { rate_hz, missing: self.missing, time_s, ..Recording::default() };
+        let begins_s =
+            self.stamps.first().copied().flatten().map(|(_, begin_s)| begin_s).filter(|_| !time_s.is_empty());
+        let mut recording = Recording { rate_hz, missing: self.missing, time_s, begins_s, ..Recording::default() };
         for (channel, values) in channels.iter().zip(self.columns) {
             let there = values.iter().filter(|value| value.is_finite()).count();
             if *channel == Channel::Temperature {

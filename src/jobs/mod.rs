@@ -47,7 +47,7 @@ mod worker;
 pub use crate::store::JobKind;
 pub use apart::{JOB_MEMORY_BYTES, JOB_PROCESSOR_S, answer};
 pub use cost::{EFFECTS_MAX, add_cost, check_size, rest, resting, temperatures};
-pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator, read_diagnosis};
+pub use diagnosis::{DiagnosisDocument, DiagnosisParameters, Simulator, read_diagnosis, read_reference};
 pub use diagnosis_request::{DiagnosisBody, ReferenceMotion, SIM_BYTES_MAX, answer_diagnosis_body};
 pub use document::Documents;
 pub use error::JobError;

@@ -35,6 +35,14 @@ pub trait SampleSource {
     /// [`StoreError::NoSuchCapture`], or the error that the database reports.
     fn stamps(&self, capture_id: i64, from_seq: u64, limit: usize) -> Result<Vec<Option<(u32, f64)>>, StoreError>;
 
+    /// Returns the time on the recording's own clock from which its stamps count, s, if it is known.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSuchCapture`], or the error that the database reports.
+    fn first_stamp_s(&self, _capture_id: i64) -> Result<Option<f64>, StoreError> {
+        Ok(None)
+    }
+
     /// Returns the extent of the samples below `end_seq`, for a report.
     ///
     /// # Errors
@@ -76,6 +84,9 @@ impl SampleSource for Reader {
         };
         let stamps: Vec<Option<(u32, f64)>> = chunk.segment.iter().zip(device_ns).map(stamp).collect();
         Ok(if stamps.iter().any(Option::is_some) { stamps } else { Vec::new() })
+    }
+    fn first_stamp_s(&self, capture_id: i64) -> Result<Option<f64>, StoreError> {
+        Ok(self.capture(capture_id)?.configuration.first_stamp_s())
     }
     fn extent(&self, capture_id: i64, end_seq: u64) -> Result<Extent, StoreError> {
         Extent::read(self, capture_id, end_seq)

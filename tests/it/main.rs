@@ -19,6 +19,7 @@ mod night;
 mod odd_diagnoses;
 mod pages;
 mod plots;
+mod poses;
 mod real_recordings;
 mod recordings;
 mod replay;

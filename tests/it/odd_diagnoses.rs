@@ -5,7 +5,7 @@
 //! `VN100D_ODD_FROM=500` skips the cases before. The records are short, because a diagnosis of a long one takes
 //! minutes.
 
-use imu_diagnosis::{Options, Recording, Reference};
+use imu_diagnosis::{Known, Options, Recording, Reference};
 use imu_model::simulator::{Motion, SensorModel};
 use imu_trial::{Case, Recipe, Wanted, motion, plan};
 use rand::{RngExt as _, SeedableRng as _};
@@ -226,7 +226,7 @@ fn diagnose_case(seed: u64, number: usize, plans: &Plans) -> (String, bool) {
     let changes = done.join(", ");
     let reference = match rows.map(Reference::new) {
         Some(Err(error)) => return (format!("{changes}: {error}"), false),
-        reference => reference.and_then(Result::ok),
+        reference => reference.and_then(Result::ok).map(Known::Motion),
     };
     let options = Options { real: "odd", sim: "model", ..Options::default() };
     if std::env::var("VN100D_ODD_TOLD").is_ok() {

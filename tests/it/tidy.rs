@@ -18,7 +18,18 @@ const MAY_USE: [(&str, &[&str]); 16] = [
     ("gallery", &["process", "store", "jobs", "page", "plot", "imu_files", "imu_noise", "imu_core"]),
     (
         "jobs",
-        &["process", "store", "imu_cost", "imu_diagnosis", "imu_model", "imu_noise", "imu_core", "clock", "observe"],
+        &[
+            "process",
+            "store",
+            "imu_cost",
+            "imu_diagnosis",
+            "imu_model",
+            "imu_pose",
+            "imu_noise",
+            "imu_core",
+            "clock",
+            "observe",
+        ],
     ),
     ("notify", &["observe", "imu_core", "clock"]),
     ("retention", &["imu_core"]),
@@ -45,10 +56,11 @@ const MAY_USE: [(&str, &[&str]); 16] = [
 /// Modules that may use all others.
 const ALL: [&str; 4] = ["daemon", "cli", "lib", "main"];
 /// The crates beside the root package.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 11] = [
     "imu_core",
     "imu_noise",
     "imu_model",
+    "imu_pose",
     "imu_diagnosis",
     "imu_cost",
     "imu_files",
@@ -74,10 +86,11 @@ const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-diagnosis", &["crate::model_fit"]),
 ];
 /// Modules and crates that take bytes, numbers, time and randomness as arguments.
-const PURE: [&str; 12] = [
+const PURE: [&str; 13] = [
     "imu-core",
     "imu-noise",
     "imu-model",
+    "imu-pose",
     "imu-diagnosis",
     "imu-cost",
     "imu-trial",

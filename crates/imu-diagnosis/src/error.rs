@@ -89,6 +89,9 @@ pub enum DiagnosisError {
         /// The duration of the recording.
         record_s: f64,
     },
+    /// The recording cannot be compared with poses or rates.
+    #[error(transparent)]
+    Pose(#[from] imu_pose::PoseError),
     /// A triad's response cannot be fitted.
     #[error("the answer to the motion cannot be fitted: {0}")]
     Response(#[from] super::response::ResponseError),

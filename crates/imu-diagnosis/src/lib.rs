@@ -124,7 +124,7 @@ use imu_model::effects::{CHANNEL, EffectKind};
 pub use diagnose::{Options, Outcome, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
-pub use motion::{Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved};
+pub use motion::{Known, Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved, diagnose_posed};
 pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
 pub use remainder::MATERIAL;

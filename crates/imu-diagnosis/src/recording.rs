@@ -17,6 +17,8 @@ pub struct Recording {
     pub temperature_c: Option<Vec<f64>>,
     /// Stamps, s, one per present sample or per place; empty if none were taken.
     pub time_s: Vec<f64>,
+    /// The first stamp on the recording's own clock, s, if it is known.
+    pub begins_s: Option<f64>,
     /// The values that the sensor sent, if the channels' values are the remainder beyond a response to a motion. Only
     /// the sent values show steps of rounding and samples sent again; limits belong to the response.
     pub sent: Vec<(Channel, Vec<f64>)>,
@@ -68,6 +70,7 @@ impl Recording {
             missing: self.missing.get(within.clone()).unwrap_or_default().to_vec(),
             temperature_c: self.temperature_c.as_deref().map(cut),
             time_s: self.time_s.get(stamps).unwrap_or_default().to_vec(),
+            begins_s: self.begins_s,
             sent: all(&self.sent),
             sampling: self.sampling.clone(),
         }

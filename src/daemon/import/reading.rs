@@ -4,7 +4,7 @@
 use super::ImportError;
 use crate::control::{ConversionReport, ImportReport, ImportRequest, RejectedReport};
 use crate::jobs;
-use imu_core::sample::{CaptureConfiguration, Channel, Record, StatedSampling};
+use imu_core::sample::{CaptureConfiguration, Channel, Record, StatedSampling, Timebase};
 use imu_files::recording::{
     ColumnMap, Conversion, Findings, Input, KeepOn, Kind, MessageDefinition, Options, Recording, RecordingAccountant,
     RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular, recording_files, unmerged_log,
@@ -258,6 +258,9 @@ struct ImportedRecording<'a> {
     #[serde(flatten)]
     statements: &'a Statements,
     stamps: Stamps,
+    /// The first stamp on the recording's own clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    first_stamp_s: Option<f64>,
     rate_hz: f64,
     ignored_columns: &'a [String],
     conversions: &'a [Conversion],
@@ -283,6 +286,7 @@ fn configuration(info: &RecordingInfo, statements: &Statements) -> CaptureConfig
         kind: info.kind,
         statements,
         stamps: info.stamps,
+        first_stamp_s: (info.timebase() == Timebase::Stamps).then_some(1e-9 * info.first_stamp_ns as f64),
         rate_hz: info.rate_hz,
         ignored_columns: &info.ignored_columns,
         conversions: &info.conversions,

@@ -171,6 +171,10 @@ impl CaptureConfiguration {
     pub fn recording_kind(&self) -> Option<&str> {
         self.0["kind"].as_str()
     }
+    /// Returns the first stamp of an imported recording on its own clock, s.
+    pub fn first_stamp_s(&self) -> Option<f64> {
+        self.0["first_stamp_s"].as_f64()
+    }
     /// Returns remarks for the user about an imported recording, one sentence each.
     pub fn remarks(&self) -> impl Iterator<Item = &str> {
         self.0["remarks"].as_array().into_iter().flatten().filter_map(Value::as_str)

@@ -25,6 +25,7 @@ mod groups;
 mod lateness;
 mod noise;
 mod places;
+mod posed;
 mod poses;
 mod quasi_static;
 mod reference;
@@ -38,7 +39,8 @@ mod settle;
 mod together;
 mod tumble;
 
-pub use reference::{Reference, ReferenceError};
+pub use posed::diagnose_posed;
+pub use reference::{Known, Reference, ReferenceError};
 pub use residuals::Residuals;
 pub use tumble::diagnose_tumble;
 
@@ -65,12 +67,13 @@ pub(super) const FOLDS: usize = 8;
 /// [`DiagnosisError`] if the inputs cannot be compared, or if the diagnosis was cancelled.
 pub fn diagnose_any(
     real: &Recording,
-    reference: Option<&Reference>,
+    reference: Option<&Known>,
     sim: &SensorModel,
     options: &Options<'_>,
 ) -> Result<Outcome, DiagnosisError> {
     let mut outcome = match reference {
-        Some(reference) => diagnose_moved(real, reference, sim, options),
+        Some(Known::Motion(reference)) => diagnose_moved(real, reference, sim, options),
+        Some(Known::External(reference)) => diagnose_posed(real, reference, sim, options),
         None => diagnose_tumble(real, sim, options).unwrap_or_else(|| super::diagnose::diagnose(real, sim, options)),
     }?;
     outcome.diagnosis.notes.extend(field::disturbed(real).iter().map(field::Disturbed::sentence));

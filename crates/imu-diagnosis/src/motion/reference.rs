@@ -50,6 +50,15 @@ pub enum ReferenceError {
     },
 }
 
+/// What is known of the sensor's motion.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Known {
+    /// Rates and specific forces in the sensor's axes, without noise.
+    Motion(Reference),
+    /// Poses, or rates about one axis, as an instrument measured them.
+    External(imu_pose::External),
+}
+
 /// Minimum number of rows.
 const LEAST: usize = 64;
 /// A step of this many periods is a gap: a cubic between its ends would be a guess.

@@ -255,7 +255,7 @@ fn of_poses(poses: &Poses<'_>, sim: &SensorModel) -> Vec<Driven> {
 }
 
 /// Returns the coefficients of an effect that a model's triad has already.
-fn known(sim: &SensorModel, triad: Triad, effect: EffectKind, names: [&str; 3]) -> Axes {
+pub(super) fn known(sim: &SensorModel, triad: Triad, effect: EffectKind, names: [&str; 3]) -> Axes {
     let own = sim.triads.get(&triad).and_then(|of| of.effects.iter().find(|own| own.kind() == effect));
     names.map(|name| own.and_then(|own| own.number(name)).unwrap_or(0.0))
 }

@@ -114,7 +114,7 @@ pub struct RecordingInfo {
     /// The first rejected lines, at most [`super::REJECTED_KEPT`].
     pub first_rejected: Vec<Rejected>,
     /// First stamp in ns from the file's own origin; 0 without stamps.
-    pub(super) first_stamp_ns: i64,
+    pub first_stamp_ns: i64,
 }
 
 impl RecordingInfo {

@@ -1,0 +1,262 @@
+//! Calibration: what poses or rates show of a sensor, one stage after the other.
+
+use crate::accel;
+use crate::error::PoseError;
+use crate::fit::{Solution, weight};
+use crate::frames::{Frames, frames};
+use crate::gyro;
+use crate::rate;
+use crate::reference::{Poses, Rates};
+use crate::rough::{matrix, rough};
+use crate::track::Track;
+use crate::triad::{Estimate, OFF, TriadFit, plain, triad, vector};
+use imu_core::units::STANDARD_GRAVITY_M_S2;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use serde::Serialize;
+
+/// The other reading of a quaternion is taken if it leaves less than this part of the residuals.
+const CLEARLY_LESS: f64 = 0.5;
+/// Widest interval of a bias that counts as determined: of a rate, rad/s, and of a specific force, m/s².
+const WIDEST_RATE_BIAS: f64 = 0.02;
+const WIDEST_FORCE_BIAS: f64 = 0.3;
+/// A reference with at least this part of its windows far off is refused.
+const OFF_MOST: f64 = 0.03;
+/// An offset below this is a delay on one clock, s.
+pub(crate) const SAME_CLOCK_S: f64 = 0.1;
+/// Length of the windows in which the direction of gravity is compared, s.
+const GRAVITY_WINDOW_S: f64 = 0.5;
+
+/// A stretch of time in which sensor and reference contradict each other.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Stretch {
+    /// The beginning on the reference's clock, s.
+    pub from_s: f64,
+    /// The end, s.
+    pub to_s: f64,
+}
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Calibration {
+    /// The gyroscope. Against a rate, only the numbers of its axis are determined.
+    pub gyro: TriadFit,
+    /// The accelerometer, if there is one and positions are known.
+    pub accel: Option<TriadFit>,
+    /// Axes, sign and unit of an accelerometer without positions, from the direction of gravity.
+    pub accel_frames: Option<Frames>,
+    /// From the accelerometer to the point whose positions are known, m.
+    pub arm_m: Option<[Estimate; 3]>,
+    /// Whether the quaternions turn the world's axes to the body's, unlike what is expected.
+    pub inverse_quaternions: bool,
+    /// Whether z of the world points down.
+    pub world_down: bool,
+    /// Where gyroscope and reference contradict each other.
+    pub off: Vec<Stretch>,
+}
+
+/// Compares a sensor with poses.
+///
+/// # Errors
+/// [`PoseError`] if they have too little in common, or the reference turns too little.
+///
+/// # Validation
+/// `tests.rs`: simulated motions with noise of the poses give the numbers back within their intervals. BROAD, RepoIMU in
+/// docs/motion-diagnosis.md.
+pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseError> {
+    checked(track, poses.time_s.len(), 3)?;
+    let inverted = Poses { attitude: poses.attitude.iter().map(UnitQuaternion::inverse).collect(), ..poses.clone() };
+    let (first, second) = (fitted(track, poses), fitted(track, &inverted));
+    let rms =
+        |of: &Result<(Solution, f64), PoseError>| of.as_ref().map_or(f64::INFINITY, |(solution, _)| solution.rms());
+    let inverse_quaternions = rms(&second) < CLEARLY_LESS * rms(&first);
+    let (poses, found) = if inverse_quaternions { (&inverted, second) } else { (poses, first) };
+    let (solution, turned_deg) = found?;
+    let none = || PoseError::Still { found_deg: turned_deg, least_deg: 20.0 };
+    let mut gyro = triad(&solution, gyro::LAG, true, WIDEST_RATE_BIAS).ok_or_else(none)?;
+    gyro.gap = solution.gap(&gyro::windows(track, poses, &plain(&solution, &gyro, gyro::LAG, one_clock(&gyro))));
+    refused(&gyro, &solution)?;
+    let mut found = Calibration {
+        off: stretches(&solution),
+        gyro,
+        accel: None,
+        accel_frames: None,
+        arm_m: None,
+        inverse_quaternions,
+        world_down: false,
+    };
+    if track.accel.len() == track.time_s.len() {
+        accelerometer(&mut found, track, poses);
+    }
+    Ok(found)
+}
+
+/// Returns the offset of both clocks that is no delay of the sensor: none if the sensor is late by less than [`SAME_CLOCK_S`].
+fn one_clock(gyro: &TriadFit) -> f64 {
+    if gyro.later_s.value.abs() < SAME_CLOCK_S { 0.0 } else { gyro.later_s.value }
+}
+
+fn checked(track: &Track, poses: usize, least: usize) -> Result<(), PoseError> {
+    if track.gyro.len() != track.time_s.len() || track.time_s.len() < least {
+        return Err(PoseError::Channel { channel: "gyroscope of three axes".to_owned() });
+    }
+    if poses < least {
+        return Err(PoseError::Overlap { found_s: 0.0, least_s: 5.0 });
+    }
+    Ok(())
+}
+
+fn fitted(track: &Track, poses: &Poses) -> Result<(Solution, f64), PoseError> {
+    let rough = rough(track, poses)?;
+    let solution = gyro::fit(track, poses, &rough).ok_or(PoseError::Overlap { found_s: 0.0, least_s: 5.0 })?;
+    Ok((solution, rough.turning.norm().to_degrees()))
+}
+
+fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
+    let lag_s = found.gyro.later_s.value;
+    let Some(rough) = by_gravity(track, poses, lag_s, &found.gyro) else { return };
+    if poses.position_m.is_empty() {
+        let of = rough.svd(true, true);
+        if let (Some(left), Some(right)) = (of.u, of.v_t) {
+            found.accel_frames = Some(frames(&(left * right), of.singular_values.mean(), false));
+        }
+        return;
+    }
+    let up = accel::fit(track, poses, &rough, lag_s, 1.0);
+    let down = accel::fit(track, poses, &-rough, lag_s, -1.0);
+    let rms = |of: &Option<Solution>| of.as_ref().map_or(f64::INFINITY, Solution::rms);
+    found.world_down = rms(&down) < CLEARLY_LESS * rms(&up);
+    let Some(solution) = (if found.world_down { down } else { up }) else { return };
+    found.accel = triad(&solution, accel::LAG, false, WIDEST_FORCE_BIAS).map(|mut of| {
+        // The delay of the gyroscope against the reference's clock is that of both clocks if they are two.
+        let lag_s = one_clock(&found.gyro);
+        of.gap = solution.gap(&accel::windows(track, poses, &plain(&solution, &of, accel::LAG, lag_s)));
+        of
+    });
+    found.arm_m =
+        Some(std::array::from_fn(|axis| Estimate::of(&solution, &|numbers| vector(numbers, accel::ARM)[axis])));
+    found.accel_frames = found.accel.as_ref().map(|of| of.frames.clone());
+}
+
+/// Returns the accelerometer's matrix by the direction of gravity in the body's axes.
+fn by_gravity(track: &Track, poses: &Poses, lag_s: f64, gyro: &TriadFit) -> Option<Matrix3<f64>> {
+    let (first, last) = (*poses.time_s.first()?, *poses.time_s.last()?);
+    let [longest_pose_s, longest_s] = [poses.longest_step_s(), track.longest_step_s()];
+    let mut near = 0;
+    let mut pairs = Vec::new();
+    for place in 0..((last - first) / GRAVITY_WINDOW_S) as usize {
+        let from_s = first + place as f64 * GRAVITY_WINDOW_S;
+        let Some(parts) = track.parts(&track.accel, from_s + lag_s, from_s + GRAVITY_WINDOW_S + lag_s, longest_s)
+        else {
+            continue;
+        };
+        let (mut up, mut force, mut all) = (Vector3::zeros(), Vector3::zeros(), 0.0);
+        for part in parts.iter().step_by(4) {
+            let Some(attitude) = poses.at(part.middle_s - lag_s, &mut near, longest_pose_s) else { continue };
+            up += attitude.inverse() * Vector3::z() * STANDARD_GRAVITY_M_S2;
+            force += part.value;
+            all += 1.0;
+        }
+        if all > 0.0 {
+            pairs.push((up / all, force / all));
+        }
+    }
+    if pairs.is_empty() {
+        return None;
+    }
+    let (found, spread) = matrix(&pairs);
+    // Close to one direction, the axes are the gyroscope's, and the unit is that of gravity.
+    if spread.norm() > 0.2 * STANDARD_GRAVITY_M_S2 {
+        return Some(found);
+    }
+    let mean = pairs.iter().map(|(_, force)| force.norm()).sum::<f64>() / pairs.len() as f64;
+    Some(gyro.frames.matrix() * (mean / STANDARD_GRAVITY_M_S2))
+}
+
+/// Refuses a reference that contradicts the sensor in too many windows.
+fn refused(gyro: &TriadFit, solution: &Solution) -> Result<(), PoseError> {
+    if gyro.off < OFF_MOST {
+        return Ok(());
+    }
+    let all = stretches(solution);
+    let named: Vec<String> = all.iter().take(8).map(|of| format!("{:.1} to {:.1} s", of.from_s, of.to_s)).collect();
+    let more = all.len().saturating_sub(named.len());
+    let more = if more > 0 { format!(" and in {more} more stretches") } else { String::new() };
+    Err(PoseError::Bad { percent: 100.0 * gyro.off, stretches: named.join(", ") + &more })
+}
+
+/// Returns the stretches in which windows are far off.
+fn stretches(solution: &Solution) -> Vec<Stretch> {
+    let mut found: Vec<Stretch> = Vec::new();
+    for window in solution.windows.iter().filter(|window| weight(window, &solution.scales).1 > OFF) {
+        let (from_s, to_s) = (window.middle_s - 0.25, window.middle_s + 0.25);
+        match found.last_mut() {
+            Some(last) if from_s - last.to_s < 1.0 => last.to_s = to_s,
+            _ => found.push(Stretch { from_s, to_s }),
+        }
+    }
+    found
+}
+
+/// Compares a gyroscope with rates about one of its axes. Delay and lag of the reference itself are in `later_s`.
+///
+/// # Errors
+/// [`PoseError`] as [`against_poses`].
+///
+/// # Validation
+/// `tests.rs`: a gyroscope on a motor with its encoder (asen3801 of the real recordings).
+pub fn against_rates(track: &Track, rates: &Rates) -> Result<Calibration, PoseError> {
+    checked(track, rates.time_s.len(), 3)?;
+    let axis = Vector3::ith(rates.axis, 1.0);
+    let mut angle = 0.0;
+    let mut attitude = vec![UnitQuaternion::identity()];
+    for (pair, steps) in rates.rate_rad_s.windows(2).zip(rates.time_s.windows(2)) {
+        angle += 0.5 * (pair[0] + pair[1]) * (steps[1] - steps[0]);
+        attitude.push(UnitQuaternion::from_scaled_axis(axis * angle));
+    }
+    let poses = Poses { time_s: rates.time_s.clone(), attitude, position_m: Vec::new() };
+    let rough = rough(track, &poses)?;
+    let factor = 1.0 / rough.matrix[(rates.axis, rates.axis)];
+    let solution =
+        rate::fit(track, rates, factor, rough.lag_s).ok_or(PoseError::Overlap { found_s: 0.0, least_s: 5.0 })?;
+    let matrix =
+        |factor: f64| Matrix3::from_diagonal(&Vector3::from_fn(|at, _| if at == rates.axis { factor } else { 1.0 }));
+    let ratio = 1.0 / solution.numbers[0];
+    let frames = frames(&matrix(ratio.signum()), ratio.abs(), true);
+    let unit = frames.factor * ratio.signum();
+    let mut none = [None; 3];
+    let mut one = |what: &dyn Fn(&nalgebra::DVector<f64>) -> f64| {
+        none = [None; 3];
+        none[rates.axis] = Some(Estimate::of(&solution, what));
+        none
+    };
+    let scale = one(&|numbers| 1.0 / numbers[0] / unit - 1.0);
+    let bias = one(&|numbers| -numbers[1] / numbers[0]);
+    let off = solution.windows.iter().filter(|window| weight(window, &solution.scales).1 > OFF).count();
+    let later_s = Estimate::of(&solution, &|numbers| numbers[rate::LAG]);
+    let mut plain = solution.numbers.clone();
+    (plain[0], plain[1]) = (1.0 / unit, 0.0);
+    let gap = solution.gap(&rate::windows(track, rates, &plain));
+    let gyro = TriadFit {
+        turned_deg: [None; 3],
+        scale,
+        cross: [None; 3],
+        bias,
+        is_timed: later_s.half() < 0.02,
+        later_s,
+        gap,
+        rms: solution.rms(),
+        windows: solution.windows.len(),
+        off: off as f64 / solution.windows.len() as f64,
+        frames,
+    };
+    refused(&gyro, &solution)?;
+    Ok(Calibration {
+        off: stretches(&solution),
+        gyro,
+        accel: None,
+        accel_frames: None,
+        arm_m: None,
+        inverse_quaternions: false,
+        world_down: false,
+    })
+}

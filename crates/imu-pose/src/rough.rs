@@ -1,0 +1,184 @@
+//! Rough: the offset of both clocks and the gyroscope's matrix to some percent, before anything small is fitted.
+
+use crate::error::PoseError;
+use crate::reference::Poses;
+use crate::track::Track;
+use nalgebra::{Matrix3, Vector3};
+
+/// The grid on which turning is compared, s.
+const GRID_S: f64 = 0.05;
+/// Common time that is needed, s.
+const LEAST_S: f64 = 5.0;
+/// The turning that is needed, °.
+const LEAST_DEG: f64 = 20.0;
+/// The correlation of both magnitudes that is needed.
+const LEAST_CORRELATION: f64 = 0.5;
+/// A smaller offset is taken if its correlation is worse than the best by at most this: a steady swing repeats itself.
+const AS_GOOD: f64 = 0.02;
+/// A direction is known if the error of its column is at most this part of the strongest column.
+const CERTAIN: f64 = 0.1;
+/// Places of the grid whose residuals go together.
+const TOGETHER: f64 = 20.0;
+
+pub(crate) struct Rough {
+    /// What a stamp of the track is later than the reference's time of the same instant, s.
+    pub(crate) lag_s: f64,
+    /// The sensor's rates are this matrix times the body's.
+    pub(crate) matrix: Matrix3<f64>,
+    /// The spread of the body's rate about each axis, rad/s.
+    pub(crate) turning: Vector3<f64>,
+}
+
+/// A value at each place of a grid; `None` if a window has a gap.
+struct Grid {
+    begins_s: f64,
+    values: Vec<Option<Vector3<f64>>>,
+}
+
+fn body(poses: &Poses) -> Grid {
+    let (first, last) = (poses.time_s[0], poses.time_s[poses.time_s.len() - 1]);
+    let longest_s = poses.longest_step_s();
+    let count = ((last - first) / GRID_S) as usize;
+    let mut near = 0;
+    let mut attitudes = Vec::with_capacity(count + 1);
+    for place in 0..=count {
+        attitudes.push(poses.at(first + place as f64 * GRID_S, &mut near, longest_s));
+    }
+    let rate =
+        |pair: &[Option<nalgebra::UnitQuaternion<f64>>]| Some((pair[0]?.inverse() * pair[1]?).scaled_axis() / GRID_S);
+    Grid { begins_s: first + 0.5 * GRID_S, values: attitudes.windows(2).map(rate).collect() }
+}
+
+fn sensor(track: &Track) -> Grid {
+    let first = track.time_s[0];
+    let longest_s = track.longest_step_s().max(GRID_S);
+    let count = ((track.time_s[track.time_s.len() - 1] - first) / GRID_S) as usize;
+    let mean = |place: usize| {
+        let from_s = first + place as f64 * GRID_S;
+        let parts = track.parts(&track.gyro, from_s, from_s + GRID_S, longest_s)?;
+        let all: f64 = parts.iter().map(|part| part.seconds).sum();
+        Some(parts.iter().map(|part| part.value * part.seconds).sum::<Vector3<f64>>() / all)
+    };
+    Grid { begins_s: first + 0.5 * GRID_S, values: (0..count).map(mean).collect() }
+}
+
+/// Returns the correlation of both magnitudes with the sensor's grid moved by `shift` places, and the number of common places.
+fn correlation(body: &[Option<f64>], sensor: &[Option<f64>], shift: i64) -> (f64, usize) {
+    let (mut count, mut sums) = (0_usize, [0.0; 5]);
+    let from = (-shift).max(0);
+    let until = (body.len() as i64).min(sensor.len() as i64 - shift);
+    for place in from..until {
+        let (Some(one), Some(other)) = (body[place as usize], sensor[(place + shift) as usize]) else { continue };
+        count += 1;
+        for (sum, value) in sums.iter_mut().zip([one, other, one * one, other * other, one * other]) {
+            *sum += value;
+        }
+    }
+    let of = count as f64;
+    let [one, other, ones, others, both] = sums.map(|sum| sum / of);
+    let spread = ((ones - one * one) * (others - other * other)).sqrt();
+    (if spread > 0.0 { (both - one * other) / spread } else { 0.0 }, count)
+}
+
+/// Matches clocks and axes.
+///
+/// # Errors
+/// [`PoseError`] if they have too little in common, if nothing turns, or if their turning is not alike.
+pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
+    let (body, sensor) = (body(poses), sensor(track));
+    let turned = body.values.iter().flatten().map(|rate| rate.norm() * GRID_S).sum::<f64>().to_degrees();
+    if turned < LEAST_DEG {
+        return Err(PoseError::Still { found_deg: turned, least_deg: LEAST_DEG });
+    }
+    let norms = |of: &Grid| of.values.iter().map(|value| value.map(|rate| rate.norm())).collect::<Vec<_>>();
+    let (ours, theirs) = (norms(&body), norms(&sensor));
+    let shorter = ours.len().min(theirs.len());
+    let least = ((LEAST_S / GRID_S) as usize).max(shorter / 3);
+    if shorter < (LEAST_S / GRID_S) as usize {
+        return Err(PoseError::Overlap { found_s: shorter as f64 * GRID_S, least_s: LEAST_S });
+    }
+    let lag_of = |shift: i64| sensor.begins_s - body.begins_s + shift as f64 * GRID_S;
+    let mut found: Vec<(i64, f64)> = Vec::new();
+    for shift in -(ours.len() as i64)..theirs.len() as i64 {
+        let (value, count) = correlation(&ours, &theirs, shift);
+        if count >= least {
+            found.push((shift, value));
+        }
+    }
+    let best = found.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
+    if best < LEAST_CORRELATION {
+        return Err(PoseError::Unlike { best, least: LEAST_CORRELATION });
+    }
+    let near = found.iter().filter(|(_, value)| *value >= best - AS_GOOD);
+    let closest = near.min_by(|one, other| lag_of(one.0).abs().total_cmp(&lag_of(other.0).abs()));
+    // The best place about the chosen one.
+    let mut shift = closest.map_or(0, |(shift, _)| *shift);
+    let at = |shift: i64| correlation(&ours, &theirs, shift).0;
+    while at(shift + 1) > at(shift) {
+        shift += 1;
+    }
+    while at(shift - 1) > at(shift) {
+        shift -= 1;
+    }
+    let (before, here, after) = (at(shift - 1), at(shift), at(shift + 1));
+    let bend = before - 2.0 * here + after;
+    let part = if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    let pairs = (0..body.values.len()).filter_map(|place| {
+        let at = usize::try_from(place as i64 + shift).ok()?;
+        Some((body.values[place]?, (*sensor.values.get(at)?)?))
+    });
+    let (matrix, turning) = matrix(&pairs.collect::<Vec<_>>());
+    Ok(Rough { lag_s: lag_of(shift) + part * GRID_S, matrix, turning })
+}
+
+/// Returns the matrix between both rates less their means, and the spread of the body's. Directions about which the body hardly
+/// turns are completed to the nearest rotation.
+pub(crate) fn matrix(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> (Matrix3<f64>, Vector3<f64>) {
+    let count = pairs.len().max(1) as f64;
+    let mean = pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+    let mean = (mean.0 / count, mean.1 / count);
+    let (mut both, mut own) = (Matrix3::zeros(), Matrix3::zeros());
+    for (body, sensor) in pairs {
+        let (body, sensor) = (body - mean.0, sensor - mean.1);
+        both += sensor * body.transpose() / count;
+        own += body * body.transpose() / count;
+    }
+    let turning = own.diagonal().map(f64::sqrt);
+    // What is left of the rates is noise of the attitudes, and vibration: a direction whose part of it is uncertain is unknown.
+    let spread = own.symmetric_eigen();
+    let strongest = spread.eigenvalues.imax();
+    let direction = |at: usize| spread.eigenvectors.column(at).into_owned();
+    let along = |at: usize| both * direction(at) / spread.eigenvalues[at].max(f64::MIN_POSITIVE);
+    let scale = along(strongest).norm();
+    let left = pairs.iter().map(|(body, sensor)| {
+        let explained: Vector3<f64> =
+            (0..3).map(|at| along(at) * direction(at).dot(&(body - mean.0))).sum::<Vector3<f64>>();
+        (sensor - mean.1 - explained).norm_squared()
+    });
+    let left = (left.sum::<f64>() / count).sqrt();
+    let error = |at: usize| left / (spread.eigenvalues[at] * (count / TOGETHER).max(1.0)).sqrt();
+    let known: Vec<usize> = (0..3).filter(|at| *at == strongest || error(*at) < CERTAIN * scale).collect();
+    let inverse: Matrix3<f64> =
+        known.iter().map(|at| direction(*at) * direction(*at).transpose() / spread.eigenvalues[*at]).sum();
+    let found = both * inverse;
+    if known.len() == 3 {
+        return (found, turning);
+    }
+    if known.len() == 1 {
+        // How the sensor is turned about this direction does not show: it is taken to be turned as little as possible.
+        let turn = nalgebra::Rotation3::rotation_between(&direction(strongest), &along(strongest));
+        return (turn.map_or(-Matrix3::identity(), nalgebra::Rotation3::into_inner) * scale, turning);
+    }
+    let of = found.svd(true, true);
+    let (Some(left), Some(right)) = (of.u, of.v_t) else { return (found, turning) };
+    let scale = of.singular_values.max();
+    let mut rotation = left * right;
+    if rotation.determinant() < 0.0 {
+        // The singular value that is least belongs to what is not known.
+        let least = of.singular_values.imin();
+        let mut turned = left;
+        turned.column_mut(least).neg_mut();
+        rotation = turned * right;
+    }
+    (rotation * scale, turning)
+}
