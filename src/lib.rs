@@ -19,6 +19,7 @@ pub mod observe;
 pub mod page;
 pub mod plot;
 pub mod process;
+pub mod pty;
 
 pub mod api;
 pub mod capture;

@@ -12,13 +12,11 @@ use super::sensor::{TICK_NS, VirtualSensor};
 use super::source::{Source, Stream};
 use super::uart;
 use crate::clock::{Clock, ScaledClock};
+use crate::pty::{self, Pair};
 use imu_core::sample::Channel;
 use imu_model::simulator::SimulatorError;
 use rustix::event::{PollFd, PollFlags};
-use rustix::fs::OFlags;
 use rustix::io::Errno;
-use rustix::pty::OpenptFlags;
-use rustix::termios::OptionalActions;
 use std::fmt::Write as _;
 use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
@@ -95,17 +93,12 @@ pub struct TerminalOptions {
     pub live_faults: Option<mpsc::Receiver<Result<Fault, FaultError>>>,
 }
 
-/// The two ends of a pseudo-terminal.
-struct Pair {
-    master: OwnedFd,
-    /// Kept open: otherwise every reader that closes would end the line. Also shows the baud rate that the host set.
-    slave: OwnedFd,
-    path: PathBuf,
-}
-
 /// A pseudo-terminal with a sensor behind it.
 pub struct Terminal {
     /// `None` while it is unplugged.
+    ///
+    /// Its slave is kept open: otherwise every reader that closes would end the line. It also shows the baud rate that
+    /// the host set.
     pair: Option<Pair>,
     /// The terminal with which it returns, and the tick. It exists before the old one is closed, so that its name
     /// differs.
@@ -133,7 +126,7 @@ impl Terminal {
     /// # Errors
     /// [`EmulatorError`].
     pub fn open(options: TerminalOptions) -> Result<Self, EmulatorError> {
-        let pair = open_pair().map_err(failed)?;
+        let pair = pty::open().map_err(failed)?;
         let log = match &options.log {
             None => None,
             Some(path) => Some(
@@ -165,7 +158,7 @@ impl Terminal {
 
     fn link(&self) -> Result<(), EmulatorError> {
         let (Some(link), Some(pair)) = (&self.options.link, &self.pair) else { return Ok(()) };
-        make_link(&pair.path, link).map_err(|source| EmulatorError::Link { path: link.display().to_string(), source })
+        pty::link(&pair.path, link).map_err(|source| EmulatorError::Link { path: link.display().to_string(), source })
     }
 
     /// Runs until `stop` is set or the duration is over.
@@ -377,7 +370,7 @@ impl Terminal {
     fn gone(&mut self, back: u64) -> Result<(), EmulatorError> {
         let pair = match self.back.take() {
             Some((_, pair)) => pair,
-            None => open_pair().map_err(failed)?,
+            None => pty::open().map_err(failed)?,
         };
         self.back = Some((back, pair));
         self.held.drain(..).for_each(|piece| self.outbox.put(piece));
@@ -544,7 +537,7 @@ impl Drop for Terminal {
     fn drop(&mut self) {
         // A link that another emulator has replaced must not be removed.
         if let (Some(link), Some(pair)) = (&self.options.link, &self.pair)
-            && std::fs::read_link(link).is_ok_and(|target| target == pair.path)
+            && pty::is_link_to(link, &pair.path)
         {
             self.remove_link();
         }
@@ -555,28 +548,4 @@ impl Drop for Terminal {
 fn ascii_rate_hz(sensor: &VirtualSensor) -> f64 {
     let text = sensor.registers().read(ASYNC_RATE, None).unwrap_or_default();
     text.parse().ok().filter(|rate: &f64| *rate > 0.0).unwrap_or(40.0)
-}
-
-fn open_pair() -> Result<Pair, Errno> {
-    let master = rustix::pty::openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
-    rustix::pty::grantpt(&master)?;
-    rustix::pty::unlockpt(&master)?;
-    let name = rustix::pty::ptsname(&master, Vec::new())?;
-    let path = PathBuf::from(name.to_string_lossy().into_owned());
-    let slave = rustix::fs::open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, rustix::fs::Mode::empty())?;
-    // A new terminal echoes and edits lines; a serial sensor does neither.
-    let mut termios = rustix::termios::tcgetattr(&slave)?;
-    termios.make_raw();
-    rustix::termios::tcsetattr(&slave, OptionalActions::Now, &termios)?;
-    let flags = rustix::fs::fcntl_getfl(&master)?;
-    rustix::fs::fcntl_setfl(&master, flags | OFlags::NONBLOCK)?;
-    Ok(Pair { master, slave, path })
-}
-
-/// Replaces an absent file or an old link; never a real file.
-fn make_link(target: &Path, link: &Path) -> std::io::Result<()> {
-    if link.is_symlink() {
-        std::fs::remove_file(link)?;
-    }
-    std::os::unix::fs::symlink(target, link)
 }
