@@ -32,4 +32,5 @@ pub mod jobs;
 pub mod notify;
 pub mod retention;
 pub mod schedule;
+pub mod share;
 pub mod store;

@@ -72,6 +72,7 @@ fn an_instance_differs_in_its_configuration_and_its_data_alone() {
         [
             "Description=VN-100 capture and noise analysis, sensor %i",
             "ExecStart=/usr/bin/vn100d --config /etc/vn100d/%i.toml run",
+            "RuntimeDirectory=vn100d/%i",
             "StateDirectory=vn100d/%i",
         ]
     );

@@ -31,6 +31,8 @@ pub trait Sink: Send + Sync + 'static {
     /// Receives the counts of all received measurements by their state, before the counted records are put into the
     /// queue.
     fn tally(&self, _tally: Tally) {}
+    /// Receives the bytes of the port as they were read, before they are decoded.
+    fn bytes(&self, _bytes: &[u8]) {}
     /// Receives every measurement, whether a capture runs or not.
     fn seen(&self, _sample: &Sample) {}
     /// Receives the time by which the reader woke late.

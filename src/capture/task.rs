@@ -396,6 +396,7 @@ impl Shell {
 
     fn received(&mut self, bytes: &[u8]) {
         let (mono_ns, utc_ns) = (self.clock.mono_ns(), self.clock.utc_ns());
+        self.state.sink.bytes(bytes);
         self.recognised();
         let Self { session, decoder, state, actions, device_clock, unrecognised, .. } = self;
         session.handle(mono_ns, Input::Bytes(bytes.len()), actions);

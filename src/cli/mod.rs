@@ -383,6 +383,8 @@ fn kind_of(cause: &(dyn std::error::Error + 'static)) -> Option<Failure> {
             DaemonError::Disk => Some(Failure::InputOutput),
             DaemonError::Notify(_) | DaemonError::Reader(_) => Some(Failure::InputOutput),
             DaemonError::Listen { .. } => Some(Failure::InputOutput),
+            DaemonError::Share(error) if error.is_configuration() => Some(Failure::Configuration),
+            DaemonError::Share(_) => Some(Failure::InputOutput),
             DaemonError::Control(_) => Some(Failure::Other),
         };
     }

@@ -90,6 +90,21 @@ fn table(status: &Value) -> Table {
             row("", shown(&notify["error"]));
         }
     }
+    let share = &status["share"];
+    if !share.is_null() {
+        let [link, bytes, dropped] = ["link", "bytes", "dropped_bytes"].map(|name| shown(&share[name]));
+        if !share["link"].is_null() {
+            let reading = if share["reading"] == true { "read" } else { "not read" };
+            row("share", format!("{link}, {reading}, {bytes} bytes, {dropped} dropped"));
+        }
+        if !share["socket"].is_null() {
+            let [socket, clients, lost] = ["socket", "clients", "lost_lines"].map(|name| shown(&share[name]));
+            row("share", format!("{socket}, {clients} clients, {lost} samples lost by slow ones"));
+        }
+        if !share["error"].is_null() {
+            row("", shown(&share["error"]));
+        }
+    }
     let counts = ["running", "queued", "done", "failed"].map(|name| format!("{} {name}", shown(&jobs[name])));
     row("jobs", counts.join(", "));
     table

@@ -2,7 +2,7 @@
 //! whether a rate fits a baud rate.
 
 use super::sections::{Config, ScheduleConfig};
-use super::values::{Baud, Output};
+use super::values::{Baud, Device, Output};
 use imu_core::units::{IMU_RATE_HZ, format_duration};
 use std::time::Duration;
 
@@ -63,6 +63,7 @@ pub fn check(config: &Config) -> Result<(), Refusal> {
     within("storage.keep-mib", config.storage.keep_mib, KEEP_MIB, " MiB (0: without limit)")?;
     between("storage.delete-notice", config.storage.delete_notice, DELETE_NOTICE)?;
     check_notify(config)?;
+    check_share(config)?;
     check_token(config)?;
     check_level(config)
 }
@@ -175,6 +176,31 @@ fn check_notify(config: &Config) -> Result<(), Refusal> {
     between("notify.timeout", notify.timeout, TIMEOUT)?;
     within("notify.attempts", notify.attempts, ATTEMPTS, "")?;
     between("notify.retry-after", notify.retry_after, RETRY_AFTER)
+}
+
+/// The maximum length of a socket's path in bytes (`sun_path` of Linux, without its zero).
+const SOCKET_PATH_BYTES: usize = 107;
+
+fn check_share(config: &Config) -> Result<(), Refusal> {
+    let (link, socket) = (&config.share.link, &config.share.socket);
+    let refuse = |key: &'static str, path: &std::path::Path, allowed: String| {
+        Err(Refusal { key, found: path.display().to_string(), allowed })
+    };
+    for (key, path) in [("share.link", link), ("share.socket", socket)] {
+        if !path.as_os_str().is_empty() && path.file_name().is_none() {
+            return refuse(key, path, "expected a path that ends in a name, or \"\" for none".to_owned());
+        }
+    }
+    if matches!(&config.sensor.device, Device::Path(device) if device == link) {
+        return refuse("share.link", link, "this is `sensor.device`: choose another path for the copy".to_owned());
+    }
+    if !link.as_os_str().is_empty() && link == socket {
+        return refuse("share.socket", socket, "this is `share.link`: choose another path".to_owned());
+    }
+    if socket.as_os_str().len() > SOCKET_PATH_BYTES {
+        return refuse("share.socket", socket, format!("expected a path of at most {SOCKET_PATH_BYTES} bytes"));
+    }
+    Ok(())
 }
 
 fn check_token(config: &Config) -> Result<(), Refusal> {

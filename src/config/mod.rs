@@ -17,10 +17,11 @@ pub use check::{ASCII_RATES_HZ, BAUDS, Refusal, TOKEN_LENGTH_MIN, check};
 pub use error::{ConfigError, JOIN_GROUP, Place};
 pub use place::Environment;
 pub use sections::{
-    CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, ScheduleConfig, SensorConfig, StorageConfig,
+    CaptureConfig, Config, HttpConfig, LogConfig, NotifyConfig, ScheduleConfig, SensorConfig, ShareConfig,
+    StorageConfig,
 };
 pub use values::{
-    ASCII_TYPES, Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook,
+    ASCII_TYPES, Baud, BinaryFields, Day, Device, FileMode, LogFormat, NightLength, Output, StartTime, Token, Webhook,
 };
 
 use source::Source;

@@ -1,7 +1,9 @@
 //! The sections of the configuration with their defaults. `docs/config.md` and `systemd/vn100d.toml` describe every
 //! key; a test compares the latter with these defaults.
 
-use super::values::{Baud, BinaryFields, Day, Device, LogFormat, NightLength, Output, StartTime, Token, Webhook};
+use super::values::{
+    Baud, BinaryFields, Day, Device, FileMode, LogFormat, NightLength, Output, StartTime, Token, Webhook,
+};
 use crate::observe::NotifyEvent;
 use imu_core::units::{IMU_RATE_HZ, duration_text};
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,8 @@ pub struct Config {
     pub http: HttpConfig,
     /// `[notify]`
     pub notify: NotifyConfig,
+    /// `[share]`
+    pub share: ShareConfig,
     /// `[log]`
     pub log: LogConfig,
 }
@@ -198,6 +202,18 @@ impl Default for HttpConfig {
             token_file: PathBuf::new(),
         }
     }
+}
+
+/// Live data for other programs beside the recording.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "kebab-case")]
+pub struct ShareConfig {
+    /// The link to a terminal with a copy of the port's bytes; empty if there is none.
+    pub link: PathBuf,
+    /// The socket with the samples as JSON lines; empty if there is none.
+    pub socket: PathBuf,
+    /// The permissions of terminal and socket.
+    pub mode: FileMode,
 }
 
 /// The receivers and events of notifications.

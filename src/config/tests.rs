@@ -95,6 +95,26 @@ fn a_schedule_has_an_hour_and_may_have_a_length_a_name_and_days_of_its_own() {
 }
 
 #[test]
+fn what_is_shared_has_paths_of_its_own_and_permissions() {
+    let share = parse(Path::new("x.toml"), "[share]\nlink = \"/run/vn100d/tty\"\nmode = \"600\"").unwrap().share;
+    assert_eq!((share.link.to_str(), share.mode.bits()), (Some("/run/vn100d/tty"), 0o600));
+    assert_eq!(Config::default().share.mode.to_string(), "660");
+    for (text, expected) in [
+        ("[share]\nmode = \"777\"", "x.toml:2: `share.mode` is "),
+        ("[share]\nmode = \"066\"", "expected permissions such as \"600\""),
+        ("[share]\nlink = \"/\"", "x.toml:2: `share.link` is /: expected a path that ends in a name"),
+        (
+            "[sensor]\ndevice = \"/dev/vn100\"\n[share]\nlink = \"/dev/vn100\"",
+            "x.toml:4: `share.link` is /dev/vn100: this is `sensor.device`",
+        ),
+        ("[share]\nlink = \"/run/a\"\nsocket = \"/run/a\"", "x.toml:3: `share.socket` is /run/a: this is `share.link`"),
+    ] {
+        assert!(refused(text).contains(expected), "{}", refused(text));
+    }
+    assert!(refused(&format!("[share]\nsocket = \"/{}\"", "a".repeat(107))).contains("at most 107 bytes"));
+}
+
+#[test]
 fn a_capture_may_keep_what_the_sensor_sends() {
     let config = parse(Path::new("x.toml"), "[sensor]\noutput = \"keep\"").unwrap();
     assert_eq!(config.sensor.output, Output::Keep);
@@ -108,7 +128,7 @@ fn an_unknown_key_is_refused_with_file_line_and_what_is_allowed() {
     );
     assert_eq!(
         refused("output = \"keep\""),
-        "x.toml:1: there is no key `output`: allowed here are capture, http, log, notify, schedule, sensor, storage"
+        "x.toml:1: there is no key `output`: allowed here are capture, http, log, notify, schedule, sensor, share, storage"
     );
     assert!(refused("\n[sensors]\nbaud = 1").starts_with("x.toml:2: there is no key `sensors`"));
     assert!(refused("sensor.x.y = 1").starts_with("x.toml:1: there is no key `sensor.x`"));

@@ -200,6 +200,34 @@ impl fmt::Debug for Webhook {
     }
 }
 
+/// The permissions of a file, as `chmod` takes them; its owner may read and write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FileMode(u32);
+
+impl FileMode {
+    /// Returns the permissions as bits.
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    fn parse(text: &str) -> Result<Self, String> {
+        let mode = u32::from_str_radix(text.trim(), 8).ok().filter(|mode| mode & !0o666 == 0 && mode & 0o600 == 0o600);
+        mode.map(Self).ok_or_else(|| "permissions such as \"600\", \"660\" or \"666\"".to_owned())
+    }
+}
+
+impl Default for FileMode {
+    fn default() -> Self {
+        Self(0o660)
+    }
+}
+
+impl fmt::Display for FileMode {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{:o}", self.0)
+    }
+}
+
 /// A local time of day, `22:00`; absent if it is empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StartTime(pub Option<NaiveTime>);
@@ -314,6 +342,7 @@ text_serde!(Device, "`\"auto\"`, a path or a pattern", Device::parse, ToString::
 text_serde!(Output, "`\"binary\"`, `\"keep\"` or an ASCII type", Output::parse, ToString::to_string);
 text_serde!(BinaryFields, "groups and fields such as \"01,0609\"", BinaryFields::parse, ToString::to_string);
 text_serde!(StartTime, "a local time of day such as \"22:00\"", StartTime::parse, ToString::to_string);
+text_serde!(FileMode, "permissions such as \"660\"", FileMode::parse, ToString::to_string);
 text_serde!(NightLength, "a duration such as \"5h\"", NightLength::parse, ToString::to_string);
 text_serde!(Webhook, "an address", Webhook::parse, |url| if url.is_empty() {
     String::new()

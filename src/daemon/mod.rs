@@ -29,6 +29,7 @@ use crate::control::{CaptureControl, CaptureRequest};
 use crate::jobs::{JobError, Jobs, JobsOptions, Live, Place};
 use crate::notify::{Notifier, Tap};
 use crate::observe::{Metrics, RetentionStatus, SharedRecent, Status, Tally};
+use crate::share::{Share, ShareError, ShareOptions, ShareTap};
 use crate::store::{RecordSender, Refused, Store, StoreError, StoreOptions};
 use imu_core::sample::{DiscardCause, Record, Sample};
 use std::net::SocketAddr;
@@ -88,6 +89,9 @@ pub enum DaemonError {
     /// The notifications cannot be set up.
     #[error("a thread for notifications cannot be started: {0}")]
     Notify(std::io::Error),
+    /// The live data cannot be shared as configured.
+    #[error(transparent)]
+    Share(#[from] ShareError),
     /// The requested capture was refused.
     #[error(transparent)]
     Control(#[from] crate::control::ControlError),
@@ -111,6 +115,7 @@ struct Counted {
     tally: publish::SharedTally,
     recent: SharedRecent,
     tap: Tap,
+    share: ShareTap,
 }
 
 impl Sink for Counted {
@@ -138,8 +143,12 @@ impl Sink for Counted {
     fn tally(&self, tally: Tally) {
         *self.tally.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(tally);
     }
+    fn bytes(&self, bytes: &[u8]) {
+        self.share.bytes(bytes);
+    }
     fn seen(&self, sample: &Sample) {
         self.recent.note(sample);
+        self.share.sample(sample);
     }
     fn woke(&self, late: std::time::Duration) {
         self.metrics.reader_woke(late.as_secs_f64());
@@ -177,6 +186,7 @@ pub async fn run(
     let metrics = Arc::new(Metrics::default());
     let notifier = Notifier::start(notices::options(&config, store.path())).map_err(DaemonError::Notify)?;
     let tap = notifier.tap();
+    let share = Share::start(share_options(&config))?;
 
     let (task_sender, task_receiver) = mpsc::channel(16);
     let (progress_sender, progress) = watch::channel(Progress::default());
@@ -202,6 +212,7 @@ pub async fn run(
             tally: Arc::clone(&tally),
             recent: recent.clone(),
             tap: tap.clone(),
+            share: share.tap(),
         }),
         task_receiver,
         progress_sender,
@@ -226,7 +237,7 @@ pub async fn run(
         }
         .run(configuration, stop.child_token()),
     );
-    let unattended = publish::Unattended { retention, schedule, notify: notifier.figures() };
+    let unattended = publish::Unattended { retention, schedule, notify: notifier.figures(), share: share.figures() };
     let publisher = tokio::spawn(publish::run(
         store.clone(),
         jobs.clone(),
@@ -281,6 +292,7 @@ pub async fn run(
     if tokio::time::timeout(RESTORE, reader).await.is_err() {
         tracing::warn!("the sensor did not take its previous output back in time");
     }
+    drop(share);
     // A disk that refuses writes may delay the keeper; the store reports the unwritten records.
     let mut keeping = keeping;
     if tokio::time::timeout(RESTORE, &mut keeping).await.is_err() {
@@ -331,6 +343,13 @@ pub fn device(config: &Config) -> Option<String> {
         Device::Auto => None,
         other => Some(other.to_string()),
     }
+}
+
+/// Returns where the live data is shared.
+fn share_options(config: &Config) -> ShareOptions {
+    let path = |path: &std::path::Path| (!path.as_os_str().is_empty()).then(|| path.to_owned());
+    let share = &config.share;
+    ShareOptions { link: path(&share.link), socket: path(&share.socket), mode: share.mode.bits() }
 }
 
 /// Returns the options of the session, after checking that the line can carry the output.

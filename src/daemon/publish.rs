@@ -5,6 +5,7 @@ use crate::clock::{Clock, rfc3339};
 use crate::jobs::{Jobs, Live};
 use crate::notify::NotifyFigures;
 use crate::observe::{CaptureStatus, RetentionStatus, ScheduleStatus, SensorState, Status, Tally};
+use crate::share::ShareFigures;
 use crate::store::Store;
 use imu_core::sample::DiscardCause;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -36,6 +37,8 @@ pub struct Unattended {
     pub schedule: watch::Receiver<Option<ScheduleStatus>>,
     /// The state of the notifications.
     pub notify: NotifyFigures,
+    /// What is shared, if anything is.
+    pub share: Option<ShareFigures>,
 }
 
 /// Renews the status until `stop`.
@@ -54,6 +57,7 @@ pub async fn run(
         now.retention = unattended.retention.borrow().clone();
         now.schedule = unattended.schedule.borrow().clone();
         now.notify = unattended.notify.status();
+        now.share = unattended.share.as_ref().map(ShareFigures::status);
         let line = one_line(&now);
         if reported.as_ref() != Some(&line) {
             super::watchdog::notify(&[sd_notify::NotifyState::Status(&line)]);

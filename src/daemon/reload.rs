@@ -160,11 +160,12 @@ mod tests {
         let wanted = read(
             "[http]\ntoken = \"0123456789abcdeg\"\n[notify]\nurl = \"https://host/two\"\n[log]\nlevel = \"debug\"\n\
              [storage]\nkeep-days = 7\nreserve-mib = 600\n[schedule]\nat = \"22:00\"\nduration = \"8h\"\n\
-             [capture]\nduration = \"6h\"",
+             [capture]\nduration = \"6h\"\n[share]\nlink = \"/run/vn100d/tty\"",
         );
         let now = taken(&before, &wanted).unwrap();
         assert_eq!(differing(&before, &now), ["log.level", "schedule.at", "schedule.duration", "storage.keep-days"]);
-        assert_eq!(differing(&now, &wanted), ["capture.duration", "http.token", "notify.url", "storage.reserve-mib"]);
+        let waiting = ["capture.duration", "http.token", "notify.url", "share.link", "storage.reserve-mib"];
+        assert_eq!(differing(&now, &wanted), waiting);
         assert_eq!(taken(&now, &now), Ok(now));
     }
 

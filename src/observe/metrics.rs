@@ -165,6 +165,7 @@ impl Metrics {
         storage(&mut registry, status, writer);
         jobs(&mut registry, status);
         unattended(&mut registry, status);
+        share(&mut registry, status);
         self.http(&mut registry);
         let mut text = String::with_capacity(8192);
         prometheus_client::encoding::text::encode(&mut text, &registry)?;
@@ -280,6 +281,23 @@ fn unattended(registry: &mut Registry, status: &Status) {
     counter(registry, "retention_deleted_captures", "Captures deleted by age or size", status.retention.deleted);
     let planned = status.retention.planned_total as f64;
     gauge(registry, "retention_planned_captures", "Captures that are going to be deleted", planned);
+}
+
+fn share(registry: &mut Registry, status: &Status) {
+    let Some(share) = &status.share else { return };
+    gauge(
+        registry,
+        "share_reading",
+        "Whether a program has the shared terminal open",
+        f64::from(u8::from(share.reading)),
+    );
+    counter(registry, "share_bytes", "Bytes that the shared terminal took for a program", share.bytes);
+    counter(registry, "share_dropped_bytes", "Bytes that a program was too slow to take", share.dropped_bytes);
+    counter(registry, "share_ignored_bytes", "Bytes that programs wrote to the shared terminal", share.ignored_bytes);
+    gauge(registry, "share_clients", "Clients of the shared socket", share.clients as f64);
+    counter(registry, "share_clients_refused", "Clients turned away: too many at once", share.clients_refused);
+    counter(registry, "share_lines", "Samples sent to clients of the shared socket", share.lines);
+    counter(registry, "share_lost_lines", "Samples that clients were too slow to take", share.lost_lines);
 }
 
 fn register(registry: &mut Registry, name: &str, help: &str, metric: impl Metric) {

@@ -12,5 +12,5 @@ pub use notify::{NotifyEvent, NotifyStatus};
 pub use recent::{Recent, SharedRecent, Trace};
 pub use status::{
     CaptureStatus, ClockDistrust, JobsStatus, PlannedDeletion, RetentionStatus, ScheduleStatus, SensorState,
-    SensorStatus, Status, StorageState, StorageStatus, Tally,
+    SensorStatus, ShareStatus, Status, StorageState, StorageStatus, Tally,
 };

@@ -254,6 +254,35 @@ pub struct ScheduleStatus {
     pub waits: Option<String>,
 }
 
+/// The live data for other programs, counted since the daemon started.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct ShareStatus {
+    /// The configured link.
+    pub link: Option<String>,
+    /// The terminal that it leads to.
+    pub terminal: Option<String>,
+    /// Whether a program has the terminal open.
+    pub reading: bool,
+    /// Bytes that the terminal took for a program.
+    pub bytes: u64,
+    /// Bytes that a program was too slow to take, in whole frames.
+    pub dropped_bytes: u64,
+    /// Bytes that programs wrote to the terminal. They were discarded.
+    pub ignored_bytes: u64,
+    /// The configured socket.
+    pub socket: Option<String>,
+    /// Clients of the socket.
+    pub clients: u64,
+    /// Clients that were refused because there were too many.
+    pub clients_refused: u64,
+    /// Samples sent to all clients.
+    pub lines: u64,
+    /// Samples that clients were too slow to take.
+    pub lost_lines: u64,
+    /// Why link or socket do not work; null if they do.
+    pub error: Option<String>,
+}
+
 /// The content of `GET /v1/status`, without version and uptime.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Status {
@@ -274,4 +303,7 @@ pub struct Status {
     /// The notifications.
     #[serde(default)]
     pub notify: NotifyStatus,
+    /// The live data for other programs; null if none is shared.
+    #[serde(default)]
+    pub share: Option<ShareStatus>,
 }

@@ -26,6 +26,7 @@ mod replay;
 mod report;
 mod restart;
 mod schedule;
+mod share;
 mod simulation;
 mod tidy;
 mod trial;

@@ -80,6 +80,14 @@ impl TextWriter {
         Self { format, names, units, first: true }
     }
 
+    /// Adds a column behind the others, whose value is the last one of each row.
+    #[must_use]
+    pub fn with_column(mut self, name: &str, unit: &'static str) -> Self {
+        self.names.push(name.to_owned());
+        self.units.push(unit);
+        self
+    }
+
     /// Writes the text before the rows.
     pub fn head(&self, out: &mut String, head: &TextHead) {
         match self.format {
