@@ -11,9 +11,6 @@ use std::ffi::OsString;
 use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 
-/// The folder of all pseudo-terminals.
-pub const FOLDER: &str = "/dev/pts";
-
 /// The two ends of a pseudo-terminal.
 #[derive(Debug)]
 pub struct Pair {

@@ -12,7 +12,9 @@ use rustix::event::{PollFd, PollFlags, Timespec};
 use rustix::fs::Mode;
 use rustix::io::Errno;
 use rustix::termios::QueueSelector;
+use std::ffi::OsStr;
 use std::os::fd::OwnedFd;
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
@@ -67,11 +69,15 @@ pub(super) async fn run(
     }
 }
 
-/// Returns whether a path may be taken for the link: nothing is there, or a link to a terminal, as a daemon leaves it
+/// How the targets of the share's links are spelled: so a link of a killed daemon is told from one of another program,
+/// although its terminal may belong to anybody by now.
+const OWN_SPELLING: &str = "/dev/pts/./";
+
+/// Returns whether a path may be taken for the link: nothing is there, or a link of the share, as a daemon leaves it
 /// when it is killed.
 pub(super) fn is_free(link: &Path) -> bool {
     match std::fs::read_link(link) {
-        Ok(target) => target.starts_with(pty::FOLDER),
+        Ok(target) => target.as_os_str().as_bytes().starts_with(OWN_SPELLING.as_bytes()),
         // It cannot be read because it is no link, or because it is not there.
         Err(_) => std::fs::symlink_metadata(link).is_err(),
     }
@@ -115,7 +121,8 @@ impl<'a> Copy<'a> {
         if !is_free(self.link) {
             return Err(failed(std::io::ErrorKind::AlreadyExists.into()));
         }
-        pty::link(&self.path, self.link).map_err(failed)
+        let name = self.path.file_name().unwrap_or_default();
+        pty::link(Path::new(&[OsStr::new(OWN_SPELLING), name].join(OsStr::new(""))), self.link).map_err(failed)
     }
 
     async fn serve(&mut self, bytes: &mut mpsc::Receiver<Vec<u8>>, stop: &CancellationToken) -> Result<(), CopyError> {

@@ -28,6 +28,8 @@ const LAG_LINES: usize = 1024;
 const LINES_AT_ONCE: usize = 64;
 /// How often it is looked whether a client is still there, if there is nothing to send.
 const LOOK: Duration = Duration::from_secs(1);
+/// How often it is looked whether the socket is still there.
+const UPKEEP: Duration = Duration::from_secs(1);
 /// The wait before the socket is created again after an error.
 const AGAIN: Duration = Duration::from_secs(5);
 
@@ -66,18 +68,13 @@ pub(super) async fn run(
 ) {
     while !stop.is_cancelled() {
         match Socket::bind(&path, mode) {
-            Ok(socket) => {
+            Ok(mut socket) => {
                 figures.state(Way::Socket, None);
                 tracing::info!(socket = %path.display(), "samples are shared");
                 return socket.serve(&mut samples, &figures, &stop).await;
             }
-            Err(source) => {
-                let error = format!(
-                    "the socket {} of `share.socket` cannot be made ({source}): choose a folder that exists and may be \
-                     written; it is tried again",
-                    path.display()
-                );
-                figures.state(Way::Socket, Some(error));
+            Err(error) => {
+                figures.state(Way::Socket, Some(unmade(&path, &error)));
                 tokio::select! {
                     () = stop.cancelled() => {}
                     () = tokio::time::sleep(AGAIN) => {}
@@ -87,10 +84,19 @@ pub(super) async fn run(
     }
 }
 
+fn unmade(path: &Path, error: &std::io::Error) -> String {
+    let path = path.display();
+    format!(
+        "the socket {path} of `share.socket` cannot be made ({error}): choose a folder that exists and may be written; it \
+         is tried again"
+    )
+}
+
 /// A socket that is removed with its owner.
 struct Socket {
     listener: UnixListener,
     path: PathBuf,
+    mode: u32,
     inode: u64,
 }
 
@@ -107,16 +113,37 @@ impl Socket {
         }
         let listener = UnixListener::bind(path)?;
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))?;
-        Ok(Self { listener, path: path.to_owned(), inode: std::fs::symlink_metadata(path)?.ino() })
+        Ok(Self { listener, path: path.to_owned(), mode, inode: std::fs::symlink_metadata(path)?.ino() })
     }
 
-    async fn serve(&self, samples: &mut mpsc::Receiver<Sample>, figures: &ShareFigures, stop: &CancellationToken) {
+    /// Returns whether the path still leads to this socket.
+    fn is_there(&self) -> bool {
+        std::fs::symlink_metadata(&self.path).is_ok_and(|metadata| metadata.ino() == self.inode)
+    }
+
+    /// Makes a socket again that was removed; the clients that are there remain.
+    fn keep(&mut self, figures: &ShareFigures) {
+        if self.is_there() {
+            return;
+        }
+        match Self::bind(&self.path, self.mode) {
+            Ok(again) => {
+                *self = again;
+                figures.state(Way::Socket, None);
+            }
+            Err(error) => figures.state(Way::Socket, Some(unmade(&self.path, &error))),
+        }
+    }
+
+    async fn serve(&mut self, samples: &mut mpsc::Receiver<Sample>, figures: &ShareFigures, stop: &CancellationToken) {
         let (lines, _) = broadcast::channel(LAG_LINES);
         let mut rows = Rows::default();
         let mut clients = tokio::task::JoinSet::new();
+        let mut upkeep = tokio::time::interval(UPKEEP);
         loop {
             tokio::select! {
                 () = stop.cancelled() => return,
+                _ = upkeep.tick() => self.keep(figures),
                 sample = samples.recv() => {
                     let Some(sample) = sample else { return };
                     let missed = figures.counts.missed.take();
@@ -152,7 +179,7 @@ const RETRY_ACCEPT: Duration = Duration::from_millis(20);
 impl Drop for Socket {
     fn drop(&mut self) {
         // A socket of another program in this place stays.
-        if std::fs::symlink_metadata(&self.path).is_ok_and(|metadata| metadata.ino() == self.inode) {
+        if self.is_there() {
             let _ = std::fs::remove_file(&self.path);
         }
     }

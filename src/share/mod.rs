@@ -41,7 +41,7 @@ pub struct ShareOptions {
 pub enum ShareError {
     /// Something else is in the link's place.
     #[error(
-        "`share.link` is {path}, where there is something that is no link to a terminal: choose another path, or remove it"
+        "`share.link` is {path}, where there is something that is no link of vn100d: choose another path, or remove it"
     )]
     LinkOccupied {
         /// The path.

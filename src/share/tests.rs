@@ -82,11 +82,13 @@ fn what_is_in_the_way_is_refused_and_stays() {
     assert!(matches!(refused, ShareError::LinkOccupied { .. }) && refused.is_configuration(), "{refused}");
     assert_eq!(std::fs::read_to_string(&link).unwrap(), "data");
     std::fs::remove_file(&link).unwrap();
-    // A link of somebody else.
-    std::os::unix::fs::symlink("/etc/hostname", &link).unwrap();
-    assert!(matches!(Share::start(wanted.clone()), Err(ShareError::LinkOccupied { .. })));
-    assert!(link.is_symlink());
-    std::fs::remove_file(&link).unwrap();
+    // Links of somebody else, such as an emulator.
+    for target in ["/etc/hostname", "/dev/pts/0"] {
+        std::os::unix::fs::symlink(target, &link).unwrap();
+        assert!(matches!(Share::start(wanted.clone()), Err(ShareError::LinkOccupied { .. })));
+        assert_eq!(std::fs::read_link(&link).unwrap().to_str(), Some(target));
+        std::fs::remove_file(&link).unwrap();
+    }
     std::fs::create_dir(&socket).unwrap();
     assert!(matches!(Share::start(wanted.clone()), Err(ShareError::SocketOccupied { .. })));
     std::fs::remove_dir(&socket).unwrap();
@@ -94,7 +96,7 @@ fn what_is_in_the_way_is_refused_and_stays() {
     assert!(matches!(Share::start(wanted.clone()), Err(ShareError::SocketInUse { .. })));
     // As a killed daemon leaves them.
     drop(listener);
-    std::os::unix::fs::symlink("/dev/pts/99999", &link).unwrap();
+    std::os::unix::fs::symlink("/dev/pts/./99999", &link).unwrap();
     let share = Share::start(wanted).unwrap();
     until("both work", || (link.exists() && UnixStream::connect(&socket).is_ok()).then_some(()));
     let mode = std::fs::metadata(&link).unwrap().permissions().mode() & 0o777;
@@ -104,7 +106,7 @@ fn what_is_in_the_way_is_refused_and_stays() {
 }
 
 #[test]
-fn a_missing_folder_is_waited_for_and_a_removed_link_returns() {
+fn a_missing_folder_is_waited_for_and_what_is_removed_returns() {
     let folder = tempfile::tempdir().unwrap();
     let inner = folder.path().join("later");
     let share = Share::start(options(&inner)).unwrap();
@@ -117,8 +119,17 @@ fn a_missing_folder_is_waited_for_and_a_removed_link_returns() {
     std::fs::create_dir(&inner).unwrap();
     until("both appear", || (inner.join("tty").exists() && inner.join("imu.sock").exists()).then_some(()));
     until("the error is over", || status(&share).error.is_none().then_some(()));
+    let client = UnixStream::connect(inner.join("imu.sock")).unwrap();
+    until("the client is there", || (status(&share).clients == 1).then_some(()));
     std::fs::remove_file(inner.join("tty")).unwrap();
-    until("the link returns", || inner.join("tty").exists().then_some(()));
+    std::fs::remove_file(inner.join("imu.sock")).unwrap();
+    until("both return", || (inner.join("tty").exists() && inner.join("imu.sock").exists()).then_some(()));
+    let second = until("the socket listens", || UnixStream::connect(inner.join("imu.sock")).ok());
+    until("both clients are there", || (status(&share).clients == 2).then_some(()));
+    share.tap().sample(&sample(3));
+    for stream in [client, second] {
+        assert_eq!(lines(stream).next().unwrap()["gyro_x"], 3.0);
+    }
     // Another program's link stays, and is reported.
     std::fs::remove_file(inner.join("tty")).unwrap();
     std::os::unix::fs::symlink("/dev/pts/99999", inner.join("tty")).unwrap();

@@ -126,6 +126,39 @@ fn a_program_that_only_writes_changes_nothing_and_holds_nothing_up() {
 }
 
 #[test]
+fn a_flood_of_writes_and_ten_thousand_clients_cost_no_sample() {
+    let world = World::new();
+    let _sensor = emulate(&world);
+    let daemon = world.daemon(&sharing(&world, 800), &["--capture", "8s"]);
+    let some = || world.try_get("/v1/status").filter(|status| status["capture"]["samples"].as_u64() > Some(100));
+    world.until("samples", START, some, &daemon);
+    let files = || std::fs::read_dir(format!("/proc/{}/fd", daemon.id())).unwrap().count();
+    let before = files();
+    let until = Instant::now() + Duration::from_secs(4);
+    let writers = [b'x', b'$'].map(|byte| {
+        let terminal = pty::open_slave(&world.path("tty")).unwrap();
+        std::thread::spawn(move || {
+            let mut count = 0;
+            while Instant::now() < until {
+                count += rustix::io::write(&terminal, &[byte; 4096]).unwrap_or(0) as u64;
+            }
+            count
+        })
+    });
+    for _ in 0..10_000 {
+        UnixStream::connect(world.path("imu.sock")).unwrap();
+    }
+    let written: u64 = writers.map(|writer| writer.join().unwrap()).iter().sum();
+    let capture = complete(&world, &daemon);
+    assert_eq!((capture["samples"].as_u64(), capture["missing"].as_u64()), (Some(6400), Some(0)));
+    let settled = || (files() <= before + 20 && share(&world)["clients"] == 0).then(|| share(&world));
+    let share = world.until("all clients have gone", START, settled, &daemon);
+    // What was on its way when the last writer closed is gone with it.
+    assert!(share["ignored_bytes"].as_u64().unwrap().abs_diff(written) < 128 << 10, "{written} {share}");
+    assert!(share["clients_refused"].as_u64() > Some(0), "{share}");
+}
+
+#[test]
 fn the_copy_outlives_the_cable() {
     let world = World::new();
     let sensor = emulate(&world);
@@ -177,13 +210,16 @@ fn a_file_in_the_links_place_is_refused_and_stays() {
     assert_eq!(daemon.wait(START), Some(78));
     let log = daemon.log();
     let path = world.path("tty").display().to_string();
-    assert!(log.contains(&format!("`share.link` is {path}, where there is something that is no link")), "{log}");
+    assert!(
+        log.contains(&format!("`share.link` is {path}, where there is something that is no link of vn100d")),
+        "{log}"
+    );
     assert_eq!(std::fs::read_to_string(world.path("tty")).unwrap(), "data");
 }
 
 /// Returns the nanoseconds of a field in seconds.
 fn nanoseconds(line: &str, field: &str) -> i64 {
-    let (_, rest) = line.split_once(&format!("\"{field}\":")).expect(line);
+    let (_, rest) = line.split_once(&format!("\"{field}\":")).unwrap_or_else(|| panic!("{line}"));
     let text = rest.split([',', '}']).next().unwrap();
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     format!("{whole}{part:0<9}").parse().unwrap()
