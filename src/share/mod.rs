@@ -89,7 +89,7 @@ impl ShareTap {
         }
     }
 
-    /// Takes a sample, if a client is there. If it finds no room it is dropped, and the clients are told how many were.
+    /// Takes a sample, if a client is there. If it finds no room it is dropped, and a line reports that.
     pub fn sample(&self, sample: &Sample) {
         let counts = &self.figures.counts;
         if let Some(queue) = self.samples.as_ref().filter(|_| counts.clients.get() > 0)

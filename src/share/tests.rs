@@ -246,7 +246,7 @@ fn lines(stream: UnixStream) -> impl Iterator<Item = serde_json::Value> {
 }
 
 #[test]
-fn a_client_that_has_ended_its_own_side_receives_and_one_that_is_slow_is_told_what_it_lost() {
+fn a_client_that_has_ended_its_own_side_receives_and_one_that_is_slow_learns_what_it_lost() {
     let folder = tempfile::tempdir().unwrap();
     let share = shared(folder.path());
     let tap = share.tap();
