@@ -1,8 +1,9 @@
 //! `vn100d diagnose`: where a recording and a simulator differ, and which effect the simulator lacks.
 
 use super::args::{DiagnoseArgs, ReferenceAxis};
+use super::limits::Limit;
 use super::output::{Output, is_same};
-use super::{Context, Outcome, analysis, model, print_json, table, usage};
+use super::{Context, Outcome, analysis, diagnose_limits, junit, limits, model, table, usage};
 use crate::jobs::{TwoThreads, add_cost, gridded, read_reference};
 use crate::page;
 use crate::store::SOFTWARE;
@@ -16,21 +17,18 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Runs the command.
 pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outcome> {
     let paths = [Some(Path::new(&args.real)), Some(Path::new(&args.sim)), args.reference.as_deref()];
     let read: Vec<&Path> = paths.into_iter().flatten().filter(|path| path.exists()).collect();
-    let create = |path: &std::path::PathBuf| Output::create(path, args.force, &read);
-    if let (Some(one), Some(other)) = (&args.augmented_model, &args.html)
-        && is_same(one, other)
-    {
-        return Err(usage(format!("{} cannot be both the model and the page: choose another name", one.display())));
+    let limits = Limit::all(&args.at_least, &args.at_most, &diagnose_limits::KNOWN)?;
+    if args.junit.is_some() && limits.is_empty() {
+        return Err(usage("--junit has nothing to report without a limit: give --at-most or --at-least"));
     }
-    let augmented = args.augmented_model.as_ref().map(create).transpose()?;
-    let html = args.html.as_ref().map(create).transpose()?;
+    let [augmented, html, junit] = outputs(args, &read)?;
     let reference = args.reference.as_deref().map(|path| reference(path, args.reference_axis)).transpose()?;
     let mut together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     together.sampled(args.sampling.stated())?;
@@ -64,12 +62,35 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
         let drawings = Drawings::new(&gridded.recording, gridded.from_s, &sim, &outcome);
         output.put(page::diagnosis(&outcome.diagnosis, &drawings, &[]).as_bytes())?;
     }
-    if context.json {
-        print_json(&outcome.diagnosis)?
-    } else {
-        print(&outcome.diagnosis)?
+    let judged = diagnose_limits::judge(&limits, &outcome.diagnosis);
+    if let Some(output) = junit {
+        let inputs = [("real", real_name.as_str()), ("sim", args.sim.as_str())];
+        let summary = &outcome.diagnosis.summary;
+        let about = junit::About { command: "diagnose", inputs: &inputs, summary, lenient: false };
+        output.put(junit::report(&about, &judged).as_bytes())?;
     }
-    Ok(if together.rejected() { Outcome::WithLoss } else { Outcome::Done })
+    if context.json {
+        limits::print_json(&outcome.diagnosis, &judged)?;
+        limits::complain(&judged)?;
+    } else {
+        print(&outcome.diagnosis)?;
+        limits::write(&mut std::io::stdout().lock(), &judged)?;
+    }
+    Ok(limits::outcome(&judged, together.rejected(), false))
+}
+
+/// Creates the files of the corrected model, the page and the report of limits, each under a name of its own.
+fn outputs(args: &DiagnoseArgs, read: &[&Path]) -> anyhow::Result<[Option<Output>; 3]> {
+    let named = [("the model", &args.augmented_model), ("the page", &args.html), ("the JUnit report", &args.junit)];
+    let given: Vec<(&str, &Path)> = named.iter().filter_map(|(what, path)| Some((*what, path.as_deref()?))).collect();
+    for (place, (one, path)) in given.iter().enumerate() {
+        if let Some((other, _)) = given[..place].iter().find(|(_, other)| is_same(other, path)) {
+            let message = format!("{} cannot be both {other} and {one}: choose another name", path.display());
+            return Err(usage(message));
+        }
+    }
+    let create = |path: &Option<PathBuf>| path.as_ref().map(|path| Output::create(path, args.force, read)).transpose();
+    Ok([create(&args.augmented_model)?, create(&args.html)?, create(&args.junit)?])
 }
 
 /// Reads the reference: the sensor's motion, poses, or rates about one axis; gzip is unpacked.

@@ -1,8 +1,10 @@
 //! `vn100d noise`: noise parameters.
 
 use super::analysis;
-use super::args::{NoiseArgs, NoiseFormat, SheetChoice};
-use super::{Context, Outcome, failed, print_json, table};
+use super::args::{NoiseArgs, NoiseFormat, SheetChoice, Undecided};
+use super::output::Output;
+use super::within::Limits;
+use super::{Context, Outcome, failed, junit, limits, table};
 use crate::jobs::direct;
 use anyhow::Context as _;
 use imu_files::export::paste::{NoiseDocument, Paste};
@@ -11,6 +13,7 @@ use imu_noise::datasheet::{Comparison, Datasheet, Verdict, compare_report};
 use imu_noise::fit::{Estimate, NoiseReport};
 use serde_json::Value;
 use std::io::Write as _;
+use std::path::Path;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
@@ -18,6 +21,9 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
         return super::filter_parameters::run(context, args, pair);
     }
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
+    let limits = args.within.as_deref().map(Limits::open).transpose()?;
+    let read: Vec<&Path> = args.captures.iter().map(Path::new).chain(args.within.as_deref()).collect();
+    let junit = args.junit.as_deref().map(|path| Output::create(path, args.force, &read)).transpose()?;
     let mut together = analysis::open(context, &args.captures, args.rate)?;
     together.sampled(args.sampling.stated())?;
     let (rejected, windows) = (together.rejected(), together.windows());
@@ -29,8 +35,18 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
     if let Some((target, why)) = refusal {
         return Err(refused(&format!("{} is not written", target.name()), &why));
     }
+    let judged = limits.map_or_else(Vec::new, |limits| limits.judge(&report));
+    let lenient = args.undecided == Undecided::Reported;
+    if let Some(output) = junit {
+        let (captures, summary) = (args.captures.join(" "), headline(&report));
+        let inputs = [("captures", captures.as_str())];
+        let about = junit::About { command: "noise", inputs: &inputs, summary: &summary, lenient };
+        output.put(junit::report(&about, &judged).as_bytes())?;
+    }
     match (context.json, args.format, target) {
-        (true, ..) | (_, NoiseFormat::Json, _) => print_json(&NoiseDocument::from(report))?,
+        (true, ..) | (_, NoiseFormat::Json, _) => {
+            limits::print_json(&NoiseDocument::from(report), &judged)?;
+        }
         (_, _, Some(target)) => write!(std::io::stdout().lock(), "{}", target.write_report(&report))?,
         (_, NoiseFormat::Csv, _) => write_csv(std::io::stdout().lock(), &report)?,
         _ => {
@@ -40,9 +56,13 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
             if let Some(comparison) = comparison {
                 write_comparison(&mut stdout, &comparison)?;
             }
+            limits::write(&mut stdout, &judged)?;
         }
     }
-    Ok(if rejected { Outcome::WithLoss } else { Outcome::Done })
+    if context.json || args.format != NoiseFormat::Table {
+        limits::complain(&judged)?;
+    }
+    Ok(limits::outcome(&judged, rejected, lenient))
 }
 
 /// Returns the chosen datasheet.
@@ -81,12 +101,16 @@ fn number(value: f64) -> String {
     format!("{value:.3e}")
 }
 
-fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
-    writeln!(
-        to,
-        "{}: {:.1} s at {} Hz, {} samples, {} missing. Values with 95 % intervals; `<`: not identified, 95 % upper limit.",
+/// Returns what was analysed, as a sentence.
+fn headline(report: &NoiseReport) -> String {
+    format!(
+        "{}: {:.1} s at {} Hz, {} samples, {} missing.",
         report.capture, report.duration_s, report.rate_hz, report.samples, report.missing
-    )?;
+    )
+}
+
+fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
+    writeln!(to, "{} Values with 95 % intervals; `<`: not identified, 95 % upper limit.", headline(report))?;
     write!(to, "{}", super::stillness(report.at_rest_s, report.moving_s))?;
     let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "Q in U·s", "R in U/s", "fit p"]);
     for (channel, found) in &report.channels {

@@ -2,6 +2,7 @@
 //! required rates. Both stationary trials and those with a motion run here.
 
 use super::args::{TrialArgs, TrialPart};
+use super::limits::Limit;
 use super::progress::bar;
 use super::{Outcome, usage};
 use crate::clock::{Clock as _, SystemClock};
@@ -208,43 +209,24 @@ pub(super) fn discrepancy(diagnosis: &Value, name: &str) -> Option<f64> {
     diagnosis["discrepancy"][name].as_f64()
 }
 
-/// A required rate.
-pub(super) struct Threshold {
-    name: String,
-    share: f64,
-    at_least: bool,
+/// Returns the required rates of the arguments; each must have one of these names.
+pub(super) fn thresholds(args: &TrialArgs, names: &[&str]) -> anyhow::Result<Vec<Limit>> {
+    let known: Vec<(&str, f64)> = names.iter().map(|name| (*name, 1.0)).collect();
+    Limit::all(&args.at_least, &args.at_most, &known)
 }
 
-impl Threshold {
-    /// Returns the thresholds of the arguments; each must have one of these names.
-    pub(super) fn of(args: &TrialArgs, names: &[&str]) -> anyhow::Result<Vec<Self>> {
-        let of = |(text, at_least): (&String, bool)| {
-            let (name, share) = text.split_once('=').unwrap_or((text, ""));
-            let share = share.parse().ok().filter(|share| (0.0..=1.0).contains(share));
-            match share.filter(|_| names.contains(&name)) {
-                Some(share) => Ok(Self { name: name.to_owned(), share, at_least }),
-                None => Err(usage(format!("`{text}`: expected NAME=SHARE, NAME one of {}", names.join(", ")))),
-            }
-        };
-        let least = args.at_least.iter().map(|text| (text, true));
-        least.chain(args.at_most.iter().map(|text| (text, false))).map(of).collect()
-    }
-
-    /// Reports which thresholds the rates miss. A rate over no case misses every threshold.
-    pub(super) fn outcome(all: &[Self], rate: impl Fn(&str) -> Option<f64>) -> Outcome {
-        let mut outcome = Outcome::Done;
-        for one in all {
-            let share = rate(&one.name);
-            let word = if one.at_least { "at least" } else { "at most" };
-            let reached = |share: f64| if one.at_least { share >= one.share } else { share <= one.share };
-            if !share.is_some_and(reached) {
-                let found = share.map_or_else(|| "of no case".to_owned(), |share| share.to_string());
-                eprintln!("{} is {found}; {word} {} was asked for", one.name, one.share);
-                outcome = Outcome::WithLoss;
-            }
+/// Reports which thresholds the rates miss. A rate over no case misses every threshold.
+pub(super) fn outcome(thresholds: &[Limit], rate: impl Fn(&str) -> Option<f64>) -> Outcome {
+    let mut outcome = Outcome::Done;
+    for one in thresholds {
+        let share = rate(&one.name);
+        if !share.is_some_and(|share| one.holds(share)) {
+            let found = share.map_or_else(|| "of no case".to_owned(), |share| share.to_string());
+            eprintln!("{} is {found}; {} {} was asked for", one.name, one.bound.words(), one.number);
+            outcome = Outcome::WithLoss;
         }
-        outcome
     }
+    outcome
 }
 
 /// Applies a function to every case on several threads, in any order.

@@ -6,7 +6,7 @@
 //! match it.
 
 use super::args::{TrialArgs, TrialPart};
-use super::sealed::{Sealed, Shape, Threshold, read, words, write};
+use super::sealed::{Sealed, Shape, outcome, read, thresholds, words, write};
 use super::trial_on::Ground;
 use super::{Context, Outcome, print_json, trial_show, usage};
 use crate::store::SOFTWARE;
@@ -27,7 +27,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         |suite| Shape { cases: suite.cases, seed: Some(suite.seed), kinds: &all, samples: Some(suite.samples) },
     );
     Wanted::from_words(words(shape.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
-    let thresholds = Threshold::of(args, &Rates::names())?;
+    let required = thresholds(args, &Rates::names())?;
     if shape.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
         return Err(usage(format!("--samples: a case takes {SAMPLES_MIN} or more")));
     }
@@ -86,7 +86,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     } else {
         trial_show::show(&score)?
     }
-    Ok(Threshold::outcome(&thresholds, |name| score.rates.get(name).and_then(|rate| rate.share)))
+    Ok(outcome(&required, |name| score.rates.get(name).and_then(|rate| rate.share)))
 }
 
 fn unknown(name: &str) -> anyhow::Error {

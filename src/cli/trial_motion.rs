@@ -4,7 +4,7 @@
 //! the keys' digests comes first and the keys last.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
-use super::sealed::{Sealed, Shape, Threshold, discrepancy, words};
+use super::sealed::{Sealed, Shape, discrepancy, outcome, thresholds, words};
 use super::{Context, Outcome, print_json, table, usage};
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
@@ -27,7 +27,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
         return Err(usage(format!("--samples: a case with a motion takes {SAMPLES_MIN} or more")));
     }
-    let thresholds = Threshold::of(args, &RATES.map(|(name, _)| name))?;
+    let required = thresholds(args, &RATES.map(|(name, _)| name))?;
     let sealed = Sealed::new(args, Shape::of(args), None)?;
     let (manifest, manifest_sha256) = sealed.manifest(|| "--cases: there is no case".to_owned())?;
     let reports = sealed.reports(manifest.digests.len())?;
@@ -53,7 +53,7 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
     } else {
         show(&score)?
     }
-    Ok(Threshold::outcome(&thresholds, |name| score.rates.get(name).and_then(|rate| rate.share)))
+    Ok(outcome(&required, |name| score.rates.get(name).and_then(|rate| rate.share)))
 }
 
 /// Returns the part that the true effects close: the same discrepancy under the model that has them.

@@ -24,9 +24,19 @@ pub struct NoiseArgs {
     /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,
-    /// Write parameters even if they contradict the record, with a comment
+    /// Write parameters even if they contradict the record, with a comment; replace the file of --junit
     #[arg(long)]
     pub force: bool,
+    /// End with exit code 4 unless N, B and K are within the limits of this file, such as `[gyro]` with `B_deg_h = 8`
+    /// (docs/ci.md)
+    #[arg(long, value_name = "LIMITS.toml", conflicts_with = "consistent")]
+    pub within: Option<PathBuf>,
+    /// What a limit that the record can neither confirm nor refute is: missed, or only reported
+    #[arg(long, value_enum, value_name = "missed|reported", default_value = "missed", requires = "within")]
+    pub undecided: Undecided,
+    /// Write the limits and what was found as a JUnit report, which systems of continuous integration read
+    #[arg(long, value_name = "OUT.xml", requires = "within")]
+    pub junit: Option<PathBuf>,
     /// Compare with this datasheet: vn-100, or a file that ends with .toml
     #[arg(long, value_name = "NAME|FILE.toml", value_parser = SheetChoice::parse, conflicts_with = "consistent")]
     pub datasheet: Option<SheetChoice>,
@@ -69,6 +79,15 @@ pub struct NoiseArgs {
     /// Temperature in °C, or a file with its course over the record: time_s, temperature_c
     #[arg(long, value_name = "FILE|°C", requires = "consistent", allow_hyphen_values = true)]
     pub temperature: Option<String>,
+}
+
+/// What a limit is that the record can neither confirm nor refute.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Undecided {
+    /// Such a limit is missed
+    Missed,
+    /// Such a limit is reported and does not change the exit code
+    Reported,
 }
 
 /// One of the two pairs of filter parameters.
