@@ -2,6 +2,7 @@
 
 use super::analysis;
 use super::args::{AllanArgs, Format};
+use super::figures::{counted, hertz};
 use super::{Context, Outcome, print_json, table};
 use crate::jobs::{JobParameters, direct};
 use imu_noise::allan::AllanReport;
@@ -48,10 +49,10 @@ fn print_table(name: &str, report: &AllanReport) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     writeln!(
         stdout,
-        "{name}: {} of {} samples at {} Hz, {} missing",
+        "{name}: {} of {} at {}, {} missing",
         report.estimator.name(),
-        report.samples.unwrap_or_default(),
-        report.rate_hz,
+        counted(report.samples.unwrap_or_default(), "sample", "samples"),
+        hertz(report.rate_hz),
         report.missing.unwrap_or_default()
     )?;
     write!(stdout, "{}", super::stillness(report.at_rest_s, report.moving_s))?;

@@ -22,7 +22,7 @@ mod validation;
 
 pub use by_hand::{DeleteArgs, NoteArgs, PinArgs, RenameArgs, StartArgs, StopArgs};
 pub use cost::{CostArgs, Tolerances};
-pub use diagnose::DiagnoseArgs;
+pub use diagnose::{DiagnoseArgs, ReferenceAxis};
 pub use noise::{ConsistentPair, NoiseArgs, SheetChoice, Undecided};
 pub use pictures::{PlotArgs, ReportArgs};
 pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};

@@ -1,5 +1,6 @@
 //! `vn100d captures`: the list.
 
+use super::figures::{hertz, to_the_second};
 use super::{Context, Outcome, all, print_json, table};
 use crate::store::printable;
 use std::io::Write as _;
@@ -29,9 +30,9 @@ pub(super) fn run(context: &Context) -> anyhow::Result<Outcome> {
             capture.id.to_string(),
             printable(&capture.name),
             capture.state.name().to_owned(),
-            capture.started_at.map(|time| time.to_string()).unwrap_or_default(),
+            capture.started_at.map(|time| to_the_second(&time.to_string())).unwrap_or_default(),
             format!("{:.1}", capture.duration_s),
-            capture.rate_hz.map(|rate| rate.to_string()).unwrap_or_default(),
+            capture.rate_hz.map(|rate| hertz(rate).trim_end_matches(" Hz").to_owned()).unwrap_or_default(),
             capture.samples.to_string(),
             capture.missing.to_string(),
             capture.gaps.to_string(),

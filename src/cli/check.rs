@@ -1,5 +1,6 @@
 //! `vn100d check`: checks whether a database is intact and its accounting adds up.
 
+use super::figures::counted;
 use super::{Context, Outcome, print_json};
 use crate::store::printable;
 use std::io::Write as _;
@@ -21,16 +22,16 @@ pub(super) fn run(context: &Context, database: Option<PathBuf>) -> anyhow::Resul
     for capture in &report.captures {
         write!(
             stdout,
-            "capture {} `{}`: {} samples, {} missing, {} batches with the right checksum",
+            "capture {} `{}`: {}, {} missing, {} with the right checksum",
             capture.id,
             printable(&capture.name),
-            capture.samples,
+            counted(capture.samples, "sample", "samples"),
             capture.missing,
-            capture.batches
+            counted(capture.batches, "batch", "batches")
         )?;
         match capture.without_checksum {
             0 => writeln!(stdout)?,
-            count => writeln!(stdout, ", {count} samples without one")?,
+            count => writeln!(stdout, ", {} without one", counted(count, "sample", "samples"))?,
         }
     }
     for finding in &report.findings {

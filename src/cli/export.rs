@@ -1,6 +1,7 @@
 //! `vn100d export`: a capture's samples for other programs, as one file or as part of a data set.
 
 use super::args::{ExportArgs, TimeOrigin};
+use super::figures::counted;
 use super::output::Output;
 use super::progress::{SAMPLES, bar};
 use super::samples::{Block, Part, Samples};
@@ -333,10 +334,8 @@ impl<W: Write> Write for Counted<'_, W> {
 
 fn print_summary(report: &Report) -> std::io::Result<()> {
     let Report { file, format, samples, missing, gaps, channels, bytes, .. } = report;
-    let channels = channels.len();
+    let channels = counted(channels.len() as u64, "channel", "channels");
+    let [samples, gaps] = [counted(*samples, "sample", "samples"), counted(*gaps, "gap", "gaps")];
     let mut stdout = std::io::stdout().lock();
-    writeln!(
-        stdout,
-        "{file}: {samples} samples of {channels} channels as {format}, {missing} missing in {gaps} gaps, {bytes} bytes"
-    )
+    writeln!(stdout, "{file}: {samples} of {channels} as {format}, {missing} missing in {gaps}, {bytes} bytes")
 }

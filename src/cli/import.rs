@@ -2,6 +2,7 @@
 
 use super::args::ImportArgs;
 use super::client;
+use super::figures::{counted, hertz};
 use super::place::another_database;
 use super::progress::bar;
 use super::{Context, Outcome, print_json, usage};
@@ -172,15 +173,12 @@ fn send(
 
 fn print_summary(report: &ImportReport) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    // Four decimals: further ones are the recording's jitter.
-    let rate_hz = format!("{:.4}", report.rate_hz);
-    let rate_hz = if report.rate_hz < 0.01 { report.rate_hz.to_string() } else { rate_hz };
-    let rate_hz = if rate_hz.contains('.') { rate_hz.trim_end_matches('0').trim_end_matches('.') } else { &rate_hz };
     let assumed = if report.rate_assumed { " (assumed: neither stamps nor --rate states it)" } else { "" };
-    let rate = format!("{rate_hz} Hz{assumed}");
+    let rate = format!("{}{assumed}", hertz(report.rate_hz));
     let how = if report.new { "is capture" } else { "was imported before, as capture" };
     let ImportReport { file, capture, samples, missing, gaps, .. } = report;
-    writeln!(stdout, "{file} {how} {capture}: {samples} samples at {rate}, {missing} missing in {gaps} gaps")?;
+    let [samples, gaps] = [counted(*samples, "sample", "samples"), counted(*gaps, "gap", "gaps")];
+    writeln!(stdout, "{file} {how} {capture}: {samples} at {rate}, {missing} missing in {gaps}")?;
     for (cause, count) in &report.rejected {
         writeln!(stdout, "  rejected: {count} ({cause})")?;
     }

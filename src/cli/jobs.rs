@@ -1,6 +1,7 @@
 //! `vn100d jobs`: the running daemon's background work.
 
 use super::client::{self, ClientError, shown};
+use super::figures::to_the_second;
 use comfy_table::{Table, presets};
 use serde_json::Value;
 
@@ -42,10 +43,7 @@ fn table(jobs: &[Value]) -> Table {
 
 /// Returns a time without its fraction of a second.
 fn seconds(time: &Value) -> String {
-    match time.as_str().and_then(|time| time.split_once('.')) {
-        Some((whole, _)) => format!("{whole}Z"),
-        None => shown(time),
-    }
+    time.as_str().map_or_else(|| shown(time), to_the_second)
 }
 
 #[cfg(test)]

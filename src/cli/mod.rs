@@ -15,8 +15,10 @@ mod cost;
 mod demo;
 mod diagnose;
 mod diagnose_limits;
+mod diagnose_text;
 mod emulate;
 mod export;
+mod figures;
 mod filter_parameters;
 mod generate;
 mod hangup;
@@ -42,6 +44,7 @@ mod simulate;
 mod source;
 mod status;
 mod subject;
+mod table;
 mod trial;
 mod trial_motion;
 mod trial_on;
@@ -242,10 +245,8 @@ fn all<T>(mut page: impl FnMut(&PageRequest) -> Result<Page<T>, StoreError>) -> 
 }
 
 /// Returns a table for display.
-fn table(header: &[&str]) -> comfy_table::Table {
-    let mut table = comfy_table::Table::new();
-    table.load_style(comfy_table::presets::UTF8_FULL_CONDENSED).set_header(header.iter().copied());
-    table
+fn table(header: &[&str]) -> table::Table {
+    table::Table::new(header)
 }
 
 /// Prints only JSON on standard output.

@@ -2,10 +2,12 @@
 
 use super::analysis::Together;
 use super::args::{EffectNames, ModelArgs, ModelCommand};
+use super::figures::{counted, hertz, rounded};
 use super::output::Output;
 use super::simulate::without_gravity;
 use super::{Context, Outcome, analysis, print_json, table};
 use crate::jobs::{self, Fitted, TwoThreads};
+use crate::page::digits;
 use anyhow::Context as _;
 use imu_diagnosis::model_fit::{Difference, differences};
 use imu_files::export::ImuNoise;
@@ -41,7 +43,11 @@ pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome
                         (serde_json::to_string_pretty(&model)? + "\n", output.path().display().to_string());
                     output.file().write_all(text.as_bytes()).with_context(|| format!("{path} cannot be written"))?;
                     output.keep()?;
-                    println!("{path}: {} channels of {name} at {} Hz", model.channels.len(), model.rate_hz);
+                    println!(
+                        "{path}: {} of {name} at {}",
+                        counted(model.channels.len() as u64, "channel", "channels"),
+                        hertz(model.rate_hz)
+                    );
                 }
             }
             return Ok(if rejected { Outcome::WithLoss } else { Outcome::Done });
@@ -87,11 +93,14 @@ pub(super) fn load(path: &Path) -> anyhow::Result<SensorModel> {
 fn show(model: &SensorModel) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match model.sampling {
-        None => writeln!(stdout, "{}: as seen at {} Hz", model.name, model.rate_hz)?,
+        None => writeln!(stdout, "{}: as seen at {}", model.name, hertz(model.rate_hz))?,
         Some(sampling) => writeln!(
             stdout,
-            "{}: sampled at {} Hz, means of {}, sent at {} Hz",
-            model.name, sampling.internal_rate_hz, sampling.filter_window, model.rate_hz
+            "{}: sampled at {}, means of {}, sent at {}",
+            model.name,
+            hertz(sampling.internal_rate_hz),
+            sampling.filter_window,
+            hertz(model.rate_hz)
         )?,
     }
     let mut rows = narrow(&["channel", "parameter", "value", "95 % interval"]);
@@ -101,18 +110,24 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
             rows.add_row([head.next().unwrap_or_default().to_owned(), parameter, value, interval]);
         };
         for (key, unit, value) in [("N", "U/√Hz", of.n), ("B", "U", of.b), ("K", "U/√s", of.k)] {
-            let limit = of.upper_limit(key).filter(|_| value == 0.0).map(|limit| format!("< {limit:.2e}"));
+            let limit = of.upper_limit(key).filter(|_| value == 0.0).map(|limit| format!("< {}", rounded(limit, 3)));
             let known = limit.or_else(|| of.interval(key).map(ends)).unwrap_or_default();
-            add(format!("{key}, {unit}"), if value == 0.0 { "0".to_owned() } else { format!("{value:.3e}") }, known);
+            let digits = of.interval(key).map_or(4, |ends| digits(value, ends));
+            add(format!("{key}, {unit}"), rounded(value, digits), known);
         }
         if let Some(bias) = of.bias {
-            add("bias, U".to_owned(), format!("{bias:.6}"), of.interval("bias").map(ends).unwrap_or_default());
+            let digits = of.interval("bias").map_or(6, |ends| digits(bias, ends));
+            add("bias, U".to_owned(), rounded(bias, digits), of.interval("bias").map(ends).unwrap_or_default());
         }
         let named = numbered(of.effects.iter().map(|effect| effect.name()));
         for (index, (effect, name)) in of.effects.iter().zip(named).enumerate() {
             for (key, value) in effect.parameters() {
-                let known = of.effect_interval(index, key).map(ends).unwrap_or_default();
-                add(format!("{name}.{key}"), value_text(&value), known);
+                let interval = of.effect_interval(index, key);
+                let text = match value.as_f64().zip(interval) {
+                    Some((value, ends)) => rounded(value, digits(value, ends)),
+                    None => value_text(&value),
+                };
+                add(format!("{name}.{key}"), text, interval.map(ends).unwrap_or_default());
             }
         }
     }
@@ -138,10 +153,8 @@ fn show(model: &SensorModel) -> std::io::Result<()> {
 const WIDTH: u16 = 80;
 
 /// Returns a table that wraps its cells instead of its lines.
-fn narrow(header: &[&str]) -> comfy_table::Table {
-    let mut table = table(header);
-    table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic).set_width(WIDTH);
-    table
+fn narrow(header: &[&str]) -> super::table::Table {
+    table(header).at_most(WIDTH)
 }
 
 /// Returns the names of effects with a number from the second of a kind on, as in `model diff`.
@@ -157,9 +170,8 @@ fn numbered<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
 
 /// Returns an interval with as many digits as distinguish its ends.
 fn ends([low, high]: [f64; 2]) -> String {
-    let share = (high - low) / low.abs().max(high.abs());
-    let digits = if share > 0.0 { (1.0 - share.log10().floor()).clamp(2.0, 8.0) as usize } else { 2 };
-    format!("{low:.digits$e} … {high:.digits$e}")
+    let digits = digits(low, [low, high]);
+    format!("{} … {}", rounded(low, digits), rounded(high, digits))
 }
 
 /// Returns a parameter; numbers have the relevant digits.
@@ -277,10 +289,10 @@ mod tests {
         }
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");
-        assert_eq!(ends([11.39, 11.41]), "1.1390e1 … 1.1410e1");
+        assert_eq!(ends([11.39, 11.41]), "11.390 … 11.410");
         assert_eq!(
             (ends([0.0, 2e-5]), ends([1.0, 1.0])),
-            ("0.00e0 … 2.00e-5".to_owned(), "1.00e0 … 1.00e0".to_owned())
+            ("0 … 2.00e-5".to_owned(), "1.00000 … 1.00000".to_owned())
         );
         assert_eq!(numbered(["tone", "comb", "tone"].into_iter()), ["tone", "comb", "tone[1]"]);
         let lines = wrapped(&"word ".repeat(100));

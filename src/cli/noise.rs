@@ -2,6 +2,7 @@
 
 use super::analysis;
 use super::args::{NoiseArgs, NoiseFormat, SheetChoice, Undecided};
+use super::figures::{counted, hertz, rounded, with_interval};
 use super::output::Output;
 use super::within::Limits;
 use super::{Context, Outcome, failed, junit, limits, table};
@@ -10,7 +11,7 @@ use anyhow::Context as _;
 use imu_files::export::paste::{NoiseDocument, Paste};
 use imu_model::simulator::SensorModel;
 use imu_noise::datasheet::{Comparison, Datasheet, Verdict, compare_report};
-use imu_noise::fit::{Estimate, NoiseReport};
+use imu_noise::fit::{Estimate, Flag, NoiseReport};
 use serde_json::Value;
 use std::io::Write as _;
 use std::path::Path;
@@ -51,7 +52,7 @@ pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome
         (_, NoiseFormat::Csv, _) => write_csv(std::io::stdout().lock(), &report)?,
         _ => {
             let mut stdout = std::io::stdout().lock();
-            write_table(&mut stdout, &report)?;
+            write_table(&mut stdout, &report, args.verbose)?;
             write_paste(&mut stdout, &Paste::of(&report), &args.captures.join(" "))?;
             if let Some(comparison) = comparison {
                 write_comparison(&mut stdout, &comparison)?;
@@ -91,25 +92,29 @@ const UNUSABLE: &str = " !";
 fn cell(estimate: &Estimate) -> String {
     let mark = if estimate.source.is_some() { CURVE } else { "" };
     match (estimate.value, estimate.ci95, estimate.upper_limit95) {
-        (Some(value), Some([low, high]), _) => format!("{value:.3e} [{low:.2e}, {high:.2e}]{mark}"),
-        (_, _, Some(limit)) => format!("< {limit:.2e}{mark}"),
+        (Some(value), Some(ends), _) => with_interval(value, ends) + mark,
+        (_, _, Some(limit)) => format!("< {}{mark}", rounded(limit, 3)),
         _ => "–".to_owned(),
     }
 }
 
 fn number(value: f64) -> String {
-    format!("{value:.3e}")
+    rounded(value, 4)
 }
 
 /// Returns what was analysed, as a sentence.
 fn headline(report: &NoiseReport) -> String {
     format!(
-        "{}: {:.1} s at {} Hz, {} samples, {} missing.",
-        report.capture, report.duration_s, report.rate_hz, report.samples, report.missing
+        "{}: {:.1} s at {}, {}, {} missing.",
+        report.capture,
+        report.duration_s,
+        hertz(report.rate_hz),
+        counted(report.samples, "sample", "samples"),
+        report.missing
     )
 }
 
-fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Result<()> {
+fn write_table(mut to: impl std::io::Write, report: &NoiseReport, verbose: bool) -> std::io::Result<()> {
     writeln!(to, "{} Values with 95 % intervals; `<`: not identified, 95 % upper limit.", headline(report))?;
     write!(to, "{}", super::stillness(report.at_rest_s, report.moving_s))?;
     let mut rows = table(&["channel", "unit U", "N in U/√Hz", "B in U", "K in U/√s", "Q in U·s", "R in U/s", "fit p"]);
@@ -154,13 +159,10 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
         for sentence in found.sentences(number) {
             writeln!(to, "{channel}: {sentence}")?;
         }
-        for flag in &found.flags {
-            writeln!(to, "{channel}: {}", flag.words())?;
-        }
+        write_flags(&mut to, channel.name(), &found.flags, verbose)?;
         for of in &report.captures {
-            for flag in of.flags.get(channel).into_iter().flatten() {
-                writeln!(to, "{channel} in {}: {}", of.capture, flag.words())?;
-            }
+            let flags = of.flags.get(channel).map(Vec::as_slice).unwrap_or_default();
+            write_flags(&mut to, &format!("{channel} in {}", of.capture), flags, verbose)?;
         }
         let with = report.disturbances.get(channel).and_then(|about| about.with_disturbances.as_ref());
         if let Some(with) = with {
@@ -168,6 +170,30 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport) -> std::io::Re
         }
     }
     Ok(())
+}
+
+/// Writes what disturbed a channel: the number of each kind of which there may be many, and sentences for the others.
+fn write_flags(to: &mut impl std::io::Write, whose: &str, flags: &[Flag], verbose: bool) -> std::io::Result<()> {
+    const KINDS: [(&str, &str, &str); 7] = [
+        ("spike", "spike", "spikes"),
+        ("knock", "knock", "knocks"),
+        ("handling", "handling", "handlings"),
+        ("bump", "bump", "bumps"),
+        ("step", "step", "steps"),
+        ("line", "line", "lines"),
+        ("vibration", "band of vibration", "bands of vibration"),
+    ];
+    let count = |kind: &str| flags.iter().filter(|flag| flag.kind == kind).count() as u64;
+    let counts = KINDS.map(|(kind, one, several)| (count(kind), one, several));
+    let counts = counts.into_iter().filter(|(count, ..)| *count > 0);
+    let counts: Vec<String> = counts.map(|(count, one, several)| counted(count, one, several)).collect();
+    if !counts.is_empty() {
+        let how = if verbose { "" } else { " (--verbose lists them)" };
+        writeln!(to, "{whose}: {}{how}", counts.join(", "))?;
+    }
+    let is_counted = |flag: &&Flag| KINDS.iter().any(|(kind, ..)| flag.kind == *kind);
+    let listed = flags.iter().filter(|flag| verbose || !is_counted(flag));
+    listed.into_iter().try_for_each(|flag| writeln!(to, "{whose}: {}", flag.words()))
 }
 
 /// Writes which number to paste where.
@@ -315,7 +341,7 @@ mod tests {
     use super::super::analysis::Together;
     use super::*;
     use imu_core::sample::{Channel, StatedSampling};
-    use imu_noise::fit::{Flag, GaussMarkov};
+    use imu_noise::fit::GaussMarkov;
 
     const FAR: f64 = 1e9;
 
@@ -419,7 +445,7 @@ mod tests {
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
         let text = |report: &NoiseReport| {
             let (mut table, mut csv) = (Vec::new(), Vec::new());
-            write_table(&mut table, report).unwrap();
+            write_table(&mut table, report, true).unwrap();
             write_csv(&mut csv, report).unwrap();
             [table, csv].map(|bytes| String::from_utf8(bytes).unwrap())
         };
@@ -430,10 +456,7 @@ mod tests {
             tc_s: Estimate::of("s", 60.0, [50.0, 80.0]),
         });
         let [table, csv] = text(&report);
-        assert!(
-            table.contains("σ 2.000e-3 [1.50e-3, 2.50e-3]") && table.contains("Tc 6.000e1 [5.00e1, 8.00e1]"),
-            "{table}"
-        );
+        assert!(table.contains("σ 2.00e-3 [1.50e-3, 2.50e-3]") && table.contains("Tc 60.0 [50.0, 80.0]"), "{table}");
         assert!(csv.contains("gyro_x,gauss_markov.sigma,rad/s,0.002,0.0015,0.0025,,true,,true,\n"), "{csv}");
         assert!(csv.contains("gyro_x,gauss_markov.tc_s,s,60,50,80,,true,,true,\n"), "{csv}");
     }
@@ -446,7 +469,7 @@ mod tests {
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
         let rendered = |report: &NoiseReport| {
             let mut table = Vec::new();
-            write_table(&mut table, report).unwrap();
+            write_table(&mut table, report, true).unwrap();
             String::from_utf8(table).unwrap()
         };
         let white = rendered(&report);
@@ -481,7 +504,7 @@ mod tests {
         let mut report = report(opened(recording(directory.path(), |_, value| value)));
         let rendered = |report: &NoiseReport| {
             let (mut text, mut csv) = (Vec::new(), Vec::new());
-            write_table(&mut text, report).unwrap();
+            write_table(&mut text, report, true).unwrap();
             write_paste(&mut text, &Paste::of(report), "white.csv").unwrap();
             write_csv(&mut csv, report).unwrap();
             [text, csv].map(|bytes| String::from_utf8(bytes).unwrap())
@@ -572,7 +595,7 @@ mod tests {
                 found.k
             );
             let mut table = Vec::new();
-            write_table(&mut table, &report).unwrap();
+            write_table(&mut table, &report, true).unwrap();
             let table = String::from_utf8(table).unwrap();
             assert!(table.contains("gyro_x: behind a moving average of 4"), "{table}");
         }

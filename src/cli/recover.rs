@@ -1,6 +1,7 @@
 //! `vn100d recover`: salvages the intact part of a damaged database into a new one.
 
 use super::args::RecoverArgs;
+use super::figures::counted;
 use super::{Context, Outcome, print_json};
 use crate::store::printable;
 use std::io::Write as _;
@@ -18,27 +19,29 @@ pub(super) fn run(context: &Context, args: RecoverArgs) -> anyhow::Result<Outcom
     for capture in &report.captures {
         writeln!(
             stdout,
-            "capture {} `{}`: {} samples recovered in {} batches, {} samples lost in {} batches; {} gaps recovered, {} lost",
+            "capture {} `{}`: {} recovered in {}, {} lost in {}; {} recovered, {} lost",
             capture.id,
             printable(&capture.name),
-            capture.samples,
-            capture.batches,
-            capture.samples_lost,
-            capture.batches_lost,
-            capture.gaps,
+            counted(capture.samples, "sample", "samples"),
+            counted(capture.batches, "batch", "batches"),
+            counted(capture.samples_lost, "sample", "samples"),
+            counted(capture.batches_lost, "batch", "batches"),
+            counted(capture.gaps, "gap", "gaps"),
             capture.gaps_lost
         )?;
         if capture.without_checksum > 0 {
             writeln!(
                 stdout,
-                "  of these {} samples are of no batch: no checksum vouches for them",
-                capture.without_checksum
+                "  of these {} of no batch: no checksum vouches for them",
+                counted(capture.without_checksum, "sample is", "samples are")
             )?;
         }
     }
     let (pages, rows, frames) = (report.damaged_pages, report.damaged_rows, report.damaged_frames);
     if pages + rows + frames > 0 {
-        writeln!(stdout, "unreadable: {pages} pages, {rows} rows on other pages, {frames} pages of the log")?;
+        let [pages, frames] = [pages, frames].map(|count| counted(count, "page", "pages"));
+        let rows = counted(rows, "row", "rows");
+        writeln!(stdout, "unreadable: {pages}, {rows} on other pages, {frames} of the log")?;
     }
     for finding in &report.findings {
         writeln!(stdout, "found: {}", printable(&finding.message))?;

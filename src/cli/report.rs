@@ -1,6 +1,7 @@
 //! `vn100d report`: everything known about a capture as one self-contained page, for colleagues and for paper.
 
 use super::args::ReportArgs;
+use super::figures::counted;
 use super::output::Output;
 use super::progress::bar;
 use super::source::file;
@@ -72,8 +73,8 @@ pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcom
             remarks: &made.remarks,
         })?;
     } else {
-        let (plots, diagnoses) = (counted(made.plots.len(), "plot", "plots"), made.diagnoses.len());
-        let diagnoses = counted(diagnoses, "diagnosis", "diagnoses");
+        let (plots, diagnoses) = (counted(made.plots.len() as u64, "plot", "plots"), made.diagnoses.len());
+        let diagnoses = counted(diagnoses as u64, "diagnosis", "diagnoses");
         let out = args.out.display();
         writeln!(
             std::io::stdout(),
@@ -82,10 +83,6 @@ pub(super) fn run(context: &Context, args: &ReportArgs) -> anyhow::Result<Outcom
         )?;
     }
     Ok(outcome)
-}
-
-fn counted(count: usize, one: &str, several: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { several })
 }
 
 /// A page and its contents.

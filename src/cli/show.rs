@@ -1,5 +1,6 @@
 //! `vn100d show`: one capture with its segments, gaps and counts.
 
+use super::figures::{counted, hertz};
 use super::source::{Source, has_rejected};
 use super::{Context, Outcome, all, print_json, table};
 use crate::store::{DeviceClockRow, EventRow, GapRow, Page, PageRequest, Reader, SegmentRow, printable};
@@ -44,13 +45,13 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
     writeln!(stdout, "  from {} to {}", time(row.started_at), time(row.ended_at))?;
     writeln!(
         stdout,
-        "  {:.3} s at {} Hz: {} samples, {} missing in {} gaps, {} segments",
+        "  {:.3} s at {}: {}, {} missing in {}, {}",
         row.duration_s,
-        row.rate_hz.map_or_else(|| "?".to_owned(), |rate| rate.to_string()),
-        row.samples,
+        row.rate_hz.map_or_else(|| "? Hz".to_owned(), hertz),
+        counted(row.samples, "sample", "samples"),
         row.missing,
-        row.gaps,
-        row.segments
+        counted(row.gaps, "gap", "gaps"),
+        counted(row.segments, "segment", "segments")
     )?;
     for (cause, count) in &row.rejected {
         writeln!(stdout, "  rejected: {count} ({})", printable(cause))?;
@@ -103,7 +104,8 @@ pub(super) fn run(context: &Context, capture: &str, rate_hz: Option<f64>) -> any
         }
         writeln!(stdout, "{rows}")?;
         if gaps.len() > SHOWN {
-            writeln!(stdout, "… and {} more gaps (--json or /v1/captures/{id}/gaps lists them)", gaps.len() - SHOWN)?;
+            let more = counted((gaps.len() - SHOWN) as u64, "more gap", "more gaps");
+            writeln!(stdout, "… and {more} (--json or /v1/captures/{id}/gaps lists them)")?;
         }
     }
     writeln!(stdout, "segments: {}", segments.len())?;
@@ -149,13 +151,13 @@ fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) ->
         let assumed = if info.rate_assumed { " (assumed)" } else { "" };
         writeln!(
             stdout,
-            "recording {file}: {:.3} s at {} Hz{assumed}, {} samples, {} missing in {} gaps, {} segments",
+            "recording {file}: {:.3} s at {}{assumed}, {}, {} missing in {}, {}",
             recording.duration_s(),
-            info.rate_hz,
-            recording.samples,
+            hertz(info.rate_hz),
+            counted(recording.samples, "sample", "samples"),
             recording.missing,
-            recording.gaps.len(),
-            recording.segments.len()
+            counted(recording.gaps.len() as u64, "gap", "gaps"),
+            counted(recording.segments.len() as u64, "segment", "segments")
         )?;
         for (cause, count) in &info.rejected {
             writeln!(stdout, "  rejected: {count} ({})", cause.name())?;
@@ -182,5 +184,8 @@ fn by_cause(gaps: impl Iterator<Item = (GapCause, u64)>) -> Vec<String> {
         *gaps += 1;
         *sum += missing;
     }
-    causes.iter().map(|(cause, (gaps, missing))| format!("{gaps} gaps by {cause}: {missing} missing")).collect()
+    causes
+        .iter()
+        .map(|(cause, (gaps, missing))| format!("{} by {cause}: {missing} missing", counted(*gaps, "gap", "gaps")))
+        .collect()
 }

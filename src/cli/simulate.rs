@@ -2,6 +2,7 @@
 
 use super::args::SimulateArgs;
 use super::emulate::{load_model, stop_on_signal};
+use super::figures::{counted, hertz};
 use super::output::{Output, is_same, refuse_without_room};
 use super::progress::{SAMPLES, bar};
 use super::{Context, Outcome, failed, print_json, usage};
@@ -438,7 +439,13 @@ fn print_summary(
         0 => String::new(),
         missing => format!(", {missing} lost"),
     };
-    println!("{place}: {} samples of `{}` at {rate_hz} Hz, seed {}{lost}", made.samples, model.name, args.seed);
+    println!(
+        "{place}: {} of `{}` at {}, seed {}{lost}",
+        counted(made.samples, "sample", "samples"),
+        model.name,
+        hertz(rate_hz),
+        args.seed
+    );
     Ok(())
 }
 

@@ -1,6 +1,7 @@
 //! `vn100d status`: prints the running daemon's status.
 
 use super::client::{self, ClientError, shown};
+use super::figures::{counted, hertz};
 use comfy_table::{Table, presets};
 use imu_core::units::format_duration;
 use serde_json::Value;
@@ -39,7 +40,7 @@ fn table(status: &Value) -> Table {
         row("unit", format!("{}, serial number {}, firmware {}", unit[0], unit[1], unit[2]));
     }
     if !sensor["rate_hz"].is_null() {
-        row("rate", format!("{} Hz", shown(&sensor["rate_hz"])));
+        row("rate", sensor["rate_hz"].as_f64().map_or_else(|| shown(&sensor["rate_hz"]), hertz));
     }
     if capture.is_null() {
         row("capture", "none".to_owned());
@@ -50,9 +51,9 @@ fn table(status: &Value) -> Table {
         );
         let (elapsed, remaining) = (duration(&capture["elapsed_s"]), duration(&capture["remaining_s"]));
         row("", format!("{elapsed} elapsed, {remaining} to come"));
-        let counts = ["samples", "missing", "gaps", "committed"].map(|name| shown(&capture[name]));
-        let [samples, missing, gaps, committed] = counts;
-        row("samples", format!("{samples} received, {missing} missing in {gaps} gaps, {committed} on disk"));
+        let [samples, missing, committed] = ["samples", "missing", "committed"].map(|name| shown(&capture[name]));
+        let gaps = counted(capture["gaps"].as_u64().unwrap_or_default(), "gap", "gaps");
+        row("samples", format!("{samples} received, {missing} missing in {gaps}, {committed} on disk"));
         if !capture["gap_open_since"].is_null() {
             row("", format!("nothing since {}", shown(&capture["gap_open_since"])));
         }

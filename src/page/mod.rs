@@ -17,7 +17,8 @@ mod waiting;
 
 pub use capture::{CaptureView, Facts, Figure, capture};
 pub use dashboard::{DashboardView, Stored, dashboard, live};
-pub use diagnosis::{Links, diagnosis, diagnosis_body};
+pub use diagnosis::{Links, NATS, SURE, advice, closes, diagnosis, diagnosis_body};
+pub use figure::{digits, part};
 pub use list::{ListView, SEARCH_MAX, captures, diagnoses, jobs, models};
 pub use refusal::{RefusalView, refusal};
 pub use series::{SeriesView, series};

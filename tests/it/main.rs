@@ -18,6 +18,7 @@ mod gap;
 mod imports;
 mod night;
 mod odd_diagnoses;
+mod output;
 mod pages;
 mod plots;
 mod poses;

@@ -15,7 +15,21 @@ const MAY_USE: [(&str, &[&str]); 18] = [
     ("capture", &["vn100_proto", "imu_core", "clock", "observe"]),
     ("store", &["imu_core", "clock", "observe"]),
     ("share", &["vn100_proto", "imu_core", "imu_files", "observe", "pty"]),
-    ("page", &["store", "jobs", "observe", "plot", "imu_cost", "imu_diagnosis", "imu_files", "imu_noise", "imu_core"]),
+    (
+        "page",
+        &[
+            "store",
+            "jobs",
+            "observe",
+            "plot",
+            "imu_cost",
+            "imu_diagnosis",
+            "imu_files",
+            "imu_model",
+            "imu_noise",
+            "imu_core",
+        ],
+    ),
     ("plot", &["imu_diagnosis", "imu_noise", "imu_core"]),
     ("gallery", &["process", "store", "jobs", "page", "plot", "imu_files", "imu_noise", "imu_core"]),
     (

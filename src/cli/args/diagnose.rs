@@ -18,6 +18,7 @@ pub enum ReferenceAxis {
 
 /// Arguments of `diagnose`.
 #[derive(Debug, Args)]
+#[command(after_help = crate::page::NATS)]
 pub struct DiagnoseArgs {
     /// The recording: id, name, `latest`, or a file's path
     #[arg(long, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
@@ -52,6 +53,9 @@ pub struct DiagnoseArgs {
     /// Write the diagnosis here as a page with spectra; it loads nothing from elsewhere
     #[arg(long, value_name = "OUT.html")]
     pub html: Option<PathBuf>,
+    /// List every place of the gap, every sentence of evidence and every entry of a parameter
+    #[arg(long)]
+    pub verbose: bool,
     /// End with exit code 4 if a quantity is above its limit: gap, after_parameters, after in nats a sample, closed (what the
     /// model lacks), remainder as parts from 0 to 1, such as gap=0.001,closed=0.5 (docs/ci.md)
     #[arg(long, value_name = "NAME=LIMIT", value_delimiter = ',')]

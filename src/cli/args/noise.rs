@@ -27,6 +27,9 @@ pub struct NoiseArgs {
     /// Write parameters even if they contradict the record, with a comment; replace the file of --junit
     #[arg(long)]
     pub force: bool,
+    /// List every spike, knock and line, not only their numbers
+    #[arg(long)]
+    pub verbose: bool,
     /// End with exit code 4 unless N, B and K are within the limits of this file, such as `[gyro]` with `B_deg_h = 8`
     /// (docs/ci.md)
     #[arg(long, value_name = "LIMITS.toml", conflicts_with = "consistent")]

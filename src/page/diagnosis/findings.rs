@@ -1,11 +1,11 @@
 //! The findings: effects in which sensor and model differ, with their evidence, the alternatives considered, the
 //! offsets, and the places.
 
-use super::super::figure::{percent, plain, second, with_interval};
+use super::super::figure::{part, percent, plain, second, with_interval};
 use super::super::{escaped, wide};
 use imu_core::sample::Channel;
 use imu_diagnosis::Diagnosis;
-use imu_diagnosis::report::{Cause, Driver, Hint, Of, Offset, Parameter, Place, Remainder, Sense};
+use imu_diagnosis::report::{Cause, Discrepancy, Driver, Hint, Of, Offset, Parameter, Place, Remainder, Sense};
 use serde::Deserialize as _;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use std::fmt::Write as _;
 
 /// The maximum number of list entries shown of one cause on one channel.
 const ENTRIES: usize = 6;
-/// The maximum length of a parameter that is no number, in characters.
+/// The maximum length of a list in a parameter, in characters.
 const LONGEST: usize = 60;
 
 pub(super) fn causes(out: &mut String, report: &Diagnosis) {
@@ -44,14 +44,30 @@ pub(super) fn causes(out: &mut String, report: &Diagnosis) {
             [("", &cause.parameters), ("the model’s ", &cause.model)]
                 .map(|(whose, of)| parameters(whose, of, cause))
                 .concat(),
-            cause.closes.map_or_else(|| "–".to_owned(), percent),
+            closes(cause, &report.discrepancy).map_or_else(|| "–".to_owned(), |text| escaped(&text)),
         );
     }
-    *out += "</table></div><ul>";
+    *out += "</table></div>";
+    let _ = write!(
+        out,
+        "<p class=\"soft\">Sure: {}. Closes: the part of the gap that adding it closes.</p><ul>",
+        escaped(super::SURE)
+    );
     for sentence in report.causes.iter().flat_map(|cause| &cause.evidence) {
         let _ = write!(out, "<li class=\"soft\">{}</li>", escaped(sentence));
     }
     *out += "</ul>";
+}
+
+/// Returns the part of the gap that a cause closes, with its 95 % interval: the cause's part of the interval of the whole.
+pub fn closes(cause: &Cause, gap: &Discrepancy) -> Option<String> {
+    let own = cause.closes?;
+    let interval = gap.closed_ci95.zip(gap.closed.filter(|closed| *closed > 0.0));
+    let interval = interval.map_or_else(String::new, |([low, high], closed)| {
+        let [low, high] = [low, high].map(|end| part(own * end / closed));
+        format!(" ({} to {high})", low.trim_end_matches(" %"))
+    });
+    Some(part(own) + &interval)
 }
 
 /// Returns the parameters of a cause that the sensor or the model has, channel by channel, in a list.
@@ -69,7 +85,19 @@ fn parameters(whose: &str, all: &BTreeMap<String, Value>, cause: &Cause) -> Stri
             let intervals = known.get(index).copied();
             let fields = entry.as_object().into_iter().flatten().map(|(key, value)| {
                 let unit = unit(cause, place, key, value).unwrap_or_default();
-                format!("<code>{}</code> {}{unit}", escaped(key), figure(value, intervals.and_then(|of| of.get(key))))
+                let interval = intervals.and_then(|of| of.get(key));
+                // A standard deviation is positive: a sign states that channels share noise with opposite signs.
+                let opposite = value.as_f64().filter(|value| key == "sigma" && *value < 0.0);
+                let text = match opposite {
+                    Some(value) => {
+                        let ends = interval.and_then(|of| <[f64; 2]>::deserialize(of).ok());
+                        let positive =
+                            ends.map_or_else(|| plain(-value), |[low, high]| with_interval(-value, [-high, -low]));
+                        format!("{positive}{unit}, of opposite sign")
+                    }
+                    None => format!("{}{unit}", figure(value, interval)),
+                };
+                format!("<code>{}</code> {text}", escaped(key))
             });
             let fields: Vec<String> = fields.collect();
             let _ = write!(out, "<li>{of}{}</li>", fields.join(", "));
@@ -118,8 +146,9 @@ fn figure(value: &Value, interval: Option<&Value>) -> String {
                 (None, Some(numbers)) => numbers.join(", "),
                 (None, None) => value.to_string(),
             };
-            let short: String = text.chars().take(LONGEST).collect();
-            escaped(&if short.len() < text.len() { format!("{short}…") } else { short })
+            // A parameter is never cut: of a long list the number of entries is stated.
+            let long = value.as_array().filter(|_| text.chars().count() > LONGEST);
+            long.map_or_else(|| escaped(&text), |list| format!("{} entries", list.len()))
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The size of the gap: in total, and channel by channel down to the gap of a true model.
 
 use super::super::escaped;
-use super::super::figure::{percent, plain};
+use super::super::figure::{part, plain};
 use crate::plot::closing;
 use imu_diagnosis::Diagnosis;
 use imu_diagnosis::report::Discrepancy;
@@ -39,14 +39,15 @@ pub(super) fn section(out: &mut String, gap: &Discrepancy) {
     if let Some(closed) = gap.closed {
         let interval = gap
             .closed_ci95
-            .map_or_else(String::new, |[low, high]| format!(" (95 % interval {} to {})", percent(low), percent(high)));
-        let _ = write!(out, "<p>{} of the gap is closed{interval}.</p>", percent(closed));
+            .map_or_else(String::new, |[low, high]| format!(" (95 % interval {} to {})", part(low), part(high)));
+        let _ = write!(out, "<p>{} of the gap is closed{interval}.</p>", part(closed));
     }
     let chance = match gap.p_value_after {
         known if known.is_finite() => format!(" Chance that a true model leaves as much: {}.", plain(known)),
         _ => String::new(),
     };
     let _ = write!(out, "<p class=\"soft\">Measured on the {}.{chance}</p>", escaped(&gap.measured_on));
+    let _ = write!(out, "<p class=\"soft\">{}</p>", escaped(super::NATS));
 }
 
 /// Writes one bar per channel.

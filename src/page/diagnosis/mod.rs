@@ -1,12 +1,16 @@
 //! The page of a diagnosis: the sentence, the size of the gap and the effects that close it, its place, and the effects
 //! missing in the model.
 
+mod advice;
 mod cost;
 mod drawn;
 mod findings;
 mod gap;
 #[cfg(test)]
 mod tests;
+
+pub use advice::{NATS, SURE, advice};
+pub use findings::closes;
 
 use super::{Kind, escaped, framed};
 use imu_diagnosis::report::{Sense, Verdict};
@@ -41,6 +45,7 @@ pub fn diagnosis_body(report: &Diagnosis, drawings: &Drawings, links: Links<'_>)
     drawn::timelines(&mut out, drawings);
     drawn::spectra(&mut out, report, drawings);
     notes(&mut out, report);
+    advice::section(&mut out, report);
     foot(&mut out, report, links);
     out
 }

@@ -65,7 +65,7 @@ fn the_sentence_comes_first_and_every_part_is_there_without_anything_from_elsewh
     assert!(at("<h1>accel_z: a 11.400 Hz tone &lt;b&gt;") < at("The gap, in nats/sample"));
     assert!(at("the model as it is") < at("What the model lacks"));
     for part in [
-        "99 % of the gap is closed (95 % interval 98 % to 101 %)",
+        "99 % of the gap is closed (95 % interval 98 % to 100 %)",
         "<code>amplitude</code> 0.002 (0.0019 to 0.0021) m/s²",
         "<code>frequency_hz</code> 11.4",
         "gyro_y: and 3 more",
