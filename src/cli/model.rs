@@ -290,10 +290,7 @@ mod tests {
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": "dst"})), "dst");
         assert_eq!(in_words(&json!({"gyro_x": "dst", "gyro_y": ["a", 1]})), "gyro_x: dst; gyro_y: a 1");
         assert_eq!(ends([11.39, 11.41]), "11.390 … 11.410");
-        assert_eq!(
-            (ends([0.0, 2e-5]), ends([1.0, 1.0])),
-            ("0 … 2.00e-5".to_owned(), "1.00000 … 1.00000".to_owned())
-        );
+        assert_eq!((ends([0.0, 2e-5]), ends([1.0, 1.0])), ("0 … 2.00e-5".to_owned(), "1.00000 … 1.00000".to_owned()));
         assert_eq!(numbered(["tone", "comb", "tone"].into_iter()), ["tone", "comb", "tone[1]"]);
         let lines = wrapped(&"word ".repeat(100));
         assert!(lines.lines().all(|line| line.chars().count() <= 80) && lines.lines().count() == 7, "{lines}");

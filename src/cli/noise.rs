@@ -12,6 +12,7 @@ use imu_files::export::paste::{NoiseDocument, Paste};
 use imu_model::simulator::SensorModel;
 use imu_noise::datasheet::{Comparison, Datasheet, Verdict, compare_report};
 use imu_noise::fit::{Estimate, Flag, NoiseReport};
+use imu_noise::words::grouped;
 use serde_json::Value;
 use std::io::Write as _;
 use std::path::Path;
@@ -174,25 +175,11 @@ fn write_table(mut to: impl std::io::Write, report: &NoiseReport, verbose: bool)
 
 /// Writes what disturbed a channel: the number of each kind of which there may be many, and sentences for the others.
 fn write_flags(to: &mut impl std::io::Write, whose: &str, flags: &[Flag], verbose: bool) -> std::io::Result<()> {
-    const KINDS: [(&str, &str, &str); 7] = [
-        ("spike", "spike", "spikes"),
-        ("knock", "knock", "knocks"),
-        ("handling", "handling", "handlings"),
-        ("bump", "bump", "bumps"),
-        ("step", "step", "steps"),
-        ("line", "line", "lines"),
-        ("vibration", "band of vibration", "bands of vibration"),
-    ];
-    let count = |kind: &str| flags.iter().filter(|flag| flag.kind == kind).count() as u64;
-    let counts = KINDS.map(|(kind, one, several)| (count(kind), one, several));
-    let counts = counts.into_iter().filter(|(count, ..)| *count > 0);
-    let counts: Vec<String> = counts.map(|(count, one, several)| counted(count, one, several)).collect();
-    if !counts.is_empty() {
-        let how = if verbose { "" } else { " (--verbose lists them)" };
-        writeln!(to, "{whose}: {}{how}", counts.join(", "))?;
+    let (words, counted, others) = grouped(flags);
+    if let Some(words) = words {
+        writeln!(to, "{whose}: {words}{}", if verbose { "" } else { " (--verbose lists them)" })?;
     }
-    let is_counted = |flag: &&Flag| KINDS.iter().any(|(kind, ..)| flag.kind == *kind);
-    let listed = flags.iter().filter(|flag| verbose || !is_counted(flag));
+    let listed = counted.into_iter().filter(|_| verbose).chain(others);
     listed.into_iter().try_for_each(|flag| writeln!(to, "{whose}: {}", flag.words()))
 }
 

@@ -50,7 +50,7 @@ pub mod statistics;
 pub mod stillness;
 pub mod welch;
 pub mod whittle;
-mod words;
+pub mod words;
 
 pub use contradiction::hold_against;
 pub use contribution::Contribution;

@@ -95,6 +95,30 @@ impl NoiseParameters {
     }
 }
 
+/// Kinds of flags of which a channel may have many: the name in JSON, one of them, several.
+const COUNTED: [(&str, &str, &str); 7] = [
+    ("spike", "spike", "spikes"),
+    ("knock", "knock", "knocks"),
+    ("handling", "stretch of handling", "stretches of handling"),
+    ("bump", "bump", "bumps"),
+    ("step", "step", "steps"),
+    ("line", "line", "lines"),
+    ("vibration", "band of vibration", "bands of vibration"),
+];
+
+/// Returns the number of each kind of disturbance (`9 spikes, 12 knocks, 5 lines`) if there is one, the flags that it
+/// counts, and the other flags.
+pub fn grouped(flags: &[Flag]) -> (Option<String>, Vec<&Flag>, Vec<&Flag>) {
+    let (counted, others): (Vec<&Flag>, Vec<&Flag>) =
+        flags.iter().partition(|flag| COUNTED.iter().any(|(kind, ..)| flag.kind == *kind));
+    let words = COUNTED.iter().filter_map(|(kind, one, several)| {
+        let count = counted.iter().filter(|flag| flag.kind == *kind).count();
+        (count > 0).then(|| format!("{count} {}", if count == 1 { one } else { several }))
+    });
+    let words = words.collect::<Vec<_>>().join(", ");
+    (Some(words).filter(|words| !words.is_empty()), counted, others)
+}
+
 /// Returns a time in a suitable unit.
 fn span(seconds: f64) -> String {
     match seconds {
@@ -103,6 +127,31 @@ fn span(seconds: f64) -> String {
             format!("{} s", text.trim_end_matches('0').trim_end_matches('.'))
         }
         s if s < 7200.0 => format!("{:.0} min", s / 60.0),
-        s => format!("{:.1} h", s / 3600.0),
+        s if s < 72.0 * 3600.0 => format!("{:.1} h", s / 3600.0),
+        s if s < 61.0 * 86_400.0 => format!("{:.0} days", s / 86_400.0),
+        s if s < 730.0 * 86_400.0 => format!("{:.0} months", s / 86_400.0 / 30.44),
+        s => format!("{:.0} years", s / 86_400.0 / 365.25),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn disturbances_are_counted_by_kind_and_other_flags_stay_sentences() {
+        let kinds = ["line", "spike", "misfit", "line", "handling", "line"];
+        let flags: Vec<Flag> = kinds.iter().map(|kind| Flag::whole(kind, "a note")).collect();
+        let (words, counted, others) = grouped(&flags);
+        assert_eq!(words.as_deref(), Some("1 spike, 1 stretch of handling, 3 lines"));
+        assert_eq!((counted.len(), others.len(), others[0].kind.as_str()), (5, 1, "misfit"));
+        assert_eq!(grouped(&flags[2..3]).0, None);
+    }
+
+    #[test]
+    fn long_times_are_given_in_days_months_and_years() {
+        let day = 86_400.0;
+        let spans = [30.0, 7100.0, 2.0 * day, 20.0 * day, 400.0 * day, 17_955.0 * day].map(span);
+        assert_eq!(spans, ["30 s", "118 min", "48.0 h", "20 days", "13 months", "49 years"]);
     }
 }

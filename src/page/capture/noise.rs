@@ -8,7 +8,8 @@ use imu_core::sample::Channel;
 use imu_files::export::paste::Paste;
 use imu_noise::NoiseReport;
 use imu_noise::datasheet::{BiasComparison, Comparison, Datasheet, DensityComparison, Verdict, compare_report};
-use imu_noise::fit::{Estimate, GaussMarkov, NoiseParameters};
+use imu_noise::fit::{Estimate, Flag, GaussMarkov, NoiseParameters};
+use imu_noise::words::grouped;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -27,7 +28,7 @@ pub(super) fn section(out: &mut String, of: &NoiseReport, view: &CaptureView<'_>
             "<p class=\"soft\">At rest {at_rest_s:.1} s, in motion {moving_s:.1} s, which are left out.</p>"
         );
     }
-    parameters(out, &of.channels);
+    parameters(out, &of.channels, opened(view));
     paste(out, &Paste::of(of), view.link());
     *out += "<h2>Allan deviation</h2><p class=\"soft\">Overlapping estimator with its 68 % band; dashed what the parameters above \
              predict, dotted the lines of N, B and K.</p><div class=\"figures\">";
@@ -62,7 +63,7 @@ fn compared(report: &NoiseReport, model: &str, row: &CaptureRow) -> Option<Compa
     compare_report(&sheet, report, row.configuration.filter_windows()).ok()
 }
 
-fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>) {
+fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>, open: &str) {
     *out += "<h2>Noise parameters</h2><p class=\"soft\">With 95 % intervals. N: angle or velocity random walk; B: bias instability \
              (coefficient of the flicker noise); K: rate random walk. If the data does not support a value, it is below what is shown with \
              95 % confidence.</p>";
@@ -71,7 +72,7 @@ fn parameters(out: &mut String, channels: &BTreeMap<Channel, NoiseParameters>) {
              <th scope=\"col\">B</th><th scope=\"col\">K</th></tr>";
     for (name, of) in by_name(channels) {
         // Further remarks take a line below: in a separate column they would be out of sight.
-        let more = more(of);
+        let more = more(of, open);
         let (class, rows) = if more.is_empty() { ("", 1) } else { (" class=\"noted\"", 2) };
         let _ = write!(
             out,
@@ -120,7 +121,7 @@ fn cell(of: &Estimate) -> String {
 }
 
 /// Returns further remarks on a channel: first whether its parameters may be used.
-fn more(of: &NoiseParameters) -> String {
+fn more(of: &NoiseParameters, open: &str) -> String {
     let mut all: Vec<String> = Vec::new();
     if !of.usable {
         let reason = of.reason.as_deref().map_or_else(String::new, |reason| format!(": {}", escaped(reason)));
@@ -135,8 +136,15 @@ fn more(of: &NoiseParameters) -> String {
         all.push(format!("Gauss–Markov process: σ {} correlation time {}", cell(sigma), cell(tc_s)));
     }
     all.extend(of.sentences(plain).iter().map(|sentence| escaped(&capitalized(sentence))));
-    all.extend(of.flags.iter().map(|flag| escaped(&capitalized(&flag.words()))));
-    all.join("<br>")
+    let sentence = |flag: &Flag| escaped(&capitalized(&flag.words()));
+    let (words, counted, others) = grouped(&of.flags);
+    all.extend(others.into_iter().map(sentence));
+    let mut out = all.join("<br>");
+    if let Some(words) = words {
+        let each: Vec<String> = counted.into_iter().map(sentence).collect();
+        let _ = write!(out, "<details{open}><summary>{}</summary>{}</details>", escaped(&words), each.join("<br>"));
+    }
+    out
 }
 
 /// Returns the sentence with a capital first letter.

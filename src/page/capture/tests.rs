@@ -114,7 +114,7 @@ fn everything_that_is_known_is_shown_and_nothing_is_markup() {
         " min of recording at rest would do</span>",
         "<span class=\"soft\">not at rest</span>",
         "<a href=\"/v1/captures/7/noise?format=kalibr\">kalibr</a></th>",
-        "Knock at 1.00–2.00 s: a &lt;note&gt;.",
+        "<details><summary>1 knock</summary>Knock at 1.00–2.00 s: a &lt;note&gt;.</details>",
         "<span class=\"bad\">above</span>",
         "normal (p = 0.3)",
         "a &lt;tone&gt; is missing",
