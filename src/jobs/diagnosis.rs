@@ -119,7 +119,10 @@ impl DiagnosisParameters {
 /// A sentence for the user.
 pub fn read_reference(text: &str, name: &str, axis: Option<usize>) -> Result<Known, String> {
     if !text.contains('\n') {
-        return Err("expected a reference with a header line, or one of still, tumble, rate-table".to_owned());
+        return Err(
+            "expected a motion's CSV with a header line, poses or rates likewise, or one of still, tumble, rate-table"
+                .to_owned(),
+        );
     }
     if let Some(external) = imu_pose::read(text, axis).map_err(|error| error.to_string())? {
         return Ok(Known::External(external));

@@ -252,11 +252,11 @@ fn how_samples_came_about_is_kept_and_has_to_fit() {
         let found = plan.sampling(imu_core::sample::Channel::GyroX).unwrap();
         assert_eq!((found.window, found.internal_rate_hz, found.source.as_str()), (window, internal_hz, "option"));
     }
-    // As databases of earlier versions hold it.
+    // As databases of earlier versions hold it; `first_stamp_s` was added.
     let configuration = reader.capture(four).unwrap().configuration;
     let kept: Vec<_> = configuration.entries().map(|(key, value)| (key, value.clone())).collect();
     let keys: Vec<_> = kept.iter().map(|(key, _)| *key).collect();
-    let expected = "columns conversions file findings ignored_columns kind message_definitions rate_hz remarks sampling \
+    let expected = "columns conversions file findings first_stamp_s ignored_columns kind message_definitions rate_hz remarks sampling \
                     stamp_choice stamp_grid stamps";
     assert_eq!(keys.join(" "), expected);
     let grid = &kept[keys.iter().position(|key| *key == "stamp_grid").unwrap()].1;
