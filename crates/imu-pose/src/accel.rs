@@ -100,8 +100,8 @@ fn means(
         let time_s = part.middle_s - lag_s;
         let weight = kernel(times, time_s) * part.seconds;
         let attitude = poses.at(time_s, &mut near, longest_pose_s)?.to_rotation_matrix().into_inner() * weight;
-        for axis in 0..3 {
-            by_axis[axis] += attitude * part.value[axis];
+        for (sum, value) in by_axis.iter_mut().zip(part.value.iter()) {
+            *sum += attitude * *value;
         }
         constant += attitude;
         all += weight;

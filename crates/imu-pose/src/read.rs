@@ -138,9 +138,9 @@ fn poses<'a>(rows: impl Iterator<Item = (u64, &'a str)>, layout: &Layout) -> Res
     // What is added to a large time in ns is lost in binary seconds, so that times count from the first.
     for (line, text) in rows {
         let row = cells(text);
-        let wanted = |at: &usize| row.get(*at).is_none_or(|cell| cell.is_empty());
+        let lacks = |at: &usize| row.get(*at).is_none_or(|cell| cell.is_empty());
         // A row without an attitude: the instrument had lost the body.
-        if layout.attitude.iter().all(|at| wanted(at)) {
+        if layout.attitude.iter().all(lacks) {
             continue;
         }
         let time_s = number(&row, layout.time, line)? * layout.time_factor;

@@ -349,10 +349,9 @@ fn broad_with_its_optical_reference_has_the_published_delays_and_biases() {
         assert!(found.gyro.frames.is_plain() && accel.frames.is_plain());
         assert!((found.gyro.later_s.value - 4.14e-3).abs() < 0.3e-3, "{:?}", found.gyro.later_s);
         assert!((accel.later_s.value - 2.67e-3).abs() < 0.5e-3, "{:?}", accel.later_s);
-        for axis in 0..3 {
-            let of = found.gyro.bias[axis].unwrap();
-            assert!((of.value - bias[axis]).abs() < 0.7e-3, "{recording} {axis}: {of:?}");
-            assert!(found.gyro.scale[axis].unwrap().value.abs() < 4e-3);
+        for ((of, scale), bias) in found.gyro.bias.iter().zip(found.gyro.scale).zip(bias) {
+            assert!((of.unwrap().value - bias).abs() < 0.7e-3, "{recording}: {of:?}");
+            assert!(scale.unwrap().value.abs() < 4e-3, "{recording}: {scale:?}");
         }
         let closed = |of: &TriadFit| {
             of.gap.iter().map(|of| of.explained).sum::<f64>() / of.gap.iter().map(|of| of.nats).sum::<f64>()
