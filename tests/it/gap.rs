@@ -185,7 +185,9 @@ fn a_hands_slow_turn_determines_the_bias_that_the_rests_have_and_a_magnets_pass_
     // At rest with z up |m| is 9.8897 m/s²: 0.077 more, of which x and y have a thousandth.
     let rested = 9.8897 - BERLIN_M_S2;
     let (low, high) = (ends[0].as_f64().unwrap(), ends[1].as_f64().unwrap());
-    assert!(low < rested && rested < high + 0.01 && high - low < 0.02, "{low} to {high} for {rested}");
+    assert!(low < rested && rested < high, "{low} to {high} for {rested}");
+    // The sensor stays near one pose. With the optical reference, bias z is 0.034 m/s² beside a scale of +0.43 %.
+    assert!(low < 0.034 && high < 0.2, "{low} to {high}");
     let notes = found["notes"].to_string();
     assert!(notes.contains("windows of 2 s of a slow turn") && !notes.contains("magnetic field"), "{notes}");
     let rest = broad(&world, &magnet, "rest.csv", 7, [1.0, 30.0]);

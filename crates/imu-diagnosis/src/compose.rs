@@ -117,7 +117,7 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         inputs: [("real".into(), options.real.to_owned()), ("sim".into(), options.sim.to_owned())].into(),
     };
     diagnosis.summary = super::sentence::summary(&diagnosis);
-    Outcome { diagnosis, augmented, residuals: Vec::new() }
+    Outcome { diagnosis, augmented, residuals: Vec::new(), rest: None }
 }
 
 /// Separates the causes whose places hold so little beside what else lies on their channels that an error in the form of the

@@ -109,6 +109,8 @@ pub struct Outcome {
     pub augmented: SensorModel,
     /// The part of a record of a known motion beyond the model, for pictures; empty for a record at rest.
     pub residuals: Vec<Residuals>,
+    /// The places of the rest to which pictures of noise are limited, in a record of a motion; empty if there is none.
+    pub rest: Option<std::ops::Range<usize>>,
 }
 
 /// The findings on a channel.

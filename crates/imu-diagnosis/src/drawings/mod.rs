@@ -29,9 +29,15 @@ pub struct Drawings {
 
 impl Drawings {
     /// Returns drawings of a record that was compared with `sim`, and of the result. The record begins `from_s` after
-    /// the origin of its times. The channels are simulated one after the other, so that memory is that of three
+    /// the origin of its times. Of a record with a motion that has no residuals, the longest rest is drawn. The channels are simulated one after the other, so that memory is that of three
     /// channels.
     pub fn new(real: &Recording, from_s: f64, sim: &SensorModel, outcome: &Outcome) -> Self {
+        let within = outcome.rest.clone().unwrap_or(0..real.len());
+        if within.is_empty() {
+            return Self::default();
+        }
+        let rest = outcome.rest.as_ref().map(|within| real.part(within.clone()));
+        let (real, from_s) = (rest.as_ref().unwrap_or(real), from_s + within.start as f64 / real.rate_hz);
         let residuals = outcome.residuals.clone();
         // If the record has a motion, a simulation without the motion does not show the record's course.
         let at_rest = residuals.is_empty();

@@ -113,7 +113,7 @@ pub(super) fn outcome(
         let sent = of.triad.channels().map(|channel| part.values(channel).unwrap_or_default());
         residuals::residuals(of, sim, sent, &aligned.motions, part.rate_hz, from_s)
     });
-    Outcome { diagnosis, augmented, residuals: residuals.collect() }
+    Outcome { diagnosis, augmented, residuals: residuals.collect(), rest: None }
 }
 
 /// Returns the effects of the library that were chosen on a triad.

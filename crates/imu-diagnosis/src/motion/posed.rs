@@ -174,6 +174,7 @@ fn at_rest(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result
         outcome.map(|mut outcome| {
             let (from_s, to_s) = (rest.within.start as f64 / real.rate_hz, rest.within.end as f64 / real.rate_hz);
             outcome.diagnosis.begins_at(from_s);
+            outcome.rest = Some(rest.within.clone());
             outcome
                 .diagnosis
                 .notes
@@ -219,7 +220,7 @@ fn at_rest(real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Result
         software: options.software.to_owned(),
         inputs: [("real".into(), options.real.to_owned()), ("sim".into(), options.sim.to_owned())].into(),
     };
-    Ok(Outcome { diagnosis, augmented: sim.clone(), residuals: Vec::new() })
+    Ok(Outcome { diagnosis, augmented: sim.clone(), residuals: Vec::new(), rest: Some(0..0) })
 }
 
 /// Returns the causes of a triad whose numbers differ from the model's.

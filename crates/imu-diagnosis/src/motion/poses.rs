@@ -39,6 +39,9 @@ const FLICKER_OF_ALL: f64 = 1.13;
 /// Priors of an accelerometer's errors, as standard deviations: bias in m/s², the others as fractions. A number that
 /// the poses do not show keeps its prior.
 const OFF: [f64; 2] = [1.0, 0.1];
+/// What a sensor may have of a number that was not chosen, as standard deviations. A bias along an axis that never turns over looks
+/// like a scale factor of that axis, so that its error has a part of this.
+const BESIDE_OFF: [f64; 2] = [0.05, 0.005];
 const STEPS: usize = 8;
 /// How far a turn by hand may end from its start, rad: half a degree.
 const PLACED: f64 = 0.0087;
@@ -122,6 +125,20 @@ pub(super) fn inverse_of(matrix: &DMatrix<f64>, least: f64) -> Option<DMatrix<f6
         DMatrix::from_fn(of.nrows(), of.ncols(), |row, column| of[(row, column)] * scales[row] * scales[column])
     };
     Some(scaled(&scaled(matrix).pseudo_inverse(least).ok()?))
+}
+
+/// Returns the standard errors of the chosen parts' numbers if the others are what sensors usually have of them. `inverse` is that of
+/// the information on all ten numbers, divided by `fewer`.
+pub(super) fn errors_beside(inverse: &DMatrix<f64>, parts: &[usize], fewer: f64) -> Option<[f64; 10]> {
+    let mut matrix = inverse.clone().try_inverse()? * fewer;
+    let own = columns_of(parts);
+    for number in (0..10).filter(|number| !own.contains(number)) {
+        matrix[(number, number)] += BESIDE_OFF[usize::from(number >= 3)].powi(-2);
+    }
+    let inverse = matrix.try_inverse()?;
+    Some(std::array::from_fn(
+        |number| if own.contains(&number) { inverse[(number, number)].max(0.0).sqrt() } else { 0.0 },
+    ))
 }
 
 /// Fits the tumble. None if there are too few poses or if the noise is not valid.
@@ -235,6 +252,9 @@ pub(super) fn tumbled(
     let mut errors = [0.0; 10];
     for (place, number) in columns_of(&parts).into_iter().enumerate() {
         errors[number] = inverse[(place, place)].max(0.0).sqrt();
+    }
+    if let Some(beside) = fit(&[0, 1, 2], &all).and_then(|(_, inverse, _)| errors_beside(&inverse, &parts, 1.0)) {
+        errors.iter_mut().zip(beside).for_each(|(error, beside)| *error = error.max(beside));
     }
     // Each pose is predicted from the others.
     let mut held_out = 0.0;

@@ -74,6 +74,7 @@ pub fn diagnose_tumble(
         Err(error) => return Some(Err(error)),
     };
     outcome.diagnosis.begins_at(longest.within.start as f64 / real.rate_hz);
+    outcome.rest = Some(longest.within.clone());
     // N is that of the record; B and K do not show in one rest alone.
     let mut noise = sim.clone();
     for (channel, of) in &mut noise.channels {
