@@ -5,7 +5,7 @@
 //! are known enters by the second difference of the attitude.
 
 use crate::fit::{Prior, Solution, Window, solve};
-use crate::gyro::{inverse, priors};
+use crate::gyro::{DRIFT_SD, inverse, priors};
 use crate::reference::Poses;
 use crate::track::Track;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
@@ -23,11 +23,12 @@ const LAG_SD_S: f64 = 0.05;
 /// The step of the derivative by the lag, s.
 const LAG_STEP_S: f64 = 2e-4;
 
-/// Places of the numbers behind those of the matrix: gravity, the lever arm, the lag.
+/// Places of the numbers behind those of the matrix: gravity, the lever arm, the lag in the middle, its growth.
 pub(crate) const GRAVITY: usize = 12;
 pub(crate) const ARM: usize = 15;
 pub(crate) const LAG: usize = 18;
-const NUMBERS: usize = 19;
+const DRIFT: usize = 19;
+const NUMBERS: usize = 20;
 
 /// Three poses that are [`HALF_S`] apart.
 type Triple = [usize; 3];
@@ -44,6 +45,7 @@ pub(crate) fn fit(track: &Track, poses: &Poses, rough: &Matrix3<f64>, lag_s: f64
     ]);
     priors.extend([Prior { mean: 0.0, sd: ARM_SD_M }; 3]);
     priors.push(Prior { mean: lag_s, sd: LAG_SD_S });
+    priors.push(Prior { mean: 0.0, sd: DRIFT_SD });
     solve(&|numbers| of_triples(track, poses, &triples, numbers), &priors)
 }
 
@@ -116,7 +118,8 @@ fn second(of: [Vector3<f64>; 3], [from, middle, to]: [f64; 3]) -> Vector3<f64> {
 fn window(track: &Track, poses: &Poses, triple: Triple, numbers: &DVector<f64>, steps: [f64; 2]) -> Option<Window> {
     let (matrix, constant) = inverse(numbers);
     let times = triple.map(|place| poses.time_s[place]);
-    let lag_s = numbers[LAG];
+    let after_s = times[1] - poses.middle_s();
+    let lag_s = numbers[LAG] + numbers[DRIFT] * after_s;
     let force = |lag_s: f64| {
         let (by_axis, attitude) = means(track, poses, triple, lag_s, steps)?;
         let value: Vector3<f64> = (0..3).map(|axis| by_axis[axis] * matrix.column(axis)).sum::<Vector3<f64>>();
@@ -144,6 +147,7 @@ fn window(track: &Track, poses: &Poses, triple: Triple, numbers: &DVector<f64>, 
         }
         jacobian[(row, GRAVITY + row)] = -1.0;
         jacobian[(row, LAG)] = (later - sooner)[row] / (2.0 * LAG_STEP_S);
+        jacobian[(row, DRIFT)] = jacobian[(row, LAG)] * after_s;
     }
     Some(Window {
         middle_s: times[1],

@@ -3,11 +3,11 @@
 use crate::accel;
 use crate::error::PoseError;
 use crate::fit::{Solution, weight};
-use crate::frames::{Frames, frames};
+use crate::frames::{Frames, Unit, frames};
 use crate::gyro;
 use crate::rate;
 use crate::reference::{Poses, Rates};
-use crate::rough::{matrix, rough};
+use crate::rough::{Rough, matrix, rough};
 use crate::track::Track;
 use crate::triad::{Estimate, OFF, TriadFit, plain, triad, vector};
 use imu_core::units::STANDARD_GRAVITY_M_S2;
@@ -19,6 +19,8 @@ const CLEARLY_LESS: f64 = 0.5;
 /// Widest interval of a bias that counts as determined: of a rate, rad/s, and of a specific force, m/s².
 const WIDEST_RATE_BIAS: f64 = 0.02;
 const WIDEST_FORCE_BIAS: f64 = 0.3;
+/// Between poses that are further apart, an attitude on the straight line is too far off, s.
+const SELDOM_S: f64 = 0.035;
 /// A reference with at least this part of its windows far off is refused.
 const OFF_MOST: f64 = 0.03;
 /// An offset below this is a delay on one clock, s.
@@ -52,6 +54,12 @@ pub struct Calibration {
     pub world_down: bool,
     /// Where gyroscope and reference contradict each other.
     pub off: Vec<Stretch>,
+    /// How much faster the recording's clock runs than the reference's; `None` beside rates.
+    pub clock_rate: Option<Estimate>,
+    /// Whether another offset of the clocks, a period of the motion away, fits as well.
+    pub is_ambiguous: bool,
+    /// Why the accelerometer was not compared, if it was not.
+    pub without_accel: Option<&'static str>,
 }
 
 /// Compares a sensor with poses.
@@ -64,18 +72,29 @@ pub struct Calibration {
 /// docs/motion-diagnosis.md.
 pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseError> {
     checked(track, poses.time_s.len(), 3)?;
+    if let Some(axis) = Track::dead(&track.gyro) {
+        return Err(PoseError::Dead { channel: format!("gyro_{}", ["x", "y", "z"][axis]) });
+    }
+    let track = &track.refined();
     let inverted = Poses { attitude: poses.attitude.iter().map(UnitQuaternion::inverse).collect(), ..poses.clone() };
     let (first, second) = (fitted(track, poses), fitted(track, &inverted));
     let rms =
-        |of: &Result<(Solution, f64), PoseError>| of.as_ref().map_or(f64::INFINITY, |(solution, _)| solution.rms());
+        |of: &Result<(Solution, Rough), PoseError>| of.as_ref().map_or(f64::INFINITY, |(solution, _)| solution.rms());
     let inverse_quaternions = rms(&second) < CLEARLY_LESS * rms(&first);
     let (poses, found) = if inverse_quaternions { (&inverted, second) } else { (poses, first) };
-    let (solution, turned_deg) = found?;
-    let none = || PoseError::Still { found_deg: turned_deg, least_deg: 20.0 };
+    let (solution, rough) = found?;
+    let none = || PoseError::Still { found_deg: rough.turning.norm().to_degrees(), least_deg: 20.0 };
     let mut gyro = triad(&solution, gyro::LAG, true, WIDEST_RATE_BIAS).ok_or_else(none)?;
     gyro.gap = solution.gap(&gyro::windows(track, poses, &plain(&solution, &gyro, gyro::LAG, one_clock(&gyro))));
     refused(&gyro, &solution)?;
+    if gyro.frames.unit == Unit::Unknown {
+        return Err(PoseError::Ratio { ratio: gyro.frames.factor });
+    }
+    gyro.is_timed &= !rough.is_ambiguous;
     let mut found = Calibration {
+        clock_rate: Some(Estimate::of(&solution, &|numbers| numbers[gyro::DRIFT])),
+        is_ambiguous: rough.is_ambiguous,
+        without_accel: None,
         off: stretches(&solution),
         gyro,
         accel: None,
@@ -84,8 +103,12 @@ pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseEr
         inverse_quaternions,
         world_down: false,
     };
-    if track.accel.len() == track.time_s.len() {
-        accelerometer(&mut found, track, poses);
+    if track.accel.len() == track.time_s.len() && Track::dead(&track.accel).is_some() {
+        found.without_accel = Some("an axis of it shows the same value throughout");
+    } else if track.accel.len() == track.time_s.len() && poses.period_s() > SELDOM_S && !poses.position_m.is_empty() {
+        found.without_accel = Some("the poses come too seldom for second differences (30 a second are needed)");
+    } else if track.accel.len() == track.time_s.len() {
+        accelerometer(&mut found, track, &gyro::smoothed(track, poses, &solution.numbers));
     }
     Ok(found)
 }
@@ -105,10 +128,10 @@ fn checked(track: &Track, poses: usize, least: usize) -> Result<(), PoseError> {
     Ok(())
 }
 
-fn fitted(track: &Track, poses: &Poses) -> Result<(Solution, f64), PoseError> {
+fn fitted(track: &Track, poses: &Poses) -> Result<(Solution, Rough), PoseError> {
     let rough = rough(track, poses)?;
     let solution = gyro::fit(track, poses, &rough).ok_or(PoseError::Overlap { found_s: 0.0, least_s: 5.0 })?;
-    Ok((solution, rough.turning.norm().to_degrees()))
+    Ok((solution, rough))
 }
 
 fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
@@ -117,7 +140,9 @@ fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
     if poses.position_m.is_empty() {
         let of = rough.svd(true, true);
         if let (Some(left), Some(right)) = (of.u, of.v_t) {
-            found.accel_frames = Some(frames(&(left * right), of.singular_values.mean(), false));
+            // Without positions, a lively hand is noise here: what is no known unit is not stated.
+            let of = frames(&(left * right), of.singular_values.mean(), false);
+            found.accel_frames = Some(of).filter(|of| of.unit != Unit::Unknown);
         }
         return;
     }
@@ -132,6 +157,11 @@ fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
         of.gap = solution.gap(&accel::windows(track, poses, &plain(&solution, &of, accel::LAG, lag_s)));
         of
     });
+    if found.accel.as_ref().is_some_and(|of| of.frames.unit == Unit::Unknown) {
+        found.accel = None;
+        found.without_accel = Some("its values are a multiple of the reference's that is no known unit");
+        return;
+    }
     found.arm_m =
         Some(std::array::from_fn(|axis| Estimate::of(&solution, &|numbers| vector(numbers, accel::ARM)[axis])));
     found.accel_frames = found.accel.as_ref().map(|of| of.frames.clone());
@@ -206,6 +236,7 @@ fn stretches(solution: &Solution) -> Vec<Stretch> {
 /// `tests.rs`: a gyroscope on a motor with its encoder (asen3801 of the real recordings).
 pub fn against_rates(track: &Track, rates: &Rates) -> Result<Calibration, PoseError> {
     checked(track, rates.time_s.len(), 3)?;
+    let track = &track.refined();
     let axis = Vector3::ith(rates.axis, 1.0);
     let mut angle = 0.0;
     let mut attitude = vec![UnitQuaternion::identity()];
@@ -258,5 +289,8 @@ pub fn against_rates(track: &Track, rates: &Rates) -> Result<Calibration, PoseEr
         arm_m: None,
         inverse_quaternions: false,
         world_down: false,
+        clock_rate: None,
+        is_ambiguous: rough.is_ambiguous,
+        without_accel: None,
     })
 }

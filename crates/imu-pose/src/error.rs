@@ -88,4 +88,30 @@ pub enum PoseError {
         /// The stretches.
         stretches: String,
     },
+    /// The reference lasts far longer than the recording.
+    #[error(
+        "the reference lasts {found_s:.0} s, the recording {record_s:.0} s; at most ten times the recording and an hour can be searched: are \
+         its times in seconds? Else cut it"
+    )]
+    Long {
+        /// The duration of the reference, s.
+        found_s: f64,
+        /// The duration of the recording, s.
+        record_s: f64,
+    },
+    /// A channel shows one value.
+    #[error("{channel} shows the same value throughout: an axis is dead, and nothing can be compared")]
+    Dead {
+        /// The channel.
+        channel: String,
+    },
+    /// The values are a multiple of the reference's that is no known unit.
+    #[error(
+        "the gyroscope shows {ratio:.3} times the reference's rates, which is no known unit: a dead or clipped axis, another clock rate, or \
+         a reference of another body"
+    )]
+    Ratio {
+        /// The ratio.
+        ratio: f64,
+    },
 }

@@ -16,11 +16,9 @@ pub(crate) const LAG: usize = 2;
 
 /// Returns all windows at these numbers.
 pub(crate) fn windows(track: &Track, rates: &Rates, numbers: &DVector<f64>) -> Vec<Window> {
-    let reference = Track {
-        time_s: rates.time_s.clone(),
-        gyro: rates.rate_rad_s.iter().map(|rate| Vector3::new(*rate, 0.0, 0.0)).collect(),
-        accel: Vec::new(),
-    };
+    let mut reference = Track { time_s: rates.time_s.clone(), ..Track::default() };
+    reference.gyro = rates.rate_rad_s.iter().map(|rate| Vector3::new(*rate, 0.0, 0.0)).collect();
+    let reference = reference.refined();
     let (Some(first), Some(last)) = (rates.time_s.first(), rates.time_s.last()) else { return Vec::new() };
     let count = ((last - first) / WINDOW_S) as usize;
     let longest = [track.longest_step_s(), reference.longest_step_s()];

@@ -17,15 +17,25 @@ pub struct Poses {
 }
 
 impl Poses {
+    /// Returns the middle of its time, s.
+    pub(crate) fn middle_s(&self) -> f64 {
+        self.time_s.first().zip(self.time_s.last()).map_or(0.0, |(first, last)| 0.5 * (first + last))
+    }
+
     /// Returns the longest step that is interpolated, s.
     pub(crate) fn longest_step_s(&self) -> f64 {
+        GAP_STEPS * self.period_s()
+    }
+
+    /// Returns the median step, s.
+    pub(crate) fn period_s(&self) -> f64 {
         let mut steps: Vec<f64> = self.time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let middle = steps.len() / 2;
         if steps.is_empty() {
             return 0.0;
         }
         let (_, median, _) = steps.select_nth_unstable_by(middle, f64::total_cmp);
-        GAP_STEPS * *median
+        *median
     }
 
     /// Returns the attitude at a time by spherical interpolation, and the place of the pose before it. `near` is the place from

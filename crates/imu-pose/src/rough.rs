@@ -7,6 +7,14 @@ use nalgebra::{Matrix3, Vector3};
 
 /// The grid on which turning is compared, s.
 const GRID_S: f64 = 0.05;
+/// A reference may be this many times as long as the recording, or [`LONGEST_S`].
+const LONGER: f64 = 10.0;
+const LONGEST_S: f64 = 3600.0;
+/// Products of places up to which all offsets are tried; beyond, the first search is over means of [`COARSE`] places.
+const SEARCHED: usize = 400_000_000;
+const COARSE: usize = 10;
+/// A magnitude beyond this many times the 95 % quantile is a fault of the reference.
+const FAULT: f64 = 3.0;
 /// Common time that is needed, s.
 const LEAST_S: f64 = 5.0;
 /// The turning that is needed, °.
@@ -17,6 +25,8 @@ const LEAST_CORRELATION: f64 = 0.5;
 const AS_GOOD: f64 = 0.02;
 /// A direction is known if the error of its column is at most this part of the strongest column.
 const CERTAIN: f64 = 0.1;
+/// Offsets this far apart are two, s.
+const APART_S: f64 = 0.4;
 /// Places of the grid whose residuals go together.
 const TOGETHER: f64 = 20.0;
 
@@ -25,6 +35,8 @@ pub(crate) struct Rough {
     pub(crate) lag_s: f64,
     /// The sensor's rates are this matrix times the body's.
     pub(crate) matrix: Matrix3<f64>,
+    /// Whether another offset of the clocks, a period of the motion away, fits as well.
+    pub(crate) is_ambiguous: bool,
     /// The spread of the body's rate about each axis, rad/s.
     pub(crate) turning: Vector3<f64>,
 }
@@ -85,12 +97,18 @@ fn correlation(body: &[Option<f64>], sensor: &[Option<f64>], shift: i64) -> (f64
 /// # Errors
 /// [`PoseError`] if they have too little in common, if nothing turns, or if their turning is not alike.
 pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
+    let lasts = |of: &[f64]| of.last().zip(of.first()).map_or(0.0, |(last, first)| last - first);
+    let (found_s, record_s) = (lasts(&poses.time_s), lasts(&track.time_s));
+    // Stamps that are far off would need a grid without end.
+    if !(found_s <= (LONGER * record_s).max(LONGEST_S) && record_s < 1e6) {
+        return Err(PoseError::Long { found_s, record_s });
+    }
     let (body, sensor) = (body(poses), sensor(track));
     let turned = body.values.iter().flatten().map(|rate| rate.norm() * GRID_S).sum::<f64>().to_degrees();
     if turned < LEAST_DEG {
         return Err(PoseError::Still { found_deg: turned, least_deg: LEAST_DEG });
     }
-    let norms = |of: &Grid| of.values.iter().map(|value| value.map(|rate| rate.norm())).collect::<Vec<_>>();
+    let norms = |of: &Grid| without_faults(of.values.iter().map(|value| value.map(|rate| rate.norm())).collect());
     let (ours, theirs) = (norms(&body), norms(&sensor));
     let shorter = ours.len().min(theirs.len());
     let least = ((LEAST_S / GRID_S) as usize).max(shorter / 3);
@@ -98,21 +116,16 @@ pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
         return Err(PoseError::Overlap { found_s: shorter as f64 * GRID_S, least_s: LEAST_S });
     }
     let lag_of = |shift: i64| sensor.begins_s - body.begins_s + shift as f64 * GRID_S;
-    let mut found: Vec<(i64, f64)> = Vec::new();
-    for shift in -(ours.len() as i64)..theirs.len() as i64 {
-        let (value, count) = correlation(&ours, &theirs, shift);
-        if count >= least {
-            found.push((shift, value));
-        }
-    }
+    let found = offsets(&ours, &theirs, least);
     let best = found.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     if best < LEAST_CORRELATION {
         return Err(PoseError::Unlike { best, least: LEAST_CORRELATION });
     }
-    let near = found.iter().filter(|(_, value)| *value >= best - AS_GOOD);
-    let closest = near.min_by(|one, other| lag_of(one.0).abs().total_cmp(&lag_of(other.0).abs()));
+    let near: Vec<&(i64, f64)> = found.iter().filter(|(_, value)| *value >= best - AS_GOOD).collect();
+    let closest = near.iter().min_by(|one, other| lag_of(one.0).abs().total_cmp(&lag_of(other.0).abs()));
     // The best place about the chosen one.
     let mut shift = closest.map_or(0, |(shift, _)| *shift);
+    let is_ambiguous = near.iter().any(|(other, _)| (other - shift).unsigned_abs() > (APART_S / GRID_S) as u64);
     let at = |shift: i64| correlation(&ours, &theirs, shift).0;
     while at(shift + 1) > at(shift) {
         shift += 1;
@@ -127,8 +140,56 @@ pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
         let at = usize::try_from(place as i64 + shift).ok()?;
         Some((body.values[place]?, (*sensor.values.get(at)?)?))
     });
-    let (matrix, turning) = matrix(&pairs.collect::<Vec<_>>());
-    Ok(Rough { lag_s: lag_of(shift) + part * GRID_S, matrix, turning })
+    let (matrix, turning) = robust(pairs.collect());
+    Ok(Rough { lag_s: lag_of(shift) + part * GRID_S, matrix, turning, is_ambiguous })
+}
+
+/// Returns the offsets with enough common places, in places of the grid, and their correlations.
+fn offsets(ours: &[Option<f64>], theirs: &[Option<f64>], least: usize) -> Vec<(i64, f64)> {
+    let all = |ours: &[Option<f64>], theirs: &[Option<f64>], least: usize, shifts: std::ops::Range<i64>| {
+        let of = |shift: i64| Some(correlation(ours, theirs, shift)).filter(|of| of.1 >= least).map(|of| (shift, of.0));
+        shifts.filter_map(of).collect::<Vec<_>>()
+    };
+    if ours.len().saturating_mul(theirs.len()) <= SEARCHED {
+        return all(ours, theirs, least, -(ours.len() as i64)..theirs.len() as i64);
+    }
+    let mean = |of: &[Option<f64>]| {
+        of.chunks(COARSE)
+            .map(|part| {
+                Some(part.iter().flatten().sum::<f64>() / part.len() as f64)
+                    .filter(|_| part.iter().all(Option::is_some))
+            })
+            .collect::<Vec<_>>()
+    };
+    let (fewer, others) = (mean(ours), mean(theirs));
+    let rough = all(&fewer, &others, least / COARSE, -(fewer.len() as i64)..others.len() as i64);
+    let best = rough.iter().max_by(|one, other| one.1.total_cmp(&other.1)).map_or(0, |best| best.0 * COARSE as i64);
+    all(ours, theirs, least, best - 2 * COARSE as i64..best + 2 * COARSE as i64 + 1)
+}
+
+/// Returns magnitudes without those that no motion beside the others makes.
+fn without_faults(mut of: Vec<Option<f64>>) -> Vec<Option<f64>> {
+    let mut sorted: Vec<f64> = of.iter().flatten().copied().collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let most = sorted.get(sorted.len() * 95 / 100).map_or(f64::INFINITY, |value| FAULT * value);
+    of.iter_mut().for_each(|value| *value = value.filter(|value| *value <= most));
+    of
+}
+
+/// Returns [`matrix`] of the pairs without those that it explains worst, in two rounds.
+fn robust(mut pairs: Vec<(Vector3<f64>, Vector3<f64>)>) -> (Matrix3<f64>, Vector3<f64>) {
+    for _ in 0..2 {
+        let faults = without_faults(pairs.iter().map(|(body, _)| Some(body.norm())).collect());
+        pairs = pairs.into_iter().zip(faults).filter_map(|(pair, of)| of.map(|_| pair)).collect();
+        let (found, _) = matrix(&pairs);
+        let left: Vec<f64> = pairs.iter().map(|(body, sensor)| (sensor - found * body).norm()).collect();
+        let mut sorted = left.clone();
+        sorted.sort_unstable_by(f64::total_cmp);
+        // The bias is in what is left, so that the bound is a wide one.
+        let most = sorted.get(sorted.len() / 2).map_or(f64::INFINITY, |median| 8.0 * median);
+        pairs = pairs.into_iter().zip(left).filter_map(|(pair, left)| (left <= most).then_some(pair)).collect();
+    }
+    matrix(&pairs)
 }
 
 /// Returns the matrix between both rates less their means, and the spread of the body's. Directions about which the body hardly

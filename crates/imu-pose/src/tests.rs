@@ -256,6 +256,73 @@ fn what_a_motion_does_not_determine_has_no_number() {
     assert!(matches!(against_poses(&track, &other), Err(PoseError::Unlike { .. } | PoseError::Bad { .. })));
 }
 
+/// Faults outside the range of the first trial, each with a wrong number before it was mended.
+#[test]
+fn clocks_that_drift_rough_poses_and_slow_sensors_keep_their_intervals() {
+    let worlds: [(&str, f64, World); 4] = [
+        ("clocks 50 ppm apart", 5e-5, World { seconds: 150.0, ..World::default() }),
+        ("attitudes of 1 degree", 0.0, World { attitude_sd: 0.0175, ..World::default() }),
+        ("attitudes of 0.3 degrees", 0.0, World { attitude_sd: 0.005, ..World::default() }),
+        ("40 Hz", 0.0, World { rate_hz: 40.0, turn: 2.0, ..World::default() }),
+    ];
+    for (what, drift, mut world) in worlds {
+        world.later_s = [4.1e-3, 2.7e-3];
+        let mut counts = [0; 2];
+        for seed in 0..8 {
+            let (mut track, poses) = world.made(100 + seed);
+            let middle_s = 0.5 * world.seconds;
+            track.time_s.iter_mut().for_each(|time_s| *time_s += drift * (*time_s - middle_s));
+            let found = against_poses(&track, &poses).unwrap();
+            counted(&found.gyro, &world.gyro, &world.gyro_bias, world.later_s[0], &mut counts);
+            counted(&found.accel.unwrap(), &world.accel, &world.accel_bias, world.later_s[1], &mut counts);
+        }
+        println!("{what}: {counts:?}");
+        assert!(counts[1] > 100 && counts[0] as f64 > 0.9 * counts[1] as f64, "{what}: {counts:?}");
+    }
+}
+
+#[test]
+fn what_is_broken_is_refused_and_a_single_bad_pose_changes_nothing() {
+    let world = World { seconds: 40.0, later_s: [4e-3, 2e-3], ..World::default() };
+    let (track, poses) = world.made(4);
+    let mut flipped = poses.clone();
+    flipped.attitude[1000] *= UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3.1);
+    let found = against_poses(&track, &flipped).unwrap();
+    assert!((found.gyro.later_s.value - 4e-3).abs() < 1e-3 && found.gyro.frames.is_plain(), "{found:?}");
+    assert!(found.gyro.scale.iter().flatten().all(|of| of.value.abs() < 0.01), "{found:?}");
+    for (factor, last) in [(1e3, None), (1e6, None), (1.0, Some(1e18)), (1.0, Some(1e6))] {
+        let mut far = poses.clone();
+        far.time_s.iter_mut().for_each(|time_s| *time_s *= factor);
+        if let Some(last) = last {
+            *far.time_s.last_mut().unwrap() = last;
+        }
+        assert!(matches!(against_poses(&track, &far), Err(PoseError::Long { .. })), "{factor} {last:?}");
+    }
+    let mut dead = track.clone();
+    dead.gyro.iter_mut().for_each(|rate| rate.x = 0.0);
+    assert_eq!(against_poses(&dead, &poses), Err(PoseError::Dead { channel: "gyro_x".to_owned() }));
+    let mut dead = track.clone();
+    dead.accel.iter_mut().for_each(|force| force.y = 1.0);
+    let found = against_poses(&dead, &poses).unwrap();
+    assert!(found.accel.is_none() && found.without_accel.is_some());
+    let mut half = track;
+    half.gyro.iter_mut().for_each(|rate| *rate *= 0.4);
+    assert!(matches!(against_poses(&half, &poses), Err(PoseError::Ratio { .. })));
+    // A motion that repeats itself has several offsets.
+    let rate = |t: f64| 2.0 * (2.0 * t).sin();
+    let (mut track, mut poses) = (Track::default(), Poses::default());
+    for place in 0..6000 {
+        let t = f64::from(place) * 0.01;
+        let noise = 1e-3 * f64::from(place * 7919 % 13 - 6);
+        track.time_s.push(t);
+        track.gyro.push(Vector3::new(noise, -noise, rate(t)));
+        poses.time_s.push(t + 3.0);
+        poses.attitude.push(UnitQuaternion::from_scaled_axis(Vector3::z() * (1.0 - (2.0 * t).cos())));
+    }
+    let found = against_poses(&track, &poses).unwrap();
+    assert!(found.is_ambiguous && !found.gyro.is_timed);
+}
+
 #[test]
 fn forms_of_references_are_recognised_and_faults_are_named_with_their_line() {
     let poses = |text: &str| match read(text, None) {

@@ -14,6 +14,8 @@ pub struct Track {
     pub gyro: Vec<Vector3<f64>>,
     /// Specific forces, in the unit of the recording; empty if there is no accelerometer.
     pub accel: Vec<Vector3<f64>>,
+    /// The longest step that is no gap, if the samples are no longer the sensor's own.
+    pub(crate) longest_s: Option<f64>,
 }
 
 impl Track {
@@ -29,7 +31,47 @@ impl Track {
 
     /// Returns the longest step that is no gap, s.
     pub(crate) fn longest_step_s(&self) -> f64 {
-        GAP_STEPS * self.period_s()
+        self.longest_s.unwrap_or(GAP_STEPS * self.period_s())
+    }
+
+    /// Returns the track with three more samples in each step, on the cubic through the four samples about it (Lagrange). On straight
+    /// lines a motion that bends between samples would turn less.
+    pub(crate) fn refined(&self) -> Self {
+        let longest_s = self.longest_step_s();
+        let mut found = Self { longest_s: Some(longest_s), ..Self::default() };
+        let count = self.time_s.len();
+        for place in 0..count {
+            let mut put = |time_s: f64, weights: &[(usize, f64)]| {
+                let of = |values: &[Vector3<f64>]| {
+                    weights.iter().map(|(at, weight)| values[*at] * *weight).sum::<Vector3<f64>>()
+                };
+                found.time_s.push(time_s);
+                found.gyro.push(of(&self.gyro));
+                if !self.accel.is_empty() {
+                    found.accel.push(of(&self.accel));
+                }
+            };
+            put(self.time_s[place], &[(place, 1.0)]);
+            let Some(first) = place.checked_sub(1).filter(|first| first + 3 < count) else { continue };
+            let nodes = &self.time_s[first..first + 4];
+            if nodes.windows(2).any(|pair| pair[1] - pair[0] > longest_s) {
+                continue;
+            }
+            for part in [0.25, 0.5, 0.75] {
+                let time_s = nodes[1] + part * (nodes[2] - nodes[1]);
+                let weight = |node: usize| {
+                    let others = (0..4).filter(|other| *other != node);
+                    others.map(|other| (time_s - nodes[other]) / (nodes[node] - nodes[other])).product::<f64>()
+                };
+                put(time_s, &[0, 1, 2, 3].map(|node| (first + node, weight(node))));
+            }
+        }
+        found
+    }
+
+    /// Returns the axis on which all values are the same, if there is one.
+    pub(crate) fn dead(of: &[Vector3<f64>]) -> Option<usize> {
+        (0..3).find(|axis| of.windows(2).all(|pair| pair[0][*axis] == pair[1][*axis]))
     }
 
     /// Returns the parts of the straight lines between samples in `[from_s, to_s]`, each with its duration, s, and the value in

@@ -272,7 +272,9 @@ fn latencies(found: &Calibration, sim: &SensorModel, is_rate: bool) -> Vec<Drive
     if is_rate || !found.gyro.is_timed {
         return Vec::new();
     }
-    let is_shared = delays.iter().all(|(_, of)| of.value.abs() < SHARED_S);
+    // Two clocks show by their rates as well.
+    let is_one_rate = found.clock_rate.is_none_or(|of| of.value.abs() <= CERTAIN * of.half());
+    let is_shared = is_one_rate && delays.iter().all(|(_, of)| of.value.abs() < SHARED_S);
     let least = delays.iter().map(|(_, of)| *of).min_by(|one, other| one.value.total_cmp(&other.value));
     let Some(least) = least else { return Vec::new() };
     let own = delays.into_iter().filter_map(|(triad, of)| {
@@ -403,6 +405,8 @@ fn notes(found: &Calibration, is_rate: bool) -> Vec<String> {
     if let Some(arm) = found.arm_m {
         let arm = arm.map(|of| format!("{:.1} ± {:.1}", 1e3 * of.value, 1e3 * of.half()));
         notes.push(format!("the point of the positions is {} mm from the accelerometer (x, y, z)", arm.join(", ")));
+    } else if let Some(why) = found.without_accel {
+        notes.push(format!("the accelerometer is not compared: {why}"));
     } else if found.accel_frames.is_some() {
         notes.push("without positions, only axes, signs and unit of the accelerometer are compared".to_owned());
     }
@@ -412,6 +416,20 @@ fn notes(found: &Calibration, is_rate: bool) -> Vec<String> {
         notes.push(format!(
             "gyroscope and reference contradict each other at {} of the reference's clock",
             named.join(", ")
+        ));
+    }
+    if found.is_ambiguous {
+        notes.push(
+            "the motion repeats itself, and another offset of the clocks fits as well: no latency is stated, and numbers hold for the \
+             smallest offset"
+                .to_owned(),
+        );
+    }
+    if let Some(rate) = found.clock_rate.filter(|of| of.value.abs() > CERTAIN * of.half()) {
+        notes.push(format!(
+            "the recording's clock runs {:.0} ± {:.0} ppm faster than the reference's; delays are those of the middle",
+            1e6 * rate.value,
+            1e6 * rate.half()
         ));
     }
     notes.push(
