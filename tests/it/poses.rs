@@ -196,7 +196,7 @@ fn a_motors_encoder_and_a_bad_camera_are_what_the_readme_of_the_recordings_state
     let refused = vn100d(&["diagnose", "--real", &real, "--sim", &sim, "--reference", &vicon]);
     let said = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(
-        refused.status.code() == Some(1) && said.contains("contradict each other in 3 % of the time (3.2 to"),
+        refused.status.code() == Some(1) && said.contains("contradict each other in 4 % of the time (3.2 to"),
         "{said}"
     );
 }

@@ -298,7 +298,8 @@ mod tests {
         assert_eq!(found.choice.groups, [0, 1]);
         for (number, truth) in bias.into_iter().chain(scale).enumerate() {
             let (value, error) = (found.values[number], found.errors[number]);
-            assert!((value - truth).abs() < 4.0 * error && error < 0.02, "{number}: {value} ± {error} for {truth}");
+            // The errors hold what a hand does in all windows alike; this one does nothing of the kind.
+            assert!((value - truth).abs() < 0.01 && error < 0.06, "{number}: {value} ± {error} for {truth}");
         }
         assert!(found.held_out > 0.8 * found.choice.gain, "{} of {}", found.held_out, found.choice.gain);
     }
