@@ -15,6 +15,9 @@ use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _};
 use std::path::{Path, PathBuf};
 
+/// Maximum number of bytes of a reference, unpacked: a packed file does not state how long it is.
+const REFERENCE_BYTES: u64 = 1 << 30;
+
 /// Runs the command.
 pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outcome> {
     let paths = [Some(Path::new(&args.real)), Some(Path::new(&args.sim)), args.reference.as_deref()];
@@ -100,10 +103,15 @@ fn reference(path: &Path, axis: Option<ReferenceAxis>) -> anyhow::Result<Known> 
     anyhow::ensure!(!file.get_ref().metadata()?.is_dir(), "the reference {name} is a folder: expected a CSV file");
     let mut text = String::new();
     let read = match file.fill_buf()?.starts_with(&[0x1f, 0x8b]) {
-        true => flate2::bufread::MultiGzDecoder::new(file).read_to_string(&mut text),
-        false => file.read_to_string(&mut text),
+        true => flate2::bufread::MultiGzDecoder::new(file).take(REFERENCE_BYTES + 1).read_to_string(&mut text),
+        false => file.take(REFERENCE_BYTES + 1).read_to_string(&mut text),
     };
     read.with_context(|| format!("the reference {name} cannot be read as text"))?;
+    anyhow::ensure!(
+        text.len() as u64 <= REFERENCE_BYTES,
+        "the reference {name} has more than {} MiB of text: cut it",
+        REFERENCE_BYTES >> 20
+    );
     let found = read_reference(&text, &name, axis.map(|axis| axis as usize));
     found.map_err(|reason| anyhow::anyhow!("the reference {name} cannot be used: {reason}"))
 }

@@ -69,7 +69,7 @@ pub(super) async fn run(
     }
 }
 
-/// How the targets of the share's links are spelled: so a link of a killed daemon is told from one of another program,
+/// The folder in the targets of the share's links. Its spelling distinguishes a link of a killed daemon from one of another program,
 /// although its terminal may belong to anybody by now.
 const OWN_SPELLING: &str = "/dev/pts/./";
 

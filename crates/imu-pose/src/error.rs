@@ -88,10 +88,10 @@ pub enum PoseError {
         /// The stretches.
         stretches: String,
     },
-    /// The reference lasts far longer than the recording.
+    /// The reference lasts far longer than the recording, or either is too long for a search.
     #[error(
-        "the reference lasts {found_s:.0} s, the recording {record_s:.0} s; at most ten times the recording and an hour can be searched: are \
-         its times in seconds? Else cut it"
+        "the reference lasts {found_s:.0} s, the recording {record_s:.0} s; at most ten times the recording (or an hour), and 12 hours \
+         of either, can be searched: are its times in seconds? Else cut it"
     )]
     Long {
         /// The duration of the reference, s.

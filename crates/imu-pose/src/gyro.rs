@@ -16,6 +16,8 @@ const WINDOW_S: f64 = 0.5;
 const RATE_HALF_S: f64 = 0.025;
 /// Half of the time over which attitudes are averaged, s.
 const SMOOTHED_S: f64 = 0.15;
+/// Poses on either side that are averaged at most, so that stamps do not decide how long it takes.
+const SMOOTHED_MOST: usize = 200;
 /// How far entries of the inverse matrix may be from the rough ones, in units of their scale.
 const MATRIX_SD: f64 = 0.1;
 /// How far the lag may be from the rough one, s.
@@ -78,8 +80,8 @@ pub(crate) fn smoothed(track: &Track, poses: &Poses, numbers: &DVector<f64>) -> 
         let (stretch, turned, own) = &beyond[place];
         let from = poses.time_s.partition_point(|time_s| *time_s < poses.time_s[place] - SMOOTHED_S);
         let to = poses.time_s.partition_point(|time_s| *time_s <= poses.time_s[place] + SMOOTHED_S);
-        // As far to one side as to the other.
-        let reach = (place - from).min(to - 1 - place);
+        // As far to one side as to the other; more poses than that in this time are of no instrument.
+        let reach = (place - from).min(to - 1 - place).min(SMOOTHED_MOST);
         let all = beyond[place - reach..=place + reach].iter().filter(|(other, ..)| other == stretch);
         let sum = all.fold(nalgebra::Quaternion::default(), |sum, (.., of)| {
             sum + of.quaternion() * of.quaternion().dot(own.quaternion()).signum()

@@ -1,5 +1,6 @@
 //! References: poses, and rates about one axis.
 
+use crate::track::median_step;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// A step of this many median steps is a gap, between whose ends nothing is interpolated.
@@ -29,13 +30,7 @@ impl Poses {
 
     /// Returns the median step, s.
     pub(crate) fn period_s(&self) -> f64 {
-        let mut steps: Vec<f64> = self.time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let middle = steps.len() / 2;
-        if steps.is_empty() {
-            return 0.0;
-        }
-        let (_, median, _) = steps.select_nth_unstable_by(middle, f64::total_cmp);
-        *median
+        median_step(&self.time_s)
     }
 
     /// Returns the attitude at a time by spherical interpolation, and the place of the pose before it. `near` is the place from

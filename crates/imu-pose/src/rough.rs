@@ -10,6 +10,8 @@ const GRID_S: f64 = 0.05;
 /// A reference may be this many times as long as the recording, or [`LONGEST_S`].
 const LONGER: f64 = 10.0;
 const LONGEST_S: f64 = 3600.0;
+/// Neither may be longer than this: the search for the offset goes over all of both.
+const SPAN_S: f64 = 43_200.0;
 /// Products of places up to which all offsets are tried; beyond, the first search is over means of [`COARSE`] places.
 const SEARCHED: usize = 400_000_000;
 const COARSE: usize = 10;
@@ -100,7 +102,7 @@ pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
     let lasts = |of: &[f64]| of.last().zip(of.first()).map_or(0.0, |(last, first)| last - first);
     let (found_s, record_s) = (lasts(&poses.time_s), lasts(&track.time_s));
     // Stamps that are far off would need a grid without end.
-    if !(found_s <= (LONGER * record_s).max(LONGEST_S) && record_s < 1e6) {
+    if !(found_s <= (LONGER * record_s).clamp(LONGEST_S, SPAN_S) && record_s <= SPAN_S) {
         return Err(PoseError::Long { found_s, record_s });
     }
     let (body, sensor) = (body(poses), sensor(track));

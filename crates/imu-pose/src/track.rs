@@ -21,12 +21,7 @@ pub struct Track {
 impl Track {
     /// Returns the median step, s.
     pub(crate) fn period_s(&self) -> f64 {
-        let mut steps: Vec<f64> = self.time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let middle = steps.len() / 2;
-        if steps.is_empty() {
-            return 0.0;
-        }
-        *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+        median_step(&self.time_s)
     }
 
     /// Returns the longest step that is no gap, s.
@@ -95,6 +90,13 @@ impl Track {
         }
         Some(parts)
     }
+}
+
+/// Returns the median step of increasing times; 0 without a step.
+pub(crate) fn median_step(time_s: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let middle = steps.len() / 2;
+    if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// A part of a line between two samples.
