@@ -221,9 +221,29 @@ pub mod duration_text {
     }
 }
 
+/// Returns a count with its noun, or with its noun and verb: `1 gap`, `2 gaps`, `1 sample is`.
+pub fn counted(count: u64, one: &str, several: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { several })
+}
+
+/// Returns a rate for people, in Hz: two decimals, or three digits of a rate below 1 Hz, without trailing zeros.
+pub fn hertz(rate_hz: f64) -> String {
+    let decimals = if rate_hz > 0.0 && rate_hz < 1.0 { (2.0 - rate_hz.log10().floor()).clamp(2.0, 12.0) } else { 2.0 };
+    let text = format!("{rate_hz:.*}", decimals as usize);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn counts_agree_with_their_nouns_and_rates_have_few_digits() {
+        assert_eq!([0, 1, 2].map(|count| counted(count, "gap", "gaps")), ["0 gaps", "1 gap", "2 gaps"]);
+        let rates =
+            [(39.987_65, "39.99"), (40.0, "40"), (800.0, "800"), (0.1, "0.1"), (0.012_345, "0.0123"), (99.999, "100")];
+        rates.into_iter().for_each(|(rate_hz, text)| assert_eq!(hertz(rate_hz), text));
+    }
 
     #[test]
     fn quoted_units_become_the_units_that_are_held() {

@@ -57,8 +57,9 @@ pub enum MeasureError {
     },
     /// There are too few pieces.
     #[error(
-        "the recording has {found} disjoint pieces of {length_s} s (alignment and shortest horizon) without a gap: expected at \
-         least {least}, thus a longer recording, a shorter alignment or shorter horizons"
+        "the recording has {found} disjoint pieces of {} s (alignment and shortest horizon) without a gap: expected at \
+         least {least}, thus a longer recording, a shorter alignment or shorter horizons",
+        (length_s * 1e3).round() / 1e3
     )]
     Few {
         /// The number of pieces.

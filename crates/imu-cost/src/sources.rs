@@ -219,7 +219,7 @@ fn response_at_rest(model: &SensorModel, channel: Channel) -> f64 {
     let mut values = [0.0; 3];
     for step in STAGES {
         let own: Vec<_> = effects.iter().filter(|effect| effect.stage() == step).cloned().collect();
-        values = stage(&own, Drive { input: values, accel_m_s2: [0.0; 3] });
+        values = stage(&own, Drive { input: values, ..Drive::default() });
     }
     let axis = triad.channels().iter().position(|other| *other == channel);
     axis.and_then(|axis| values.get(axis)).copied().unwrap_or(0.0)

@@ -45,6 +45,7 @@ mod contribution;
 pub mod datasheet;
 pub mod fit;
 mod needed;
+pub mod ratio;
 pub mod robust;
 pub mod statistics;
 pub mod stillness;

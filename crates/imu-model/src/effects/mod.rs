@@ -128,7 +128,9 @@ registry::registry! {
         Misalignment = "misalignment",
         CrossAxisSensitivity = "cross_axis_sensitivity",
         GSensitivity = "g_sensitivity",
-        Latency = "latency";
+        Latency = "latency",
+        Rectification = "rectification",
+        TemperatureScale = "temperature_scale";
     on both: Saturation;
 }
 
@@ -146,9 +148,9 @@ pub enum Stage {
     Latency,
     /// Coupling between axes: misalignment, cross-axis sensitivity.
     CrossAxis,
-    /// Scale factor and its nonlinearity.
+    /// Scale factor, its nonlinearity and its temperature sensitivity.
     Scale,
-    /// Effects that shift the level: bias, temperature, warm-up, steps, ramp, g-sensitivity.
+    /// Effects that shift the level: bias, temperature, warm-up, steps, ramp, g-sensitivity, rectification.
     Bias,
     /// Effects that shape the white part alone, before it is added: heavy tails, changes of variance.
     WhitePart,

@@ -11,6 +11,11 @@ const EARTH_RATE_RAD_S: f64 = 7.292_115e-5;
 const QUARTER_TURN_S: f64 = 3.0;
 /// Shortest rest in a position, s.
 const SHORTEST_REST_S: f64 = 10.0;
+/// Shortest rest in one of the many poses, s.
+const SHORTEST_POSE_S: f64 = 4.0;
+/// Number of poses, and the turns between them in quarters, in turn about x, y and z.
+const POSES: usize = 24;
+const POSE_QUARTERS: [f64; 4] = [0.7, 0.9, 0.6, 1.1];
 /// The staircase's rates, °/s, in their order.
 const STAIRS_DEG_S: [f64; 13] = [0.0, 25.0, 50.0, 100.0, 200.0, 100.0, 0.0, -25.0, -50.0, -100.0, -200.0, -100.0, 0.0];
 /// Rate of change of the table's rate, °/s².
@@ -25,19 +30,22 @@ pub enum Kind {
     Still,
     /// Six positions: each axis once down and once up, a sixth of the time each, with turns between them.
     Tumble,
+    /// 24 poses, as a tumble by hand on faces, edges and corners has them, with turns about all axes between them.
+    Poses,
     /// On a rate table, a third of the time with each axis down: the rates 0, 25, 50, 100, 200 °/s and back, in both directions.
     RateTable,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Still, Self::Tumble, Self::RateTable];
+    pub const ALL: [Self; 4] = [Self::Still, Self::Tumble, Self::Poses, Self::RateTable];
 
     /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Still => "still",
             Self::Tumble => "tumble",
+            Self::Poses => "poses",
             Self::RateTable => "rate-table",
         }
     }
@@ -99,6 +107,7 @@ impl Course {
         let sequence = match kind {
             Kind::Still => Sequence::new([]),
             Kind::Tumble => Sequence::new(tumble(kind, duration_s)?),
+            Kind::Poses => Sequence::new(poses(kind, duration_s)?),
             Kind::RateTable => Sequence::new(rate_table(kind, duration_s)?),
         };
         let latitude = site.latitude_deg * RAD_PER_DEG;
@@ -138,10 +147,22 @@ fn quarters(axis: usize, count: f64) -> [Turn; 2] {
 /// Returns the turns through z down, y down, z up, y up, x up, x down.
 fn tumble(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
     let turns = [quarters(0, 1.0), quarters(0, 1.0), quarters(0, 1.0), quarters(2, 1.0), quarters(2, 2.0)];
-    let rest_s = rest(kind, duration_s, turns.as_flattened(), 6, SHORTEST_REST_S)?;
+    with_rests(kind, duration_s, &turns, SHORTEST_REST_S)
+}
+
+/// Returns the turns between many poses.
+fn poses(kind: Kind, duration_s: f64) -> Result<Vec<Turn>, CourseError> {
+    let turns: Vec<[Turn; 2]> =
+        (1..POSES).map(|place| quarters(place % 3, POSE_QUARTERS[place % POSE_QUARTERS.len()])).collect();
+    with_rests(kind, duration_s, &turns, SHORTEST_POSE_S)
+}
+
+/// Returns turns with rests of equal length before, between and after them.
+fn with_rests(kind: Kind, duration_s: f64, turns: &[[Turn; 2]], shortest_s: f64) -> Result<Vec<Turn>, CourseError> {
+    let rest_s = rest(kind, duration_s, turns.as_flattened(), turns.len() + 1, shortest_s)?;
     let mut course = vec![Turn::rest(rest_s)];
     for turn in turns {
-        course.extend(turn);
+        course.extend_from_slice(turn);
         course.push(Turn::rest(rest_s));
     }
     Ok(course)
@@ -220,6 +241,24 @@ mod tests {
     }
 
     #[test]
+    fn many_poses_are_twenty_apart_by_eight_degrees_and_all_axes_turn() {
+        let course = course(Kind::Poses, 300.0);
+        let mut seen: Vec<Vector3<f64>> = Vec::new();
+        let mut turned = [0.0; 3];
+        for tenth in 0..3000 {
+            let motion = course.at(f64::from(tenth) * 0.1);
+            let rate = Vector3::from(motion.gyro_rad_s);
+            (0..3).for_each(|axis| turned[axis] += 0.1 * rate[axis].abs());
+            let force = Vector3::from(motion.accel_m_s2);
+            if rate.norm() < 1e-3 && seen.iter().all(|other| other.angle(&force) > 8.0 * RAD_PER_DEG) {
+                seen.push(force);
+            }
+        }
+        assert!(seen.len() >= 20, "{} poses", seen.len());
+        assert!(turned.iter().all(|angle| *angle > 6.0), "{turned:?}");
+    }
+
+    #[test]
     fn a_rate_table_drives_every_stair_about_every_axis_with_gravity_along_it() {
         let course = course(Kind::RateTable, 1800.0);
         let mut driven = [const { Vec::new() }; 3];
@@ -243,7 +282,7 @@ mod tests {
 
     #[test]
     fn a_motion_without_time_for_it_is_refused_with_what_it_needs() {
-        for kind in [Kind::Tumble, Kind::RateTable] {
+        for kind in [Kind::Tumble, Kind::Poses, Kind::RateTable] {
             let refused = Course::new(kind, 30.0, Site::default()).unwrap_err();
             let CourseError::TooShort { needed_s, .. } = refused;
             assert!(refused.to_string().contains(kind.name()) && refused.to_string().contains("30 s"), "{refused}");

@@ -354,14 +354,14 @@ impl Simulator {
 
     fn run_chains(&mut self, internal: usize) {
         let moved = self.motion.is_some();
-        for response in self.triads.iter_mut().filter(|response| response.acts(moved)) {
-            response.run(&self.motions);
-        }
         let temperature = if self.temperatures.is_empty() {
             Temperature::Constant(self.rest_temperature_c)
         } else {
             Temperature::Series(&self.temperatures)
         };
+        for response in self.triads.iter_mut().filter(|response| response.acts(moved)) {
+            response.run(&self.motions, temperature);
+        }
         let (triads, temperatures) = (&self.triads, &self.temperatures);
         let level = |channel: Channel| {
             let axis = |response: &Response| response.triad().channels().iter().position(|other| *other == channel);

@@ -1,8 +1,8 @@
 //! A triad's response to the reference motion: latency, then cross-axis, scale factor and bias effects.
 
 use super::reference::Motion;
-use crate::effects::triad::{Axes, DelayLine, Drive};
-use crate::effects::{Stage, TriadEffect};
+use crate::effects::triad::{Axes, DelayLine, Drive, Vibration};
+use crate::effects::{EffectKind, Stage, Temperature, TriadEffect};
 use imu_core::sample::Triad;
 use std::sync::Arc;
 
@@ -16,6 +16,8 @@ pub(super) struct Response {
     delay: Option<DelayLine>,
     /// The delay of the specific force that acts on a gyroscope, equal to that of the motion.
     force_delay: Option<DelayLine>,
+    /// The mean square of the vibration, if an effect asks for it.
+    vibration: Option<Vibration>,
     stages: [Vec<Arc<dyn TriadEffect>>; 3],
     /// Whether an effect acts at rest.
     acts_at_rest: bool,
@@ -26,11 +28,13 @@ pub(super) struct Response {
 impl Response {
     pub(super) fn new(triad: Triad, effects: &[Arc<dyn TriadEffect>], internal_rate_hz: f64) -> Self {
         let delay_s: f64 = effects.iter().map(|effect| effect.delay_s()).sum();
+        let is_rectified = effects.iter().any(|effect| effect.kind() == EffectKind::Rectification);
         let of = |stage| effects.iter().filter(|effect| effect.stage() == stage).cloned().collect();
         Self {
             triad,
             delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
             force_delay: (delay_s > 0.0).then(|| DelayLine::new(delay_s * internal_rate_hz)),
+            vibration: is_rectified.then(|| Vibration::new(internal_rate_hz)),
             acts_at_rest: effects.iter().any(|effect| STAGES.contains(&effect.stage())),
             stages: STAGES.map(of),
             axes: Default::default(),
@@ -46,12 +50,12 @@ impl Response {
         self.triad
     }
 
-    /// Computes the triad's response to these motions, before any noise.
-    pub(super) fn run(&mut self, motions: &[Motion]) {
+    /// Computes the triad's response to these motions at this temperature, before any noise.
+    pub(super) fn run(&mut self, motions: &[Motion], temperature: Temperature<'_>) {
         for axis in &mut self.axes {
             axis.clear();
         }
-        for motion in motions {
+        for (index, motion) in motions.iter().enumerate() {
             let mut values = match self.triad {
                 Triad::Gyro => motion.gyro_rad_s,
                 Triad::Accel => motion.accel_m_s2,
@@ -64,8 +68,10 @@ impl Response {
                 Some(delay) => delay.next(motion.accel_m_s2),
                 None => motion.accel_m_s2,
             };
+            let vibration_m2_s4 = self.vibration.as_mut().map_or([0.0; 3], |vibration| vibration.next(accel_m_s2));
+            let temperature_c = Some(temperature.at(index));
             for effects in &self.stages {
-                values = stage(effects, Drive { input: values, accel_m_s2 });
+                values = stage(effects, Drive { input: values, accel_m_s2, vibration_m2_s4, temperature_c });
             }
             for (axis, value) in self.axes.iter_mut().zip(values) {
                 axis.push(value);

@@ -4,7 +4,10 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AllanError {
     /// A grid needs at least one averaging factor.
-    #[error("no averaging factor fits a longest segment of {samples} samples: record at least {needed} without a gap")]
+    #[error(
+        "no averaging factor fits a longest segment of {}: record at least {needed} without a gap",
+        imu_core::units::counted(*samples, "sample", "samples")
+    )]
     TooShort {
         /// Length of the longest segment.
         samples: u64,

@@ -4,6 +4,7 @@
 use super::term::Term;
 use crate::RecordNeeded;
 use imu_core::sample::{Channel, Triad};
+use imu_core::units::counted;
 use imu_core::units::{
     MICROTESLA_PER_GAUSS as UT, RAD_PER_DEG, SECONDS_PER_HOUR, SQRT_SECONDS_PER_SQRT_HOUR as SQRT_HOUR,
     STANDARD_GRAVITY_M_S2,
@@ -240,15 +241,19 @@ impl Flag {
 
     /// Returns the flag `out_of_range` if `samples` values were not measurements; `None` if there were none.
     pub fn out_of_range(channel: Channel, samples: u64) -> Option<Self> {
-        let note =
-            || format!("{samples} values beyond what a {channel} can measure were left out; each ended a stretch");
+        let note = || {
+            format!(
+                "{} beyond what a {channel} can measure left out; each ended a stretch",
+                counted(samples, "value", "values")
+            )
+        };
         (samples > 0).then(|| Self::whole("out_of_range", note()))
     }
 
     /// Returns the flag `other_rate` if `samples` samples came at another rate than the analysed one; `None` if there
     /// were none.
     pub fn other_rate(rate_hz: f64, samples: u64) -> Option<Self> {
-        let note = || format!("{samples} samples at another rate than {rate_hz} Hz were left out");
+        let note = || format!("{} at another rate than {rate_hz} Hz left out", counted(samples, "sample", "samples"));
         (samples > 0).then(|| Self::whole("other_rate", note()))
     }
 }

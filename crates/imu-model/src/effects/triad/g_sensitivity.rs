@@ -44,7 +44,7 @@ mod tests {
     #[test]
     fn rows_are_gyro_axes_and_columns_acceleration_axes() {
         let effect = GSensitivity { m: [[0.0, 1e-4, 0.0], [0.0; 3], [2e-4, 0.0, 0.0]] };
-        let found = effect.deviation(Drive { input: [5.0; 3], accel_m_s2: [1.0, 10.0, 100.0] });
+        let found = effect.deviation(Drive { input: [5.0; 3], accel_m_s2: [1.0, 10.0, 100.0], ..Drive::default() });
         assert_eq!(found, [1e-3, 0.0, 2e-4]);
     }
 }

@@ -68,14 +68,14 @@ mod tests {
 
     #[test]
     fn a_rotation_about_z_turns_x_towards_y() {
-        let drive = Drive { input: [1.0, 0.0, 0.0], accel_m_s2: [0.0; 3] };
+        let drive = Drive { input: [1.0, 0.0, 0.0], ..Drive::default() };
         assert_eq!(Misalignment { rotation: [0.0, 0.0, 0.01] }.deviation(drive), [0.0, 0.01, 0.0]);
     }
 
     #[test]
     fn both_axes_of_a_pair_show_the_same_fraction_of_one_another() {
         let cross = CrossAxisSensitivity { xy: 0.01, xz: 0.02, yz: 0.03 };
-        let drive = |input| Drive { input, accel_m_s2: [0.0; 3] };
+        let drive = |input| Drive { input, ..Drive::default() };
         assert_eq!(cross.deviation(drive([1.0, 0.0, 0.0])), [0.0, 0.01, 0.02]);
         assert_eq!(cross.deviation(drive([0.0, 1.0, 0.0])), [0.01, 0.0, 0.03]);
         assert_eq!(cross.deviation(drive([0.0, 0.0, 1.0])), [0.02, 0.03, 0.0]);

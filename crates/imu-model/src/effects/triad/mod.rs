@@ -1,6 +1,6 @@
 //! Effects on a triad: the response of its axes to a motion. They are deterministic and use no random numbers.
 //!
-//! In: the triad's input (rad/s or m/s²) and the specific force, both in the sensor's axes. Out: the triad's deviation
+//! In: the triad's input (rad/s or m/s²), the specific force and its vibration, in the sensor's axes, and the temperature. Out: the triad's deviation
 //! from its input, and its derivatives by the parameters in which it is linear, on which a diagnosis regresses.
 //!
 //! Within a stage every effect sees the same input and their contributions are summed: misalignment and cross-axis
@@ -10,17 +10,21 @@ pub mod bias;
 pub mod g_sensitivity;
 pub mod latency;
 pub mod misalignment;
+pub mod rectification;
 pub mod saturation;
 pub mod scale_factor;
 pub mod scale_factor_nonlinearity;
+pub mod temperature_scale;
 
 pub use bias::Bias;
 pub use g_sensitivity::GSensitivity;
 pub use latency::{DelayLine, Latency};
 pub use misalignment::{CrossAxisSensitivity, Misalignment};
+pub use rectification::{Rectification, Vibration};
 pub use saturation::Saturation;
 pub use scale_factor::ScaleFactor;
 pub use scale_factor_nonlinearity::ScaleFactorNonlinearity;
+pub use temperature_scale::TemperatureScale;
 
 use super::{Described, Refusal};
 use imu_core::sample::Triad;
@@ -30,12 +34,16 @@ use serde_json::Value;
 pub type Axes = [f64; 3];
 
 /// The inputs of a triad's effects at an instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Drive {
     /// The triad's own input: angular rate in rad/s or specific force in m/s².
     pub input: Axes,
     /// Specific force, m/s².
     pub accel_m_s2: Axes,
+    /// Mean square of the vibration, (m/s²)² ([`Vibration`]).
+    pub vibration_m2_s4: Axes,
+    /// The sensor's temperature, °C, if it is known.
+    pub temperature_c: Option<f64>,
 }
 
 /// One error source of a triad. U is the unit of its channels.
@@ -120,6 +128,8 @@ mod tests {
             ("g_sensitivity", json!({"m": [[1e-4, 2e-4, 3e-4], [0, 5e-4, 6e-4], [7e-4, 8e-4, -9e-4]]})),
             ("latency", json!({"seconds": 0.004})),
             ("saturation", json!({"range": 35.0})),
+            ("rectification", json!({"x": 1e-4, "y": -2e-4, "z": 3e-5})),
+            ("temperature_scale", json!({"x": 1e-4, "y": -2e-4, "z": 3e-5, "reference_c": 20.0})),
         ]
         .into_iter()
         .map(|(name, entry)| registry::find(&TRIAD, name).unwrap().read(entry.as_object().unwrap()).unwrap())
@@ -128,7 +138,12 @@ mod tests {
 
     #[test]
     fn the_deviation_is_the_sum_of_coefficients_times_derivatives() {
-        let drive = Drive { input: [0.3, -1.2, 2.0], accel_m_s2: [1.0, -9.0, 3.0] };
+        let drive = Drive {
+            input: [0.3, -1.2, 2.0],
+            accel_m_s2: [1.0, -9.0, 3.0],
+            vibration_m2_s4: [0.2, 3.0, 1.0],
+            temperature_c: Some(31.0),
+        };
         for effect in all() {
             let (coefficients, columns) = (effect.coefficients(), effect.regress(drive));
             assert_eq!(coefficients.len(), columns.len(), "{}", effect.name());

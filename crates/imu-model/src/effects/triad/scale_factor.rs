@@ -43,7 +43,7 @@ mod tests {
 
     #[test]
     fn each_axis_shows_its_fraction_too_much() {
-        let drive = Drive { input: [10.0, -10.0, 0.0], accel_m_s2: [0.0; 3] };
+        let drive = Drive { input: [10.0, -10.0, 0.0], ..Drive::default() };
         let found = ScaleFactor { axes: [0.01, 0.02, 0.03] }.deviation(drive);
         assert_eq!(found, [0.1, -0.2, 0.0]);
     }

@@ -66,7 +66,7 @@ mod tests {
 
     #[test]
     fn at_full_scale_the_deviation_is_the_fraction_of_full_scale() {
-        let drive = Drive { input: [35.0, -35.0, 17.5], accel_m_s2: [0.0; 3] };
+        let drive = Drive { input: [35.0, -35.0, 17.5], ..Drive::default() };
         let deviation = |signed| {
             ScaleFactorNonlinearity { axes: [1e-3; 3], full_scale: 35.0, signed }.deviation(drive).map(|d| d / 0.035)
         };
