@@ -9,7 +9,7 @@ use crate::rate;
 use crate::reference::{Poses, Rates};
 use crate::rough::{Rough, matrix, rough};
 use crate::track::Track;
-use crate::triad::{Estimate, OFF, TriadFit, plain, triad, vector};
+use crate::triad::{Estimate, OFF, Stated, TriadFit, plain, triad, vector};
 use imu_core::units::STANDARD_GRAVITY_M_S2;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use serde::Serialize;
@@ -25,6 +25,8 @@ const SELDOM_S: f64 = 0.035;
 const OFF_MOST: f64 = 0.03;
 /// An offset below this is a delay on one clock, s.
 pub(crate) const SAME_CLOCK_S: f64 = 0.1;
+/// The gyroscope's axes are the accelerometer's if they leave no more than this many times what others leave.
+const LIKELY: f64 = 1.2;
 /// Length of the windows in which the direction of gravity is compared, s.
 const GRAVITY_WINDOW_S: f64 = 0.5;
 
@@ -62,7 +64,26 @@ pub struct Calibration {
     pub without_accel: Option<&'static str>,
 }
 
-/// Compares a sensor with poses.
+impl Calibration {
+    /// Returns whether sensor and reference are on one clock: all delays are small, and no clock is faster by `certain` half widths of
+    /// its interval.
+    pub fn is_one_clock(&self, certain: f64) -> bool {
+        let is_one_rate = self.clock_rate.is_none_or(|of| of.value.abs() <= certain * of.half());
+        let fits = std::iter::once(&self.gyro).chain(&self.accel);
+        is_one_rate && fits.into_iter().all(|fit| fit.later_s.value.abs() < SAME_CLOCK_S)
+    }
+}
+
+/// The deviations that a model states of gyroscope and accelerometer: the gap is what they leave.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct StatedSensor {
+    /// Of the gyroscope.
+    pub gyro: Stated,
+    /// Of the accelerometer.
+    pub accel: Stated,
+}
+
+/// Compares a sensor with poses. The gap counts from what `stated` has; the numbers do not depend on it.
 ///
 /// # Errors
 /// [`PoseError`] if they have too little in common, or the reference turns too little.
@@ -70,7 +91,7 @@ pub struct Calibration {
 /// # Validation
 /// `tests.rs`: simulated motions with noise of the poses give the numbers back within their intervals. BROAD, RepoIMU in
 /// docs/motion-diagnosis.md.
-pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseError> {
+pub fn against_poses(track: &Track, poses: &Poses, stated: &StatedSensor) -> Result<Calibration, PoseError> {
     checked(track, poses.time_s.len(), 3)?;
     if let Some(axis) = Track::dead(&track.gyro) {
         return Err(PoseError::Dead { channel: format!("gyro_{}", ["x", "y", "z"][axis]) });
@@ -85,7 +106,11 @@ pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseEr
     let (solution, rough) = found?;
     let none = || PoseError::Still { found_deg: rough.turning.norm().to_degrees(), least_deg: 20.0 };
     let mut gyro = triad(&solution, gyro::LAG, true, WIDEST_RATE_BIAS).ok_or_else(none)?;
-    gyro.gap = solution.gap(&gyro::windows(track, poses, &plain(&solution, &gyro, gyro::LAG, one_clock(&gyro))));
+    gyro.gap = solution.gap(&gyro::windows(
+        track,
+        poses,
+        &plain(&solution, &gyro, gyro::LAG, one_clock(&gyro, &stated.gyro), &stated.gyro),
+    ));
     refused(&gyro, &solution)?;
     if gyro.frames.unit == Unit::Unknown {
         return Err(PoseError::Ratio { ratio: gyro.frames.factor });
@@ -108,14 +133,16 @@ pub fn against_poses(track: &Track, poses: &Poses) -> Result<Calibration, PoseEr
     } else if track.accel.len() == track.time_s.len() && poses.period_s() > SELDOM_S && !poses.position_m.is_empty() {
         found.without_accel = Some("the poses come too seldom for second differences (30 a second are needed)");
     } else if track.accel.len() == track.time_s.len() {
-        accelerometer(&mut found, track, &gyro::smoothed(track, poses, &solution.numbers));
+        accelerometer(&mut found, track, &gyro::smoothed(track, poses, &solution.numbers), stated);
     }
     Ok(found)
 }
 
-/// Returns the offset of both clocks that is no delay of the sensor: none if the sensor is late by less than [`SAME_CLOCK_S`].
-fn one_clock(gyro: &TriadFit) -> f64 {
-    if gyro.later_s.value.abs() < SAME_CLOCK_S { 0.0 } else { gyro.later_s.value }
+/// Returns the offset of both clocks that is no delay of the sensor: none if the sensor is late by less than [`SAME_CLOCK_S`], else what the
+/// gyroscope has beyond its stated latency.
+fn one_clock(gyro: &TriadFit, stated: &Stated) -> f64 {
+    let later_s = gyro.later_s.value;
+    if later_s.abs() < SAME_CLOCK_S { 0.0 } else { later_s - stated.later_s }
 }
 
 fn checked(track: &Track, poses: usize, least: usize) -> Result<(), PoseError> {
@@ -134,9 +161,12 @@ fn fitted(track: &Track, poses: &Poses) -> Result<(Solution, Rough), PoseError> 
     Ok((solution, rough))
 }
 
-fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
+fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses, stated: &StatedSensor) {
     let lag_s = found.gyro.later_s.value;
-    let Some(rough) = by_gravity(track, poses, lag_s, &found.gyro) else { return };
+    let Some(rough) = by_gravity(track, poses, lag_s, &found.gyro) else {
+        found.without_accel = Some("its samples and the poses have too little time in common");
+        return;
+    };
     if poses.position_m.is_empty() {
         let of = rough.svd(true, true);
         if let (Some(left), Some(right)) = (of.u, of.v_t) {
@@ -150,11 +180,14 @@ fn accelerometer(found: &mut Calibration, track: &Track, poses: &Poses) {
     let down = accel::fit(track, poses, &-rough, lag_s, -1.0);
     let rms = |of: &Option<Solution>| of.as_ref().map_or(f64::INFINITY, Solution::rms);
     found.world_down = rms(&down) < CLEARLY_LESS * rms(&up);
-    let Some(solution) = (if found.world_down { down } else { up }) else { return };
+    let Some(solution) = (if found.world_down { down } else { up }) else {
+        found.without_accel = Some("attitudes and positions do not determine it");
+        return;
+    };
     found.accel = triad(&solution, accel::LAG, false, WIDEST_FORCE_BIAS).map(|mut of| {
         // The delay of the gyroscope against the reference's clock is that of both clocks if they are two.
-        let lag_s = one_clock(&found.gyro);
-        of.gap = solution.gap(&accel::windows(track, poses, &plain(&solution, &of, accel::LAG, lag_s)));
+        let lag_s = one_clock(&found.gyro, &stated.gyro);
+        of.gap = solution.gap(&accel::windows(track, poses, &plain(&solution, &of, accel::LAG, lag_s, &stated.accel)));
         of
     });
     if found.accel.as_ref().is_some_and(|of| of.frames.unit == Unit::Unknown) {
@@ -194,12 +227,21 @@ fn by_gravity(track: &Track, poses: &Poses, lag_s: f64, gyro: &TriadFit) -> Opti
         return None;
     }
     let (found, spread) = matrix(&pairs);
-    // Close to one direction, the axes are the gyroscope's, and the unit is that of gravity.
-    if spread.norm() > 0.2 * STANDARD_GRAVITY_M_S2 {
-        return Some(found);
-    }
     let mean = pairs.iter().map(|(_, force)| force.norm()).sum::<f64>() / pairs.len() as f64;
-    Some(gyro.frames.matrix() * (mean / STANDARD_GRAVITY_M_S2))
+    let size = mean / STANDARD_GRAVITY_M_S2;
+    // Close to one direction, the axes are the gyroscope's, and the unit is that of gravity.
+    if spread.norm() <= 0.2 * STANDARD_GRAVITY_M_S2 {
+        return Some(gyro.frames.matrix() * size);
+    }
+    // A hand's own accelerations stretch the matrix: its rotation is what counts, and the size is that of gravity.
+    let of = found.svd(true, true);
+    let own = of.u? * of.v_t?;
+    // If gravity kept to a plane, the sign of the third axis does not show: the gyroscope's axes are then the accelerometer's.
+    let same = gyro.frames.matrix();
+    let off = |rotation: &Matrix3<f64>| {
+        pairs.iter().map(|(up, force)| (force - rotation * up * size).norm_squared()).sum::<f64>()
+    };
+    Some(if off(&same) < LIKELY * off(&own) { same } else { own } * size)
 }
 
 /// Refuses a reference that contradicts the sensor in too many windows.
@@ -216,25 +258,31 @@ fn refused(gyro: &TriadFit, solution: &Solution) -> Result<(), PoseError> {
 
 /// Returns the stretches in which windows are far off.
 fn stretches(solution: &Solution) -> Vec<Stretch> {
+    let off = solution.windows.iter().filter(|window| weight(window, &solution.scales).1 > OFF);
+    joined(off.map(|window| window.middle_s), 0.25, 1.0)
+}
+
+/// Returns the stretches about increasing times, `half_s` to either side, joined if less than `between_s` is between them.
+pub(crate) fn joined(times_s: impl Iterator<Item = f64>, half_s: f64, between_s: f64) -> Vec<Stretch> {
     let mut found: Vec<Stretch> = Vec::new();
-    for window in solution.windows.iter().filter(|window| weight(window, &solution.scales).1 > OFF) {
-        let (from_s, to_s) = (window.middle_s - 0.25, window.middle_s + 0.25);
+    for time_s in times_s {
+        let (from_s, to_s) = (time_s - half_s, time_s + half_s);
         match found.last_mut() {
-            Some(last) if from_s - last.to_s < 1.0 => last.to_s = to_s,
+            Some(last) if from_s - last.to_s < between_s => last.to_s = to_s,
             _ => found.push(Stretch { from_s, to_s }),
         }
     }
     found
 }
 
-/// Compares a gyroscope with rates about one of its axes. Delay and lag of the reference itself are in `later_s`.
+/// Compares a gyroscope with rates about one of its axes. The gap counts from what `stated` has. Delay and lag of the reference itself are in `later_s`.
 ///
 /// # Errors
 /// [`PoseError`] as [`against_poses`].
 ///
 /// # Validation
 /// `tests.rs`: a gyroscope on a motor with its encoder (asen3801 of the real recordings).
-pub fn against_rates(track: &Track, rates: &Rates) -> Result<Calibration, PoseError> {
+pub fn against_rates(track: &Track, rates: &Rates, stated: &Stated) -> Result<Calibration, PoseError> {
     checked(track, rates.time_s.len(), 3)?;
     let track = &track.refined();
     let axis = Vector3::ith(rates.axis, 1.0);
@@ -265,7 +313,8 @@ pub fn against_rates(track: &Track, rates: &Rates) -> Result<Calibration, PoseEr
     let off = solution.windows.iter().filter(|window| weight(window, &solution.scales).1 > OFF).count();
     let later_s = Estimate::of(&solution, &|numbers| numbers[rate::LAG]);
     let mut plain = solution.numbers.clone();
-    (plain[0], plain[1]) = (1.0 / unit, 0.0);
+    plain[0] = 1.0 / (unit * (1.0 + stated.scale[rates.axis]));
+    plain[1] = -plain[0] * stated.bias[rates.axis] * frames.factor;
     let gap = solution.gap(&rate::windows(track, rates, &plain));
     let gyro = TriadFit {
         turned_deg: [None; 3],

@@ -12,6 +12,12 @@ pub enum PoseError {
         /// The header that was found, shortened.
         found: String,
     },
+    /// An export has rotations as three angles, of which several conventions exist.
+    #[error("line {line} of the reference: rotations as RX, RY, RZ alone; export quaternions (RX, RY, RZ, RW)")]
+    Angles {
+        /// The line, from 1.
+        line: u64,
+    },
     /// A cell is not a finite number, or a row has too few.
     #[error("line {line} of the reference: found `{found}`; expected {expected}")]
     Cell {
@@ -39,7 +45,9 @@ pub enum PoseError {
         time_s: f64,
     },
     /// An encoder's file does not state its axis.
-    #[error("an encoder has one axis, which its file does not name: give it with --reference-axis x, y or z")]
+    #[error(
+        "an encoder has one axis, which its file does not name: give it with --reference-axis x, y or z, in a request as `reference_axis`"
+    )]
     Axis,
     /// The recording lacks a channel.
     #[error("the recording has no {channel}; this reference is compared with it")]

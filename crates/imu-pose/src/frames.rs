@@ -98,9 +98,20 @@ pub(crate) fn frames(rotation: &Matrix3<f64>, ratio: f64, is_gyro: bool) -> Fram
     Frames { axes, mirrored: kept.determinant() < 0.0, aligned, unit, factor, rotation }
 }
 
+const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+
+/// Returns all 48 exchanges of axes with signs.
+pub(crate) fn exchanges() -> impl Iterator<Item = Matrix3<f64>> {
+    ORDERS.iter().flat_map(|order| {
+        (0..8_u8).map(|signs| {
+            let sign = |row: usize| if signs & (1 << row) == 0 { 1.0 } else { -1.0 };
+            Matrix3::from_fn(|row, column| if order[row] == column { sign(row) } else { 0.0 })
+        })
+    })
+}
+
 /// Returns the exchange of axes with signs that is nearest, of all 48.
-fn nearest(rotation: &Matrix3<f64>) -> Matrix3<f64> {
-    const ORDERS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+pub(crate) fn nearest(rotation: &Matrix3<f64>) -> Matrix3<f64> {
     let of = |order: &[usize; 3]| {
         let order = *order;
         Matrix3::from_fn(|row, column| if order[row] == column { rotation[(row, column)].signum() } else { 0.0 })

@@ -13,6 +13,8 @@
 
 mod accel;
 mod calibration;
+mod correction;
+mod course;
 mod error;
 mod fit;
 mod frames;
@@ -25,12 +27,15 @@ mod rough;
 mod tests;
 mod track;
 mod triad;
+pub mod tumble;
 
-pub use calibration::{Calibration, Stretch, against_poses, against_rates};
+pub use calibration::{Calibration, StatedSensor, Stretch, against_poses, against_rates};
+pub use correction::{Correction, Deviations};
+pub use course::{CourseError, Instant, course};
 pub use error::PoseError;
 pub use fit::Part;
 pub use frames::{Frames, SignedAxis, Unit};
 pub use read::{External, read};
 pub use reference::{Poses, Rates};
 pub use track::Track;
-pub use triad::{Estimate, TriadFit};
+pub use triad::{Estimate, Stated, TriadFit};

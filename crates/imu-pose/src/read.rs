@@ -1,7 +1,7 @@
 //! Read: references of other instruments as text.
 //!
 //! Recognised by their header: poses as docs/formats.md has them, EuRoC's ground truth, TUM's trajectories (no header), OptiTrack's
-//! export of a rigid body, a rate about one axis, an encoder.
+//! export of a rigid body, Vicon's export of an object with quaternions, a rate about one axis, an encoder.
 
 use crate::error::PoseError;
 use crate::reference::{Poses, Rates};
@@ -46,6 +46,9 @@ pub fn read(text: &str, axis: Option<usize>) -> Result<Option<External>, PoseErr
     };
     if first.starts_with("Format Version") {
         return optitrack(text, first);
+    }
+    if let Some(found) = vicon(text) {
+        return found;
     }
     let names: Vec<String> = cells(first.trim_start_matches('#')).iter().map(|name| name.to_lowercase()).collect();
     let place = |name: &str| names.iter().position(|own| own == name);
@@ -233,4 +236,39 @@ fn optitrack(text: &str, first: &str) -> Result<Option<External>, PoseError> {
     };
     let rows = lines.filter(|(_, line)| !line.trim().is_empty());
     poses(rows, &layout).map(|poses| Some(External::Poses(poses)))
+}
+
+/// Reads Vicon's export of objects or segments: the first one. A line states the frames per second, `Frame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ`
+/// is the header, and the line below it the units. z points up there. Returns `None` for a text of another form.
+fn vicon(text: &str) -> Option<Result<Option<External>, PoseError>> {
+    /// Lines above the header at most.
+    const ABOVE: usize = 8;
+    let numbered = || (1_u64..).zip(text.lines());
+    let (at, header) = numbered().take(ABOVE).find(|(_, line)| line.starts_with("Frame,Sub Frame"))?;
+    let names = cells(header);
+    let place = |name: &str| names.iter().position(|own| *own == name);
+    let [Some(w), Some(x), Some(y), Some(z)] = ["RW", "RX", "RY", "RZ"].map(place) else {
+        return Some(Err(PoseError::Angles { line: at }));
+    };
+    let above = numbered().take_while(|(line, _)| *line < at);
+    let rate_hz = above.filter_map(|(_, line)| cells(line).first()?.parse::<f64>().ok()).find(|rate| *rate > 0.0);
+    let Some(rate_hz) = rate_hz else { return Some(Err(unknown(header))) };
+    let position = all(["TX", "TY", "TZ"].map(place));
+    let units = numbered().find(|(line, _)| *line == at + 1).map(|(_, line)| cells(line)).unwrap_or_default();
+    let metres = match position.and_then(|places| units.get(places[0]).copied()) {
+        Some("mm") => 1e-3,
+        Some("cm") => 1e-2,
+        _ => 1.0,
+    };
+    let layout = Layout {
+        time: 0,
+        attitude: [w, x, y, z],
+        position,
+        time_factor: 1.0 / rate_hz,
+        position_factor: metres,
+        y_up: false,
+    };
+    // Below the header are the units, and other tables follow behind an empty line.
+    let rows = numbered().skip_while(|(line, _)| *line <= at + 1).take_while(|(_, line)| !line.trim().is_empty());
+    Some(poses(rows, &layout).map(|poses| Some(External::Poses(poses))))
 }

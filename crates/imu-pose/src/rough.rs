@@ -119,6 +119,11 @@ pub(crate) fn rough(track: &Track, poses: &Poses) -> Result<Rough, PoseError> {
     }
     let lag_of = |shift: i64| sensor.begins_s - body.begins_s + shift as f64 * GRID_S;
     let found = offsets(&ours, &theirs, least);
+    if found.is_empty() {
+        // Too much of one of them is missing or was cut off.
+        let known = |of: &[Option<f64>]| of.iter().flatten().count();
+        return Err(PoseError::Overlap { found_s: known(&ours).min(known(&theirs)) as f64 * GRID_S, least_s: LEAST_S });
+    }
     let best = found.iter().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
     if best < LEAST_CORRELATION {
         return Err(PoseError::Unlike { best, least: LEAST_CORRELATION });

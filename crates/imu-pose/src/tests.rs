@@ -1,7 +1,8 @@
 //! Tests on simulated motions, whose numbers are known, and on real recordings with a reference.
 
 use crate::{
-    Calibration, Estimate, External, PoseError, Poses, Track, TriadFit, Unit, against_poses, against_rates, read,
+    Calibration, Estimate, External, PoseError, Poses, Stated, StatedSensor, Track, TriadFit, Unit, against_poses,
+    against_rates, read,
 };
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::SeedableRng as _;
@@ -139,7 +140,7 @@ fn intervals_hold_the_numbers_of_simulated_sensors_with_noisy_poses() {
             ..World::default()
         };
         let (track, poses) = world.made(seed);
-        let found = against_poses(&track, &poses).unwrap();
+        let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
         assert!(found.gyro.frames.is_plain() && !found.inverse_quaternions && !found.world_down, "{found:?}");
         counted(&found.gyro, &world.gyro, &world.gyro_bias, world.later_s[0], &mut counts);
         let accel = found.accel.unwrap();
@@ -177,7 +178,7 @@ fn all_exchanges_of_axes_with_signs_units_and_clocks_are_named() {
             let (mut track, poses) =
                 World { gyro_sd: 2e-3 * of_gyro, accel_sd: 0.02 * of_accel, ..world }.made(number as u64);
             track.time_s.iter_mut().for_each(|time_s| *time_s += offset_s);
-            let found = against_poses(&track, &poses).unwrap();
+            let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
             for (of, unit) in [(&found.gyro, gyro_unit), (found.accel.as_ref().unwrap(), accel_unit)] {
                 for row in 0..3 {
                     assert_eq!(of.frames.axes[row].axis, order[row], "{order:?} {signs} {:?}", of.frames);
@@ -202,7 +203,7 @@ fn inverse_quaternions_a_world_that_points_down_and_any_rotation_are_found() {
     let world = World { seconds: 40.0, ..World::default() };
     let (track, poses) = world.made(1);
     let inverse = Poses { attitude: poses.attitude.iter().map(UnitQuaternion::inverse).collect(), ..poses.clone() };
-    let found = against_poses(&track, &inverse).unwrap();
+    let found = against_poses(&track, &inverse, &StatedSensor::default()).unwrap();
     assert!(found.inverse_quaternions && found.gyro.frames.is_plain());
     let over = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let down = Poses {
@@ -210,11 +211,11 @@ fn inverse_quaternions_a_world_that_points_down_and_any_rotation_are_found() {
         position_m: poses.position_m.iter().map(|position| over * position).collect(),
         ..poses.clone()
     };
-    let found = against_poses(&track, &down).unwrap();
+    let found = against_poses(&track, &down, &StatedSensor::default()).unwrap();
     assert!(found.world_down && found.accel.unwrap().frames.is_plain());
     let turn = Rotation3::from_scaled_axis(Vector3::new(0.7, -0.6, 0.5)).into_inner();
     let (track, poses) = World { gyro: turn, accel: turn, seconds: 40.0, ..World::default() }.made(2);
-    let found = against_poses(&track, &poses).unwrap();
+    let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
     assert!(
         !found.gyro.frames.aligned && found.gyro.scale.iter().flatten().all(|of| of.value.abs() < 5e-3),
         "{found:?}"
@@ -244,16 +245,19 @@ fn what_a_motion_does_not_determine_has_no_number() {
             .push(UnitQuaternion::from_scaled_axis(Vector3::z() * angle) * UnitQuaternion::from_scaled_axis(noise));
         angle += 0.01 * rate(t + 0.005);
     }
-    let found = against_poses(&track, &poses).unwrap();
+    let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
     assert_eq!((found.gyro.scale[0], found.gyro.scale[1], found.gyro.cross[0]), (None, None, None));
     let z = found.gyro.scale[2].unwrap();
     assert!(z.ci95[0] < 0.01 && 0.01 < z.ci95[1] && z.half() < 0.015, "{z:?}");
     // At rest there is nothing to match.
     poses.attitude.iter_mut().for_each(|attitude| *attitude = UnitQuaternion::identity());
-    assert!(matches!(against_poses(&track, &poses), Err(PoseError::Still { .. })));
+    assert!(matches!(against_poses(&track, &poses, &StatedSensor::default()), Err(PoseError::Still { .. })));
     // Another trial.
     let (_, other) = World::default().made(9);
-    assert!(matches!(against_poses(&track, &other), Err(PoseError::Unlike { .. } | PoseError::Bad { .. })));
+    assert!(matches!(
+        against_poses(&track, &other, &StatedSensor::default()),
+        Err(PoseError::Unlike { .. } | PoseError::Bad { .. })
+    ));
 }
 
 /// Faults outside the range of the first trial, each with a wrong number before it was mended.
@@ -272,7 +276,7 @@ fn clocks_that_drift_rough_poses_and_slow_sensors_keep_their_intervals() {
             let (mut track, poses) = world.made(100 + seed);
             let middle_s = 0.5 * world.seconds;
             track.time_s.iter_mut().for_each(|time_s| *time_s += drift * (*time_s - middle_s));
-            let found = against_poses(&track, &poses).unwrap();
+            let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
             counted(&found.gyro, &world.gyro, &world.gyro_bias, world.later_s[0], &mut counts);
             counted(&found.accel.unwrap(), &world.accel, &world.accel_bias, world.later_s[1], &mut counts);
         }
@@ -287,7 +291,7 @@ fn what_is_broken_is_refused_and_a_single_bad_pose_changes_nothing() {
     let (track, poses) = world.made(4);
     let mut flipped = poses.clone();
     flipped.attitude[1000] *= UnitQuaternion::from_axis_angle(&Vector3::y_axis(), 3.1);
-    let found = against_poses(&track, &flipped).unwrap();
+    let found = against_poses(&track, &flipped, &StatedSensor::default()).unwrap();
     assert!((found.gyro.later_s.value - 4e-3).abs() < 1e-3 && found.gyro.frames.is_plain(), "{found:?}");
     assert!(found.gyro.scale.iter().flatten().all(|of| of.value.abs() < 0.01), "{found:?}");
     for (factor, last) in [(1e3, None), (1e6, None), (1.0, Some(1e18)), (1.0, Some(1e6))] {
@@ -296,18 +300,24 @@ fn what_is_broken_is_refused_and_a_single_bad_pose_changes_nothing() {
         if let Some(last) = last {
             *far.time_s.last_mut().unwrap() = last;
         }
-        assert!(matches!(against_poses(&track, &far), Err(PoseError::Long { .. })), "{factor} {last:?}");
+        assert!(
+            matches!(against_poses(&track, &far, &StatedSensor::default()), Err(PoseError::Long { .. })),
+            "{factor} {last:?}"
+        );
     }
     let mut dead = track.clone();
     dead.gyro.iter_mut().for_each(|rate| rate.x = 0.0);
-    assert_eq!(against_poses(&dead, &poses), Err(PoseError::Dead { channel: "gyro_x".to_owned() }));
+    assert_eq!(
+        against_poses(&dead, &poses, &StatedSensor::default()),
+        Err(PoseError::Dead { channel: "gyro_x".to_owned() })
+    );
     let mut dead = track.clone();
     dead.accel.iter_mut().for_each(|force| force.y = 1.0);
-    let found = against_poses(&dead, &poses).unwrap();
+    let found = against_poses(&dead, &poses, &StatedSensor::default()).unwrap();
     assert!(found.accel.is_none() && found.without_accel.is_some());
     let mut half = track;
     half.gyro.iter_mut().for_each(|rate| *rate *= 0.4);
-    assert!(matches!(against_poses(&half, &poses), Err(PoseError::Ratio { .. })));
+    assert!(matches!(against_poses(&half, &poses, &StatedSensor::default()), Err(PoseError::Ratio { .. })));
     // A motion that repeats itself has several offsets.
     let rate = |t: f64| 2.0 * (2.0 * t).sin();
     let (mut track, mut poses) = (Track::default(), Poses::default());
@@ -319,7 +329,7 @@ fn what_is_broken_is_refused_and_a_single_bad_pose_changes_nothing() {
         poses.time_s.push(t + 3.0);
         poses.attitude.push(UnitQuaternion::from_scaled_axis(Vector3::z() * (1.0 - (2.0 * t).cos())));
     }
-    let found = against_poses(&track, &poses).unwrap();
+    let found = against_poses(&track, &poses, &StatedSensor::default()).unwrap();
     assert!(found.is_ambiguous && !found.gyro.is_timed);
 }
 
@@ -398,8 +408,8 @@ fn compared(recording: &str, reference: &str) -> Option<Result<Calibration, Pose
     let track = track(&text(&recording));
     let external = read(&text(Path::new(&name)), Some(2)).unwrap().unwrap();
     Some(match external {
-        External::Poses(poses) => against_poses(&track, &poses),
-        External::Rates(rates) => against_rates(&track, &rates),
+        External::Poses(poses) => against_poses(&track, &poses, &StatedSensor::default()),
+        External::Rates(rates) => against_rates(&track, &rates, &Stated::default()),
     })
 }
 
@@ -441,4 +451,61 @@ fn a_stick_with_vicon_and_a_motor_with_its_encoder_have_the_published_numbers() 
     // In a tenth of the time, the cameras saw another motion than the sensor.
     let bad = compared("repoimu/TStick_Test10_Trial1.csv.gz", ".vicon.csv.gz").unwrap();
     assert!(matches!(&bad, Err(PoseError::Bad { .. })), "{bad:?}");
+}
+
+#[test]
+fn vicons_export_with_quaternions_is_read_and_one_with_angles_is_refused() {
+    let text = "Objects\n200\n,,Wand:Wand,,,,,,\nFrame,Sub Frame,RX,RY,RZ,RW,TX,TY,TZ\n,,,,,,mm,mm,mm\n\
+                1,0,0,0,0.6,0.8,100,-200,300\n2,0,,,,,,,\n3,0,0,0,0,1,101,-200,300\n\nTrajectories\n200\n";
+    let Ok(Some(External::Poses(poses))) = read(text, None) else { panic!("{:?}", read(text, None)) };
+    assert_eq!(poses.time_s, [0.005, 0.015]);
+    assert!((poses.position_m[0] - Vector3::new(0.1, -0.2, 0.3)).norm() < 1e-12);
+    assert!((poses.attitude[0].scaled_axis() - Vector3::new(0.0, 0.0, 2.0 * 0.6_f64.asin())).norm() < 1e-12);
+    let angles =
+        "Segments\n100\n,,Body:Body,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm\n1,0,1,2,3,4,5,6\n";
+    assert_eq!(read(angles, None), Err(PoseError::Angles { line: 4 }));
+}
+
+/// Each of the 48 exchanges of axes with signs, in one of two pairs of units and with one of seven offsets of the clocks, of a minute of each
+/// of three recordings: named right. `cargo test -p imu-pose -- --ignored --nocapture exchanges_on_real` takes some minutes.
+#[test]
+#[ignore = "takes some minutes"]
+fn exchanges_on_real_recordings_are_named() {
+    const OFFSETS_S: [f64; 7] = [0.0, 10.0, -10.0, 3.7, -6.2, 0.8, -1.3];
+    let mut right = 0;
+    let mut all = 0;
+    for name in ["02_undisturbed_slow_rotation_B", "06_undisturbed_fast_rotation_A", "21_undisturbed_fast_combined"] {
+        let Some(recording) = vn100_testkit::real_data(&format!("broad/{name}.csv.gz")) else { return };
+        let poses = recording.with_file_name(format!("{name}.optical.csv.gz"));
+        let whole = track(&text(&recording));
+        let External::Poses(poses) = read(&text(&poses), None).unwrap().unwrap() else { unreachable!() };
+        let within = |time_s: f64| (60.0..120.0).contains(&time_s);
+        for (number, exchange) in crate::frames::exchanges().enumerate() {
+            let offset_s = OFFSETS_S[number % OFFSETS_S.len()];
+            let [rate, force] = if number % 2 == 0 { [1.0, 1.0] } else { [180.0 / std::f64::consts::PI, 1.0 / G] };
+            let mut part = Track::default();
+            for place in (0..whole.time_s.len()).filter(|place| within(whole.time_s[*place])) {
+                part.time_s.push(whole.time_s[place] + offset_s);
+                part.gyro.push(exchange * whole.gyro[place] * rate);
+                part.accel.push(exchange * whole.accel[place] * force);
+            }
+            let found = against_poses(&part, &poses, &StatedSensor::default());
+            all += 1;
+            let is_right = found.as_ref().is_ok_and(|found| {
+                let matches = |of: &crate::Frames, units: [Unit; 2]| {
+                    let unit = units[number % 2];
+                    (of.matrix() - exchange).norm() < 1e-9 && of.unit == unit
+                };
+                let accel = found.accel_frames.as_ref().is_some_and(|of| matches(of, [Unit::Same, Unit::Gravities]));
+                let later_s = found.gyro.later_s.value - offset_s;
+                matches(&found.gyro.frames, [Unit::Same, Unit::Degrees]) && accel && (0.0..0.02).contains(&later_s)
+            });
+            right += usize::from(is_right);
+            if !is_right {
+                println!("{name} {number}: {found:?}");
+            }
+        }
+    }
+    println!("{right} of {all}");
+    assert_eq!(right, all);
 }

@@ -19,6 +19,11 @@ pub struct Track {
 }
 
 impl Track {
+    /// Creates a track of samples at increasing stamps, s. `accel` has as many values or none.
+    pub fn new(time_s: Vec<f64>, gyro: Vec<Vector3<f64>>, accel: Vec<Vector3<f64>>) -> Self {
+        Self { time_s, gyro, accel, longest_s: None }
+    }
+
     /// Returns the median step, s.
     pub(crate) fn period_s(&self) -> f64 {
         median_step(&self.time_s)
@@ -64,13 +69,19 @@ impl Track {
         found
     }
 
+    /// Returns the gyroscope's track with every other sample.
+    pub(crate) fn every_other(&self) -> Self {
+        let time_s = self.time_s.iter().step_by(2).copied().collect();
+        Self::new(time_s, self.gyro.iter().step_by(2).copied().collect(), Vec::new())
+    }
+
     /// Returns the axis on which all values are the same, if there is one.
     pub(crate) fn dead(of: &[Vector3<f64>]) -> Option<usize> {
         (0..3).find(|axis| of.windows(2).all(|pair| pair[0][*axis] == pair[1][*axis]))
     }
 
     /// Returns the parts of the straight lines between samples in `[from_s, to_s]`, each with its duration, s, and the value in
-    /// its middle. `None` if a gap or the track's end is in between.
+    /// its middle. `None` if a gap, a sample without a number or the track's end is in between.
     pub(crate) fn parts(&self, of: &[Vector3<f64>], from_s: f64, to_s: f64, longest_s: f64) -> Option<Vec<Part>> {
         let begin = self.time_s.partition_point(|time_s| *time_s <= from_s).checked_sub(1)?;
         let end = self.time_s.partition_point(|time_s| *time_s < to_s);
@@ -86,6 +97,9 @@ impl Track {
             let (one_s, other_s) = (start_s.max(from_s), stop_s.min(to_s));
             let middle = (0.5 * (one_s + other_s) - start_s) / (stop_s - start_s);
             let value = of[place] * (1.0 - middle) + of[place + 1] * middle;
+            if !value.iter().all(|of| of.is_finite()) {
+                return None;
+            }
             parts.push(Part { seconds: other_s - one_s, middle_s: 0.5 * (one_s + other_s), value });
         }
         Some(parts)

@@ -10,9 +10,9 @@ use nalgebra::{DVector, Matrix3, Vector3};
 use serde::Serialize;
 
 /// A scale factor or cross-axis sensitivity with a wider interval than this is not determined.
-const DETERMINED: f64 = 0.05;
+pub(crate) const DETERMINED: f64 = 0.05;
 /// A rotation of frames with a wider interval than this is not determined, °.
-const DETERMINED_DEG: f64 = 5.0;
+pub(crate) const DETERMINED_DEG: f64 = 5.0;
 /// A delay with a wider interval than this is not determined, s.
 const DETERMINED_S: f64 = 0.02;
 /// A window this many standard deviations off belongs to a stretch in which reference and sensor contradict each other.
@@ -34,6 +34,12 @@ impl Estimate {
         let (sd, factor) = solution.spread(what);
         let value = what(&solution.numbers);
         Self { value, sd, ci95: [value - factor * sd, value + factor * sd] }
+    }
+
+    /// Returns a value with Student's interval.
+    pub(crate) fn with_freedom(value: f64, sd: f64, freedom: f64) -> Self {
+        let half = sd * crate::fit::student(freedom);
+        Self { value, sd, ci95: [value - half, value + half] }
     }
 
     /// Returns half of the interval's width.
@@ -74,26 +80,50 @@ pub struct TriadFit {
 }
 
 /// Returns P and C of M = P·C.
-fn polar(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
+pub(crate) fn polar(matrix: &Matrix3<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>)> {
     let of = matrix.svd(true, true);
     let (left, right) = (of.u?, of.v_t?);
     Some((left * Matrix3::from_diagonal(&of.singular_values) * left.transpose(), left * right))
 }
 
-/// Returns the numbers of a sensor without deviations: the axes and the unit of `of`, no bias, no delay beyond `lag_s`. What
-/// belongs to the reference stays as it is fitted.
-pub(crate) fn plain(solution: &Solution, of: &TriadFit, lag: usize, lag_s: f64) -> DVector<f64> {
+/// The deviations that a model states of a triad: what the gap counts from.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stated {
+    /// Scale factors of x, y, z.
+    pub scale: [f64; 3],
+    /// Cross-axis sensitivity of xy, xz, yz.
+    pub cross: [f64; 3],
+    /// Bias of x, y, z, rad/s or m/s².
+    pub bias: [f64; 3],
+    /// Latency, s.
+    pub later_s: f64,
+}
+
+impl Stated {
+    /// Returns the symmetric matrix of 1 + scale factors and cross-axis sensitivity.
+    fn matrix(&self) -> Matrix3<f64> {
+        let [xy, xz, yz] = self.cross;
+        let [x, y, z] = self.scale.map(|scale| 1.0 + scale);
+        Matrix3::new(x, xy, xz, xy, y, yz, xz, yz, z)
+    }
+}
+
+/// Returns the numbers of a sensor with the deviations that a model states: the axes and the unit of `of`, no delay beyond `lag_s`
+/// and the stated one. What belongs to the reference stays as it is fitted.
+pub(crate) fn plain(solution: &Solution, of: &TriadFit, lag: usize, lag_s: f64, stated: &Stated) -> DVector<f64> {
     let mut numbers = solution.numbers.clone();
     let turned = of.turned_deg.map(|of| of.map_or(0.0, |of| of.value.to_radians()));
     let rotation = nalgebra::Rotation3::from_scaled_axis(Vector3::from(turned)).into_inner() * of.frames.matrix();
-    let inverse = rotation.transpose() / of.frames.factor;
+    let stretch = stated.matrix().try_inverse().unwrap_or_else(Matrix3::identity);
+    let inverse = rotation.transpose() * stretch / of.frames.factor;
+    let constant = -inverse * (Vector3::from(stated.bias) * of.frames.factor);
     for row in 0..3 {
         for column in 0..3 {
             numbers[3 * row + column] = inverse[(row, column)];
         }
-        numbers[9 + row] = 0.0;
+        numbers[9 + row] = constant[row];
     }
-    numbers[lag] = lag_s;
+    numbers[lag] = lag_s + stated.later_s;
     numbers
 }
 

@@ -38,6 +38,7 @@ pub mod page;
 pub mod parcel;
 pub mod place;
 pub mod plan;
+pub mod posed;
 pub mod rates;
 pub mod recipe;
 pub mod recorded;

@@ -12,7 +12,7 @@ use super::kind::Kind;
 use imu_core::sample::Triad;
 use imu_diagnosis::transform::Cosines;
 use imu_model::simulator::Motion;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// Maximum number of values to which columns are averaged.
@@ -34,6 +34,9 @@ pub fn needed(numbers: usize) -> f64 {
     }
     needed
 }
+
+/// Least information of a number, in parts of what it would be with all others known.
+const LEAST: f64 = 1e-9;
 
 /// Returns the information of one effect's numbers, with all other parameters of its triad unknown. `nbk` are the
 /// triad's true N, B, K per axis.
@@ -94,7 +97,11 @@ pub fn information(
     let seen = DMatrix::from_fn(rest.len(), own.len(), |r, c| between[(r, c)] * scales[r]);
     let solved =
         scaled.pseudo_inverse(1e-9).map_or_else(|_| DMatrix::zeros(rest.len(), own.len()), |inverse| inverse * &seen);
-    mine - seen.transpose() * solved
+    let least = LEAST * mine.trace() / own.len().max(1) as f64;
+    let mut left = SymmetricEigen::new(mine - seen.transpose() * solved);
+    // If the others explain all of it, rounding leaves less than nothing.
+    left.eigenvalues.iter_mut().for_each(|value| *value = value.max(least));
+    left.recompose()
 }
 
 /// Returns the standard deviation of a cosine coefficient of the noise.

@@ -325,6 +325,7 @@ fn entry(effect: &Imposed, axis: usize, mean_c: f64) -> Value {
         Kind::Saturation => json!({"range": n[0]}),
         Kind::LowPass => json!({"cutoff_hz": n[0]}),
         Kind::TemperatureBias => json!({"per_c": n[axis], "reference_c": mean_c}),
+        Kind::TemperatureScale => json!({"x": n[0], "y": n[1], "z": n[2], "reference_c": mean_c}),
         _ => json!({"x": n[0], "y": n[1], "z": n[2]}),
     };
     entry["effect"] = json!(effect.kind.effect());

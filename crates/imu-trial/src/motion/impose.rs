@@ -14,6 +14,8 @@ pub const FULL_SCALE: [f64; 2] = [34.906_585, 156.906_4];
 const PLAY: f64 = 0.15;
 /// Time constant of a creep, s.
 const CREEP_S: f64 = 4.0;
+/// Time over which the mean square of a vibration is taken, s.
+const VIBRATION_S: f64 = 1.0;
 /// Half width of a dead band over the effect's number.
 const BAND: f64 = 1.0;
 
@@ -76,6 +78,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
     let mut follows = dragged;
     let share = 1.0 - (-1.0 / (CREEP_S * rate_hz)).exp();
     let mut last = motions.first().map_or([0.0; 3], |motion| motion.gyro_rad_s);
+    let shaken = shaken(&motions, rate_hz);
     let mut axes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(samples));
     for (t, motion) in motions.iter().enumerate() {
         let (truth, force) = (input(motion), motion.accel_m_s2);
@@ -111,7 +114,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
                     Kind::ScaleFactor => number * value,
                     Kind::UnsignedNonlinearity => number * value * value / full_scale(triad),
                     Kind::SignedNonlinearity => number * value * value.abs() / full_scale(triad),
-                    Kind::WarmScale => number * value * warmth_c.get(t).copied().unwrap_or_default(),
+                    Kind::TemperatureScale => number * value * warmth_c.get(t).copied().unwrap_or_default(),
                     Kind::Hysteresis => number * (dragged[axis] - truth[axis]),
                     Kind::Creep => number * (follows[axis] - truth[axis]),
                     Kind::DeadBand => -value.clamp(-BAND * number.abs(), BAND * number.abs()),
@@ -121,6 +124,7 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
             for effect in &own {
                 scaled += match effect.kind {
                     Kind::Bias => effect.number(axis),
+                    Kind::Rectification => effect.number(axis) * shaken[t][axis],
                     Kind::TemperatureBias => effect.number(axis) * warmth_c.get(t).copied().unwrap_or_default(),
                     Kind::GSensitivity => (0..3).map(|of| effect.number(3 * axis + of) * force[of]).sum(),
                     _ => 0.0,
@@ -130,6 +134,28 @@ pub fn shown(triad: Triad, course: &[Motion], rate_hz: f64, effects: &[Imposed],
         }
     }
     axes
+}
+
+/// Returns the mean square of the vibration along each axis: exponentially weighted, of the force less its weighted mean.
+fn shaken(motions: &[Motion], rate_hz: f64) -> Vec<[f64; 3]> {
+    let kept = (-1.0 / (VIBRATION_S * rate_hz)).exp();
+    let mut mean = motions.first().map_or([0.0; 3], |motion| motion.accel_m_s2);
+    let mut square = [0.0; 3];
+    // Of each interval, what is halfway between its ends.
+    let (mut force_before, mut beyond_before) = (mean, [0.0; 3]);
+    motions
+        .iter()
+        .map(|motion| {
+            for axis in 0..3 {
+                let force = motion.accel_m_s2[axis];
+                mean[axis] = kept * mean[axis] + (1.0 - kept) * 0.5 * (force_before[axis] + force);
+                let beyond = (force - mean[axis]).powi(2);
+                square[axis] = kept * square[axis] + (1.0 - kept) * 0.5 * (beyond_before[axis] + beyond);
+                (force_before[axis], beyond_before[axis]) = (force, beyond);
+            }
+            square
+        })
+        .collect()
 }
 
 /// Applies bandwidth and limit to the output with its noise.
@@ -167,8 +193,41 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
     use imu_model::effects::triad::{Bias, CrossAxisSensitivity, GSensitivity, Misalignment, ScaleFactor};
-    use imu_model::effects::triad::{Drive, ScaleFactorNonlinearity};
+    use imu_model::effects::triad::{Drive, Rectification, ScaleFactorNonlinearity, TemperatureScale, Vibration};
     use imu_model::effects::{LowPass, Stream, StreamId, TriadEffect};
+
+    fn effects_with_memory_or_temperature_are_the_documented_ones() {
+        let at = |t: usize| Motion {
+            gyro_rad_s: [(0.02 * t as f64).sin(), 0.5, -1.0],
+            accel_m_s2: [4.0 * (1.9 * t as f64).sin(), 0.3 * (0.05 * t as f64).cos(), -9.8],
+            temperature_c: None,
+        };
+        let course: Vec<Motion> = (0..300 * FINE).map(|instant| at(instant / FINE)).collect();
+        let warmth_c: Vec<f64> = (0..300).map(|t| 0.1 * f64::from(t)).collect();
+        let numbers = vec![1e-3, -2e-3, 3e-3];
+        let axes = [1e-3, -2e-3, 3e-3];
+        let pairs: [(Kind, Box<dyn TriadEffect>); 2] = [
+            (Kind::Rectification, Box::new(Rectification { axes })),
+            (Kind::TemperatureScale, Box::new(TemperatureScale { axes, reference_c: 20.0 })),
+        ];
+        for (kind, effect) in pairs {
+            let imposed = Imposed { kind, triad: Triad::Gyro, numbers: numbers.clone() };
+            let found = shown(Triad::Gyro, &course, 40.0, &[imposed], &warmth_c);
+            let mut vibration = Vibration::new(40.0);
+            for t in 0..300 {
+                let motion = at(t);
+                let more = effect.deviation(Drive {
+                    input: motion.gyro_rad_s,
+                    accel_m_s2: motion.accel_m_s2,
+                    vibration_m2_s4: vibration.next(motion.accel_m_s2),
+                    temperature_c: Some(20.0 + warmth_c[t]),
+                });
+                for axis in 0..3 {
+                    assert!((found[axis][t] - motion.gyro_rad_s[axis] - more[axis]).abs() < 1e-12, "{kind} {t}");
+                }
+            }
+        }
+    }
 
     /// This code and the library's are independent and must describe the same physics.
     #[test]
@@ -201,11 +260,13 @@ mod tests {
         for (kind, effect) in pairs {
             let imposed = Imposed { kind, triad: Triad::Gyro, numbers: numbers(kind) };
             let found = shown(Triad::Gyro, &course, 40.0, &[imposed], &[]);
-            let more = effect.deviation(Drive { input: motion.gyro_rad_s, accel_m_s2: motion.accel_m_s2 });
+            let more =
+                effect.deviation(Drive { input: motion.gyro_rad_s, accel_m_s2: motion.accel_m_s2, ..Drive::default() });
             for axis in 0..3 {
                 assert!((found[axis][5] - motion.gyro_rad_s[axis] - more[axis]).abs() < 1e-12, "{kind}");
             }
         }
+        effects_with_memory_or_temperature_are_the_documented_ones();
         let mut values: Vec<f64> = (0..200).map(|t| (0.1 * f64::from(t)).sin()).collect();
         let mut other = values.clone();
         low_pass(&mut values, 5.0, 40.0);

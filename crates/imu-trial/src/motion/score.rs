@@ -15,6 +15,8 @@ use std::collections::BTreeMap;
 const CLEAR: f64 = 3.0;
 /// The share of the true effects' closed part that must be closed.
 const NEARLY: f64 = 0.9;
+/// The verdict of a record beside poses in which a diagnosis names what it names in the untouched one.
+pub(crate) const AS_UNTOUCHED: &str = "as untouched";
 
 /// A judged cause of a diagnosis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -50,6 +52,9 @@ pub struct Judgement {
     pub named: Vec<bool>,
     /// For each named parameter with an interval: whether the interval contains the truth.
     pub held: Vec<bool>,
+    /// The same beside poses, about what the same record shows untouched.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub held_alone: Vec<bool>,
     /// The part of the gap that was closed.
     pub closed: Option<f64>,
     /// The part that the true effects close.
@@ -85,6 +90,7 @@ pub fn judge(key: &Key, report: Result<&Value, &str>, closed_by_truth: Option<f6
         right_first: causes.first().is_some_and(right),
         named: key.effects.iter().map(|of| causes.iter().any(|cause| is(of, cause))).collect(),
         held,
+        held_alone: Vec::new(),
         closed: value["discrepancy"]["closed"].as_f64(),
         closed_by_truth,
     }
@@ -108,7 +114,7 @@ fn triad_of(cause: &Value) -> Option<String> {
 }
 
 /// Returns whether a cause is the effect: by name, form and triad.
-fn is(of: &TrueEffect, cause: &Value) -> bool {
+pub(crate) fn is(of: &TrueEffect, cause: &Value) -> bool {
     let form = match of.kind {
         Kind::UnsignedNonlinearity => "unsigned ",
         Kind::SignedNonlinearity => "signed ",
@@ -215,13 +221,14 @@ pub struct Score {
 }
 
 /// The meanings of the rates, in display order.
-pub const RATES: [(&str, &str); 11] = [
+pub const RATES: [(&str, &str); 12] = [
     ("right_first_clear", "right effect and triad first, from 3 times the limit on"),
     ("right_first", "right effect and triad first, all sizes"),
     ("both_named", "two effects at once, both named, from 3 times the limit on"),
     ("none_blamed", "nothing there: blamed"),
     ("none_named", "nothing there: a cause named"),
     ("held", "parameters inside their 95 % intervals"),
+    ("held_alone", "the same, about what the same record shows untouched"),
     ("nearly_closed", "closed at least 90 % of what the truth closes, from 3 times the limit on"),
     ("turned_mixed", "misalignment called cross-axis sensitivity, or the reverse"),
     ("unknown_found", "outside the library: called unknown, from 3 times the limit on"),
@@ -241,7 +248,9 @@ impl Score {
         let unknown = |of: &Judgement| of.verdict == "unknown_effect";
         let spurious = |of: &Judgement| of.causes.iter().any(|cause| !cause.right);
         // A refusal is not an answer either.
-        let blamed = |of: &Judgement| !of.causes.is_empty() || !matches!(of.verdict.as_str(), "no_gap" | "parameters");
+        let blamed = |of: &Judgement| {
+            !of.causes.is_empty() || !matches!(of.verdict.as_str(), "no_gap" | "parameters" | AS_UNTOUCHED)
+        };
         let turned = [
             (Kind::Misalignment, EffectKind::CrossAxisSensitivity),
             (Kind::CrossAxisSensitivity, EffectKind::Misalignment),
@@ -263,6 +272,7 @@ impl Score {
             ("none_blamed", Rate::of(nothing().map(blamed))),
             ("none_named", Rate::of(nothing().map(|of| !of.causes.is_empty()))),
             ("held", Rate::of(both.clone().flat_map(|of| of.held.iter().copied()))),
+            ("held_alone", Rate::of(all.iter().flat_map(|of| of.held_alone.iter().copied()))),
             ("nearly_closed", Rate::of(closing.map(|(closed, truth)| closed >= NEARLY * truth))),
             (
                 "turned_mixed",
