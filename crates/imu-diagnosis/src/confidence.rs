@@ -41,14 +41,13 @@ impl Surroundings<'_> {
     pub(super) fn right(&self, index: usize, cause: &Cause) -> f64 {
         let own = self.places.iter().filter(|place| place.of == Of::Cause(index));
         let share: f64 = own.map(|place| place.share).sum();
-        let remains = self.remains.iter().any(|channel| cause.channels.iter().any(|own| own == channel.name()));
         let by_share = match share {
             share if share >= LARGE => RIGHT_LARGE,
             share if share >= SMALL => RIGHT_SMALLER,
             _ => RIGHT_SMALL,
         };
         let narrow = if cause.effect == EffectKind::Resonance && self.is_narrow(cause) { RIGHT_NARROW } else { 1.0 };
-        let remainder = if remains { RIGHT_BESIDE } else { 1.0 };
+        let remainder = if cause.is_on(self.remains) { RIGHT_BESIDE } else { 1.0 };
         by_share.min(narrow).min(remainder)
     }
 
@@ -62,7 +61,6 @@ impl Surroundings<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::report::Sense;
     use super::*;
     use serde_json::json;
     use std::collections::BTreeMap;
@@ -70,17 +68,8 @@ mod tests {
     #[test]
     fn what_surrounds_a_cause_lowers_it() {
         let cause = |effect: EffectKind, bandwidth_hz: f64| Cause {
-            effect,
-            sense: Sense::Missing,
-            triad: None,
-            channels: vec!["gyro_x".to_owned()],
-            confidence: 1.0,
-            closes: None,
             parameters: BTreeMap::from([("gyro_x".to_owned(), json!([{"bandwidth_hz": bandwidth_hz}]))]),
-            model: BTreeMap::new(),
-            uncertainty: serde_json::Map::new(),
-            evidence: Vec::new(),
-            cost: BTreeMap::new(),
+            ..Cause::in_tests(effect)
         };
         let place = |share: f64| Place::in_tests(Of::Cause(0), share);
         let right = |share: f64, remains: bool, cause: &Cause| {

@@ -10,7 +10,7 @@ use super::explanation::{Explanation, Scedasticity};
 use super::gated::{self, Stays};
 use super::grid::Grid;
 use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
-use super::law::Fitted;
+use super::law::{Data, Fitted};
 use super::modulated::{self, Levels};
 use super::motion::Residuals;
 use super::nameless;
@@ -33,7 +33,7 @@ use super::zero_rows;
 use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
-use imu_model::simulator::SensorModel;
+use imu_model::simulator::{ChannelModel, SensorModel};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -280,6 +280,59 @@ fn beside_shared(ready: &Ready, sim: &SensorModel, of: &mut Findings, shared: f6
     }
 }
 
+/// Adopts the model's own spikes and heavy tails, with the numbers that the channel shows.
+fn adopt_declared(series: &mut Series<'_>, prepared: &Prepared) {
+    for (kind, evidence) in [
+        (EffectKind::Spikes, super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
+        (EffectKind::HeavyTails, heavy_tails::heavy_tails),
+    ] {
+        if prepared.has.contains(&kind)
+            && let Some(candidate) = evidence(series)
+        {
+            series.adopt(candidate.explanation);
+        }
+    }
+}
+
+/// Fits the law again with one of N, B and K as the model states it.
+fn held_at(series: &Series<'_>, prepared: &Prepared, fitted: &Fitted, level: usize) -> Fitted {
+    let changed = if level == 0 { series.average_variance().ln() } else { 0.0 };
+    let fixed = (prepared.declared.levels[level] + changed).max(super::law::LEVELS[level].0);
+    // A prior that is a thousandth wide is as good as a fixed value.
+    let mut priors = FREE;
+    priors[level] = Some((fixed, 1e-3));
+    let mut law = fitted.law.clone();
+    law.levels[level] = fixed;
+    law.fit(Data { priors: &priors, ..series.data() })
+}
+
+/// Returns what the model states and what was found, as both are scored. The model's lines keep the model's amplitudes, unless the
+/// channel has other amplitudes.
+fn scored(
+    series: &Series<'_>,
+    prepared: &Prepared,
+    mut known: Explanation,
+    model: Option<&ChannelModel>,
+    lines: &[MeasuredLine],
+) -> (Explanation, Explanation) {
+    known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
+    known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
+    // So do those that come and go, with the times and phases that the channel has.
+    if let Some(model) = model {
+        let (places, sines): (Vec<usize>, _) = gated::as_declared(series, model, prepared.scale).into_iter().unzip();
+        known.gated = sines;
+        known.without.extend(places);
+    }
+    let mut found = series.explanation.clone();
+    for (course, (_, _, factor)) in found.courses.iter_mut().zip(&prepared.shifts) {
+        course.1 = *factor;
+    }
+    for place in (0..lines.len()).filter(|place| !lines[*place].is_off) {
+        found.sines[place] = known.sines[place];
+    }
+    (known, found)
+}
+
 /// Returns the complete result for one channel.
 fn explain(
     ready: &Ready,
@@ -306,40 +359,13 @@ fn explain(
     let setting = Setting { gates, ..ready.setting(&prepared, &base) };
     let known = courses::as_declared(&prepared);
     let mut series = Series::new(&setting, ready.transform.clone(), prepared.samples.clone(), known.clone());
-    for (kind, evidence) in [
-        (EffectKind::Spikes, super::evidence::outlier::spikes as fn(&Series<'_>) -> Option<super::evidence::Candidate>),
-        (EffectKind::HeavyTails, heavy_tails::heavy_tails),
-    ] {
-        if prepared.has.contains(&kind)
-            && let Some(candidate) = evidence(&series)
-        {
-            series.adopt(candidate.explanation);
-        }
-    }
+    adopt_declared(&mut series, &prepared);
     let Explanation { law, courses, loud, scedasticity, .. } = as_declared.clone();
     let known = Explanation { law, courses, loud, scedasticity, ..series.explanation.clone() };
-    let free = |series: &Series<'_>| {
-        let mut data = series.data();
-        data.priors = &FREE;
-        series.explanation.law.fit(data)
-    };
     let declared_variance = series.average_variance();
     let steps = search::explain(&mut series, prices, work);
-    let fitted = free(&series);
-    let changed = series.average_variance().ln();
-    let held = |level: usize| {
-        // A prior that is a thousandth wide is as good as a fixed value.
-        let fixed = prepared.declared.levels[level] + if level == 0 { changed } else { 0.0 };
-        let fixed = fixed.max(super::law::LEVELS[level].0);
-        let mut priors = FREE;
-        priors[level] = Some((fixed, 1e-3));
-        let mut law = fitted.law.clone();
-        law.levels[level] = fixed;
-        let mut data = series.data();
-        data.priors = &priors;
-        law.fit(data)
-    };
-    let held = work.next(|| [0, 1, 2].map(held));
+    let fitted = series.explanation.law.fit(Data { priors: &FREE, ..series.data() });
+    let held = work.next(|| [0, 1, 2].map(|level| held_at(&series, &prepared, &fitted, level)));
     let bands = Bands::of(&series, &steps, &as_declared.courses, &fitted, &held);
     let held = held.map(|held| fitted.log_likelihood - held.log_likelihood);
     let nameless = nameless::density(&series);
@@ -360,23 +386,7 @@ fn explain(
         Some(mut evened) => omnibus::statistics(&mut evened, prepared.facts.atom, &parts),
         None => omnibus::statistics(&mut series, prepared.facts.atom, &parts),
     };
-    // The model's lines keep the model's amplitudes, unless the channel has other amplitudes.
-    let mut known = known;
-    known.sines = series.explanation.sines[..prepared.sines.len()].to_vec();
-    known.sines.iter_mut().zip(&prepared.sines).for_each(|(sine, declared)| sine.rescale(declared.amplitude()));
-    // So do those that come and go, with the times and phases that the channel has.
-    if let Some(model) = model {
-        let (places, sines): (Vec<usize>, _) = gated::as_declared(&series, model, prepared.scale).into_iter().unzip();
-        known.gated = sines;
-        known.without.extend(places);
-    }
-    let mut found = series.explanation.clone();
-    for (course, (_, _, factor)) in found.courses.iter_mut().zip(&prepared.shifts) {
-        course.1 = *factor;
-    }
-    for place in (0..lines.len()).filter(|place| !lines[*place].is_off) {
-        found.sines[place] = known.sines[place];
-    }
+    let (known, found) = scored(&series, &prepared, known, model, &lines);
     let whole = Whole {
         samples: &prepared.samples,
         halves,

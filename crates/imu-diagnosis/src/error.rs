@@ -20,7 +20,10 @@ pub enum DiagnosisError {
         expected_hz: f64,
     },
     /// Too few samples.
-    #[error("the recording has {found} samples; at least {least} are needed ({least_s:.1} s at its rate)")]
+    #[error(
+        "the recording has {}; at least {least} are needed ({least_s:.1} s at its rate)",
+        imu_core::units::counted(*found as u64, "sample", "samples")
+    )]
     TooShort {
         /// The number of samples in the recording.
         found: usize,

@@ -66,6 +66,8 @@ mod hidden;
 mod hints;
 mod holdout;
 #[cfg(test)]
+mod in_tests;
+#[cfg(test)]
 mod intervals;
 mod law;
 #[cfg(test)]
@@ -106,8 +108,6 @@ mod spread;
 #[cfg(test)]
 mod strong_effects;
 mod taken_back;
-#[cfg(test)]
-mod test_place;
 mod tiles;
 pub mod transform;
 mod translate;
@@ -124,7 +124,10 @@ use imu_model::effects::{CHANNEL, EffectKind};
 pub use diagnose::{Options, Outcome, diagnose};
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
-pub use motion::{Known, Reference, ReferenceError, Residuals, diagnose_any, diagnose_moved, diagnose_posed};
+pub use motion::{
+    CERTAIN, Known, Reference, ReferenceError, Residuals, Rows, beside, diagnose_any, diagnose_moved, diagnose_posed,
+    rows, rows_in_range,
+};
 pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
 pub use remainder::MATERIAL;

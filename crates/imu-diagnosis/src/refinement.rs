@@ -131,10 +131,12 @@ impl Series<'_> {
         for values in functions.as_mut() {
             let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
             values.iter_mut().for_each(|value| *value -= mean);
-            match equaliser.apply(&mut self.transform, values) {
-                Some(even) => *values = even,
-                None => done = false,
-            }
+            // One that fails makes the others, each of hundreds of transforms, useless.
+            let Some(even) = equaliser.apply(&mut self.transform, values) else {
+                done = false;
+                break;
+            };
+            *values = even;
             self.transform.forward(values);
         }
         self.equaliser = Some(equaliser);

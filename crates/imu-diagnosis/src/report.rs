@@ -1,11 +1,12 @@
 //! The report: the result of a diagnosis, in the form of docs/formats.md.
 
 use super::written::numbers;
+use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The format's name.
 pub const FORMAT: &str = "vn100d-diagnosis-1";
@@ -285,6 +286,10 @@ pub enum HintKind {
     Axes,
     /// Another prefix of the unit.
     Scale,
+    /// A range that cuts off.
+    Range,
+    /// Rows that were sent again.
+    Repeats,
 }
 
 /// A difference whose size has a meaning.
@@ -343,6 +348,13 @@ pub struct Cause {
     /// original one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub cost: BTreeMap<String, CauseCost>,
+}
+
+impl Cause {
+    /// Returns whether one of the cause's channels is among these.
+    pub(crate) fn is_on(&self, channels: &BTreeSet<Channel>) -> bool {
+        channels.iter().any(|channel| self.channels.iter().any(|own| own == channel.name()))
+    }
 }
 
 /// An effect that was weighed and not named.

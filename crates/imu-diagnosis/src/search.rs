@@ -133,39 +133,8 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
             }
             Turn::Adopt(step, explanation) => (step, explanation),
         };
-        let before = (step.kind == Kind::BiasStep).then(|| series.clone());
-        series.adopt(*explanation);
         let kind = step.kind;
-        steps.push(step);
-        match kind {
-            Kind::Resonance => lean(series),
-            Kind::Tone => {
-                other_filter(series, prices, &mut steps);
-                more_tones(series, prices, &mut steps);
-            }
-            Kind::BiasStep => {
-                evidence::level::join_rises(&mut series.explanation, start.courses.len());
-                leave_rises_out(series);
-                drop_minor_steps(series, start.courses.len());
-                weak_steps(series, &mut steps, start.courses.len());
-                if steps.iter().all(|step| step.kind != kind) {
-                    refused.push(kind);
-                    // With the samples about them.
-                    before.into_iter().for_each(|before| *series = before);
-                }
-            }
-            // Tails that were found before may belong to these stretches or to effects that they hid.
-            Kind::Bursts if steps.iter().any(|step| step.kind == Kind::HeavyTails && step.of_model.is_none()) => {
-                steps.retain(|step| step.kind != Kind::HeavyTails || step.of_model.is_some());
-                series.explanation.tails = start.tails;
-                series.rebuild(false);
-                more_bursts(series, prices, &mut steps);
-            }
-            Kind::Bursts => more_bursts(series, prices, &mut steps),
-            // A course of the variance outside this effect would look like tails.
-            Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
-            _ => {}
-        }
+        refused.extend(taken(series, prices, &mut steps, &start, (step, *explanation)));
         if !kind.is_marginal() && kind != Kind::VarianceProfile {
             stretch_instead(series, prices, &mut steps, &start);
         }
@@ -189,6 +158,50 @@ pub fn explain(series: &mut Series<'_>, prices: &Prices, work: &mut Parts<'_>) -
     tails_and_bursts_again(series, prices, &mut steps, &start);
     evidence::heavy_tails::fit_again(series);
     steps
+}
+
+/// Takes a step and adapts what was found before to it. Returns the step's kind if it did not last.
+fn taken(
+    series: &mut Series<'_>,
+    prices: &Prices,
+    steps: &mut Vec<Step>,
+    start: &Explanation,
+    (step, explanation): (Step, Explanation),
+) -> Option<Kind> {
+    let kind = step.kind;
+    let before = (kind == Kind::BiasStep).then(|| series.clone());
+    series.adopt(explanation);
+    steps.push(step);
+    match kind {
+        Kind::Resonance => lean(series),
+        Kind::Tone => {
+            other_filter(series, prices, steps);
+            more_tones(series, prices, steps);
+        }
+        Kind::BiasStep => {
+            evidence::level::join_rises(&mut series.explanation, start.courses.len());
+            leave_rises_out(series);
+            drop_minor_steps(series, start.courses.len());
+            weak_steps(series, steps, start.courses.len());
+            if steps.iter().all(|step| step.kind != kind) {
+                // With the samples about them.
+                before.into_iter().for_each(|before| *series = before);
+                return Some(kind);
+            }
+        }
+        // Tails that were found before may belong to these stretches or to effects that they hid.
+        Kind::Bursts if steps.iter().any(|step| step.kind == Kind::HeavyTails && step.of_model.is_none()) => {
+            steps.retain(|step| step.kind != Kind::HeavyTails || step.of_model.is_some());
+            series.explanation.tails = start.tails;
+            series.rebuild(false);
+            more_bursts(series, prices, steps);
+        }
+        Kind::Bursts => more_bursts(series, prices, steps),
+        // A course of the variance outside this effect would look like tails.
+        Kind::VarianceProfile | Kind::VariancePerDegree if start.scedasticity.is_none() => scedasticity(series),
+        _ => {}
+    }
+    None
 }
 
 /// Nats of doubt about a filter that needs far more white noise in front of it than the model states. White noise of the model's

@@ -182,7 +182,10 @@ pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Ve
         sets.extend((filters.len() > 1).then_some(filters));
         let losses = sets.into_iter().filter_map(|set| {
             let price: f64 = set.iter().map(|at| prices.of(kind_of(terms[*at].shape))).sum();
-            let law = without_terms(series, &set, price);
+            let mut law = without_terms(series, &set);
+            if whole - law.log_posterior >= price {
+                law = with_lines_again(series, &set, &law, price)?;
+            }
             let loss = whole - law.log_posterior;
             (loss < price).then_some((loss - price, set, law))
         });
@@ -205,42 +208,62 @@ pub(super) fn take_back(series: &mut Series<'_>, prices: &Prices, steps: &mut Ve
 /// Fits the law without some of its terms.
 ///
 /// A filter that was named first stands for the skirts of bands as well, and the noise in front of it is far louder than the
-/// model's. The fit without it therefore also starts from the model's N, with bands that may lean. A line was fitted beside a
-/// band at its frequency: without the band it is fitted again, if the band would otherwise stay.
-fn without_terms(series: &Series<'_>, set: &[usize], price: f64) -> Fitted {
-    /// Widths of a band within which a line is beside it.
-    const WIDTHS: f64 = 2.0;
-    let whole = series.fitted.log_posterior;
-    let better = |a: Fitted, b: Fitted| if b.log_posterior > a.log_posterior { b } else { a };
+/// model's. The fit without it therefore also starts from the model's N, with bands that may lean.
+fn without_terms(series: &Series<'_>, set: &[usize]) -> Fitted {
     let terms = &series.explanation.law.terms;
     let mut law = series.explanation.law.clone();
     law.terms = terms.iter().enumerate().filter(|(at, _)| !set.contains(at)).map(|(_, term)| term.clone()).collect();
     let near = law.fit(series.data());
     let is_band = |term: &Term| term.shape == Shape::Resonance;
-    let is_beside = |term: &Term, cycles: f64| {
-        let off_hz = (cycles * series.setting().rate_hz - term.numbers[1]).abs();
-        off_hz < WIDTHS * term.numbers[2].exp()
-    };
-    let sines = &series.explanation.sines;
-    let has_line = |term: &Term| is_band(term) && sines.iter().any(|sine| is_beside(term, sine.cycles));
-    if set.iter().any(|at| terms[*at].is_filter()) && law.terms.iter().any(is_band) {
-        law.levels[0] = series.setting().white;
-        let mut doubt = 0.0;
-        for term in law.terms.iter_mut().filter(|term| is_band(term)) {
-            if term.numbers.len() == Shape::SYMMETRIC {
-                term.numbers.push(0.0);
-                doubt += Shape::LEANING;
-            }
+    if !(set.iter().any(|at| terms[*at].is_filter()) && law.terms.iter().any(is_band)) {
+        return near;
+    }
+    law.levels[0] = series.setting().white;
+    let mut doubt = 0.0;
+    for term in law.terms.iter_mut().filter(|term| is_band(term)) {
+        if term.numbers.len() == Shape::SYMMETRIC {
+            term.numbers.push(0.0);
+            doubt += Shape::LEANING;
         }
-        let mut other = law.fit(series.data());
-        other.log_posterior -= doubt;
-        return better(near, other);
     }
-    if whole - near.log_posterior >= price && set.iter().any(|at| has_line(&terms[*at])) {
-        let again = series.changed(|of| of.law = near.law.clone());
-        return better(near, again.fitted);
+    let mut other = law.fit(series.data());
+    other.log_posterior -= doubt;
+    if other.log_posterior > near.log_posterior { other } else { near }
+}
+
+/// Fits the lines beside bands again, after the law was fitted without the bands. A line was fitted beside a band at its
+/// frequency: without the band it may explain what the band did. `None` if there is no such line, or if the coefficients apart
+/// from the lines lose far more than the price: then the whole series need not be built again, which takes long in a long record.
+fn with_lines_again(series: &Series<'_>, set: &[usize], near: &Fitted, price: f64) -> Option<Fitted> {
+    /// Widths of a band within which a line is beside it.
+    const WIDTHS: f64 = 2.0;
+    /// Coefficients to either side of a line, beyond which another amplitude of the line changes little.
+    const NEAR: usize = 32;
+    /// Lines that are fitted again do not make up for a loss of this many prices apart from them.
+    const FAR: f64 = 3.0;
+    let terms = &series.explanation.law.terms;
+    let rate_hz = series.setting().rate_hz;
+    let bands = set.iter().map(|at| &terms[*at]).filter(|term| term.shape == Shape::Resonance);
+    let widths: Vec<[f64; 2]> = bands.map(|term| [term.numbers[1], WIDTHS * term.numbers[2].exp()]).collect();
+    let sines = series.explanation.sines.iter().map(|sine| sine.cycles);
+    let is_beside = |cycles: &f64| widths.iter().any(|[at_hz, width_hz]| (cycles * rate_hz - at_hz).abs() < *width_hz);
+    let lines: Vec<usize> =
+        sines.filter(is_beside).map(|cycles| (2.0 * series.len() as f64 * cycles) as usize).collect();
+    if lines.is_empty() {
+        return None;
     }
-    near
+    let data = series.data();
+    let independent = data.worth.iter().sum::<f64>() / data.grid.counts.iter().sum::<f64>();
+    let without = series.grid.fill(&near.logarithms);
+    let coefficients = series.coefficients.iter().zip(&series.spectrum).zip(&without).enumerate();
+    let apart = coefficients.filter(|(at, _)| lines.iter().all(|line| line.abs_diff(*at) > NEAR));
+    let loss = |((c, with), without): ((&f64, &f64), &f64)| {
+        0.5 * ((without / with).ln() + c * c * (1.0 / without - 1.0 / with))
+    };
+    let lost = independent * apart.map(|(_, of)| loss(of)).filter(|loss| loss.is_finite()).sum::<f64>();
+    // Lines that come and go are fitted again, too.
+    let is_lost = lost >= FAR * price && series.explanation.gated.is_empty();
+    (!is_lost).then(|| series.changed(|of| of.law = near.law.clone()).fitted)
 }
 
 /// Takes back tones that were chance under a law without a filter that is now known. The first `known` tones are the

@@ -120,196 +120,261 @@ const BELOW_HALF: f64 = 0.5 * (1.0 - 1e-9);
 
 /// Returns the effects of an explanation; effects that the model has already are left out.
 pub(super) fn effects(of: &Findings, temperature_c: f64, sim: &SensorModel) -> Vec<Translated> {
-    let Findings { prepared, explanation, spread, average_variance, levels, stays, wanders, .. } = of;
-    let (rate_hz, samples) = (sim.rate_hz, prepared.samples.len());
-    let internal_hz = sim.internal_rate_hz(rate_hz);
-    let scale = prepared.scale;
-    let mut found: Vec<Translated> = Vec::new();
-    let mut add = |kind: Kind, effect: Arc<dyn Effect>, mut ci95: Vec<(&'static str, [f64; 2])>| {
+    let samples = of.prepared.samples.len();
+    let mut all = Translation { of, sim, rate_hz: sim.rate_hz, scale: of.prepared.scale, samples, found: Vec::new() };
+    all.courses(temperature_c);
+    let spectral = all.spectral();
+    all.lines(&spectral);
+    for (kind, effect, ci95) in spectral {
+        all.add(kind, effect, ci95);
+    }
+    all.tails();
+    all.loud();
+    all.variances(temperature_c);
+    all.spikes();
+    all.found
+}
+
+/// An explanation on its way to effects in the channel's unit.
+struct Translation<'a> {
+    of: &'a Findings,
+    sim: &'a SensorModel,
+    rate_hz: f64,
+    /// The channel's unit for a unit of the series.
+    scale: f64,
+    samples: usize,
+    found: Vec<Translated>,
+}
+
+impl Translation<'_> {
+    fn add(&mut self, kind: Kind, effect: Arc<dyn Effect>, mut ci95: Intervals) {
         // If no error is known, there is no interval.
         ci95.retain(|(_, [low, high])| low < high && low.is_finite() && high.is_finite());
-        found.push(Translated { kind, effect, ci95 });
-    };
-    let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
-    // The effects that follow the temperature without play are one effect.
-    let mut warm: Option<(TemperatureBias, Intervals)> = None;
-    for ((course, factor), (error, second)) in courses {
-        let (size, error) = (factor * scale, error * scale);
-        match course {
-            Course::Ramp => {
-                let per_s = rate_hz / samples as f64;
-                let r = size * per_s;
-                add(Kind::RateRamp, Arc::new(RateRamp { r }), vec![("R", about(r, error * per_s))]);
-            }
-            Course::Temperature | Course::Follows(Follow::Square | Follow::Rate(_)) => {
-                let bias = warm.get_or_insert_with(|| (TemperatureBias::linear(0.0, temperature_c), Vec::new()));
-                let (name, number, factor) = match course {
-                    Course::Follows(Follow::Square) => ("per_c2", &mut bias.0.per_c2, 1.0),
-                    Course::Follows(_) => ("per_c_per_s", &mut bias.0.per_c_per_s, 1.0 / rate_hz),
-                    _ => ("per_c", &mut bias.0.per_c, 1.0),
-                };
-                *number = factor * size;
-                bias.1.push((name, about(factor * size, factor * error)));
-            }
-            Course::Follows(Follow::Play(play_c)) => {
-                let effect = TemperatureBias { play_c: *play_c, ..TemperatureBias::linear(size, temperature_c) };
-                add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
-            }
-            Course::WarmUp(tau) => {
-                let tau_s = tau / rate_hz;
-                let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
-                add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
-            }
-            Course::Step(at) => {
-                // The step shows half way up, behind all filters.
-                let delay_s = delay_of_filters_s(of, sim);
-                let (first, last) = rise(&explanation.outliers, *at);
-                let seconds = |sample: usize| sample as f64 / rate_hz - delay_s;
-                let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
-                // Its course is unknown until the end of the rise.
-                let rises_s = (0.5 * (last - first) as f64).max(RISE) / rate_hz / NORMAL_95;
-                let at_error = (second / rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
-                let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
-                add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
+        self.found.push(Translated { kind, effect, ci95 });
+    }
+
+    fn courses(&mut self, temperature_c: f64) {
+        let Findings { prepared, explanation, spread, .. } = self.of;
+        let (rate_hz, scale) = (self.rate_hz, self.scale);
+        let courses = explanation.courses.iter().zip(&spread.courses).skip(prepared.shifts.len());
+        // The effects that follow the temperature without play are one effect.
+        let mut warm: Option<(TemperatureBias, Intervals)> = None;
+        for ((course, factor), (error, second)) in courses {
+            let (size, error) = (factor * scale, error * scale);
+            match course {
+                Course::Ramp => {
+                    let per_s = rate_hz / self.samples as f64;
+                    let r = size * per_s;
+                    self.add(Kind::RateRamp, Arc::new(RateRamp { r }), vec![("R", about(r, error * per_s))]);
+                }
+                Course::Temperature | Course::Follows(Follow::Square | Follow::Rate(_)) => {
+                    let bias = warm.get_or_insert_with(|| (TemperatureBias::linear(0.0, temperature_c), Vec::new()));
+                    let (name, number, factor) = match course {
+                        Course::Follows(Follow::Square) => ("per_c2", &mut bias.0.per_c2, 1.0),
+                        Course::Follows(_) => ("per_c_per_s", &mut bias.0.per_c_per_s, 1.0 / rate_hz),
+                        _ => ("per_c", &mut bias.0.per_c, 1.0),
+                    };
+                    *number = factor * size;
+                    bias.1.push((name, about(factor * size, factor * error)));
+                }
+                Course::Follows(Follow::Play(play_c)) => {
+                    let effect = TemperatureBias { play_c: *play_c, ..TemperatureBias::linear(size, temperature_c) };
+                    self.add(Kind::TemperatureBias, Arc::new(effect), vec![("per_c", about(size, error))]);
+                }
+                Course::WarmUp(tau) => {
+                    let tau_s = tau / rate_hz;
+                    let ci95 = vec![("amplitude", about(size, error)), ("tau_s", times(tau_s, *second))];
+                    self.add(Kind::WarmUp, Arc::new(WarmUp { amplitude: size, tau_s }), ci95);
+                }
+                Course::Step(at) => self.step(*at, [size, error], *second),
             }
         }
-    }
-    if let Some((bias, ci95)) = warm {
-        add(Kind::TemperatureBias, Arc::new(bias), ci95);
-    }
-    let white = (0.5 * explanation.law.levels[0]).exp() * scale;
-    let terms = explanation.law.terms.iter().zip(&spread.terms).enumerate();
-    let spectral: Vec<Spectral> = terms
-        .filter_map(|(place, (term, errors))| {
-            let found = spectral(term, errors, [scale, white, rate_hz, internal_hz])?;
-            if let Some(stays) = stays.iter().find(|stays| stays.term == place) {
-                return gated_band(found, stays, [samples as f64, rate_hz], delay_of_filters_s(of, sim));
-            }
-            if let Some(wander) = wanders.iter().find(|wander| wander.term == place) {
-                return Some(wandering(term, found, wander, scale, rate_hz));
-            }
-            let level = levels.iter().find(|levels| levels.term == place);
-            Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
-        })
-        .collect();
-    let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
-    // The filters with numbers off by a standard error.
-    let off = |(term, errors): (&Term, &Vec<f64>)| {
-        let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
-        self::spectral(&Term { shape: term.shape, numbers }, errors, [scale, white, rate_hz, internal_hz])
-            .map(|(_, effect, _)| effect)
-    };
-    let filters_off: Vec<Arc<dyn Effect>> = explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
-    let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
-    let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
-    // The record has a line behind the filters, the model in front of them.
-    let in_front = |cycles: f64, cycles_error: f64, [seen, seen_error]: [f64; 2]| {
-        let frequency_hz = (cycles * rate_hz).min(BELOW_HALF * rate_hz);
-        let gain = passed(of, sim, &filters, frequency_hz);
-        let is_known = gain > LEAST_PASSED;
-        let off = passed(of, sim, &filters_off, frequency_hz);
-        let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
-        let scale = scale / gain;
-        LineFound {
-            frequency_hz,
-            amplitude: scale * seen,
-            frequency_error_hz: cycles_error * rate_hz,
-            amplitude_error: scale * seen_error.hypot(seen * gain_error),
+        if let Some((bias, ci95)) = warm {
+            self.add(Kind::TemperatureBias, Arc::new(bias), ci95);
         }
-    };
-    let sine = |(sine, (cycles, amplitude)): (&Sine, &(f64, f64))| {
-        in_front(sine.cycles, *cycles, [sine.amplitude(), *amplitude])
-    };
-    let lines: Vec<LineFound> = own.iter().zip(errors).map(sine).collect();
-    for (sine, (cycles_error, amplitude)) in explanation.gated.iter().zip(&spread.gated) {
-        let line = in_front(sine.cycles, *cycles_error, *amplitude);
-        let tone = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
-        let ci95 = vec![
-            ("of.frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
-            ("of.amplitude", about(line.amplitude, line.amplitude_error)),
-        ];
-        let ranges = sine.stays.iter().map(|stay| stay.from..stay.to);
-        let times = times_of(ranges, rate_hz, delay_of_filters_s(of, sim));
-        add(Kind::Intermittent, Arc::new(Intermittent { of: Gated::Tone(tone), times }), ci95);
     }
-    let (combs, tones) = combs(&lines, rate_hz / samples as f64);
-    for (comb, error_hz) in combs {
-        let ci95 = vec![("fundamental_hz", about(comb.fundamental_hz, error_hz))];
-        add(Kind::Tone, Arc::new(comb), ci95);
+
+    /// Adds a step of this size, with its error and that of its place.
+    fn step(&mut self, at: usize, [size, error]: [f64; 2], place_error: f64) {
+        // The step shows half way up, behind all filters.
+        let delay_s = delay_of_filters_s(self.of, self.sim);
+        let (first, last) = rise(&self.of.explanation.outliers, at);
+        let seconds = |sample: usize| sample as f64 / self.rate_hz - delay_s;
+        let at_s = (0.5 * (seconds(first) + seconds(last))).max(0.0);
+        // Its course is unknown until the end of the rise.
+        let rises_s = (0.5 * (last - first) as f64).max(RISE) / self.rate_hz / NORMAL_95;
+        let at_error = (place_error / self.rate_hz).hypot(rises_s) + DELAY_ERROR * delay_s;
+        let ci95 = vec![("at_s", about(at_s, at_error)), ("size", about(size, error))];
+        self.add(Kind::BiasStep, Arc::new(BiasStep { at_s, size }), ci95);
     }
-    for line in tones {
-        let effect = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
-        let ci95 = vec![
-            ("frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
-            ("amplitude", about(line.amplitude, line.amplitude_error)),
-        ];
-        add(Kind::Tone, Arc::new(effect), ci95);
+
+    /// Returns the channel's unit of white noise, the rates and the scale, as [`spectral`] takes them.
+    fn units(&self) -> [f64; 4] {
+        let white = (0.5 * self.of.explanation.law.levels[0]).exp() * self.scale;
+        [self.scale, white, self.rate_hz, self.sim.internal_rate_hz(self.rate_hz)]
     }
-    for (kind, effect, ci95) in spectral {
-        add(kind, effect, ci95);
+
+    fn spectral(&self) -> Vec<Spectral> {
+        let Findings { explanation, spread, levels, stays, wanders, .. } = self.of;
+        let (rate_hz, scale) = (self.rate_hz, self.scale);
+        let terms = explanation.law.terms.iter().zip(&spread.terms).enumerate();
+        terms
+            .filter_map(|(place, (term, errors))| {
+                let found = spectral(term, errors, self.units())?;
+                if let Some(stays) = stays.iter().find(|stays| stays.term == place) {
+                    let delay_s = delay_of_filters_s(self.of, self.sim);
+                    return gated_band(found, stays, [self.samples as f64, rate_hz], delay_s);
+                }
+                if let Some(wander) = wanders.iter().find(|wander| wander.term == place) {
+                    return Some(wandering(term, found, wander, scale, rate_hz));
+                }
+                let level = levels.iter().find(|levels| levels.term == place);
+                Some(level.map_or(found.clone(), |level| modulated(term, found, level, scale, rate_hz)))
+            })
+            .collect()
     }
-    if let Some(degrees) = explanation.tails
-        && !prepared.has.contains(&EffectKind::HeavyTails)
-    {
-        let ci95 = times(degrees, spread.tails);
-        let effect = HeavyTails { degrees_of_freedom: degrees };
-        add(Kind::HeavyTails, Arc::new(effect), vec![("degrees_of_freedom", [ci95[0].max(2.0), ci95[1]])]);
+
+    fn lines(&mut self, spectral: &[Spectral]) {
+        let Findings { prepared, explanation, spread, .. } = self.of;
+        let (rate_hz, scale) = (self.rate_hz, self.scale);
+        let filters: Vec<Arc<dyn Effect>> = spectral.iter().map(|(_, effect, _)| Arc::clone(effect)).collect();
+        // The filters with numbers off by a standard error.
+        let off = |(term, errors): (&Term, &Vec<f64>)| {
+            let numbers = term.numbers.iter().zip(errors).map(|(number, error)| number + error.min(1.0)).collect();
+            self::spectral(&Term { shape: term.shape, numbers }, errors, self.units()).map(|(_, effect, _)| effect)
+        };
+        let filters_off: Vec<Arc<dyn Effect>> =
+            explanation.law.terms.iter().zip(&spread.terms).filter_map(off).collect();
+        let own = explanation.sines.get(prepared.sines.len()..).unwrap_or_default();
+        let errors = spread.sines.get(prepared.sines.len()..).unwrap_or_default();
+        // The record has a line behind the filters, the model in front of them.
+        let in_front = |cycles: f64, cycles_error: f64, [seen, seen_error]: [f64; 2]| {
+            let frequency_hz = (cycles * rate_hz).min(BELOW_HALF * rate_hz);
+            let gain = passed(self.of, self.sim, &filters, frequency_hz);
+            let is_known = gain > LEAST_PASSED;
+            let off = passed(self.of, self.sim, &filters_off, frequency_hz);
+            let gain_error = if is_known { (off / gain).ln() } else { f64::INFINITY };
+            let scale = scale / gain;
+            LineFound {
+                frequency_hz,
+                amplitude: scale * seen,
+                frequency_error_hz: cycles_error * rate_hz,
+                amplitude_error: scale * seen_error.hypot(seen * gain_error),
+            }
+        };
+        let sine = |(sine, (cycles, amplitude)): (&Sine, &(f64, f64))| {
+            in_front(sine.cycles, *cycles, [sine.amplitude(), *amplitude])
+        };
+        let lines: Vec<LineFound> = own.iter().zip(errors).map(sine).collect();
+        let gated: Vec<LineFound> = explanation
+            .gated
+            .iter()
+            .zip(&spread.gated)
+            .map(|(sine, (cycles_error, amplitude))| in_front(sine.cycles, *cycles_error, *amplitude))
+            .collect();
+        for (sine, line) in explanation.gated.iter().zip(gated) {
+            let tone = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
+            let ci95 = vec![
+                ("of.frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
+                ("of.amplitude", about(line.amplitude, line.amplitude_error)),
+            ];
+            let ranges = sine.stays.iter().map(|stay| stay.from..stay.to);
+            let times = times_of(ranges, rate_hz, delay_of_filters_s(self.of, self.sim));
+            self.add(Kind::Intermittent, Arc::new(Intermittent { of: Gated::Tone(tone), times }), ci95);
+        }
+        let (combs, tones) = combs(&lines, rate_hz / self.samples as f64);
+        for (comb, error_hz) in combs {
+            let ci95 = vec![("fundamental_hz", about(comb.fundamental_hz, error_hz))];
+            self.add(Kind::Tone, Arc::new(comb), ci95);
+        }
+        for line in tones {
+            let effect = Tone { frequency_hz: line.frequency_hz, amplitude: line.amplitude };
+            let ci95 = vec![
+                ("frequency_hz", about(line.frequency_hz, line.frequency_error_hz)),
+                ("amplitude", about(line.amplitude, line.amplitude_error)),
+            ];
+            self.add(Kind::Tone, Arc::new(effect), ci95);
+        }
     }
-    let seconds = |sample: usize| sample as f64 / rate_hz;
-    let loud = explanation.loud.iter().zip(&of.ratios).skip(prepared.loud.len());
-    let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * scale;
-    let errors = spread.loud.get(prepared.loud.len()..).unwrap_or_default();
-    let (intervals, bursts): (Vec<_>, Vec<_>) =
-        loud.zip(errors).partition(|((of, _), _)| of.is_interval(samples, &prepared.bursts));
-    let bursts: Vec<(&Loud, &Ratio)> = bursts.into_iter().map(|(of, _)| of).collect();
-    for ((one, ratio), error) in intervals {
-        let (from_s, to_s) = (seconds(one.from), seconds(one.to));
-        let change = VarianceChange::Interval { from_s, to_s, factor: ratio.factor.sqrt() };
-        let end = (5.5 * spread.squares / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
-        let ci95 = vec![
-            ("from_s", about(from_s, end)),
-            ("to_s", about(to_s, end)),
-            ("factor", times(ratio.factor.sqrt(), error * ratio.error)),
-        ];
-        add(Kind::VarianceInterval, Arc::new(change), ci95);
+
+    fn tails(&mut self) {
+        let Findings { prepared, explanation, spread, .. } = self.of;
+        if let Some(degrees) = explanation.tails
+            && !prepared.has.contains(&EffectKind::HeavyTails)
+        {
+            let ci95 = times(degrees, spread.tails);
+            let effect = HeavyTails { degrees_of_freedom: degrees };
+            self.add(Kind::HeavyTails, Arc::new(effect), vec![("degrees_of_freedom", [ci95[0].max(2.0), ci95[1]])]);
+        }
     }
-    if !bursts.is_empty() {
-        let (sum, errors, count) = bursts.iter().fold((0.0, 0.0, 0.0), |(sum, errors, count), (of, ratio)| {
-            let width = (of.to - of.from) as f64;
-            let more = width * ratio.usual * (ratio.factor - 1.0).max(0.0);
-            (sum + more, errors + width * ratio.usual * ratio.factor * ratio.error, count + width)
-        });
-        let excess = sum / count;
-        let sigma = white * excess.sqrt();
-        let intervals = bursts.iter().map(|(of, _)| (seconds(of.from), seconds(of.to))).collect();
-        let error = (0.5 / count).sqrt() * errors / sum.max(1e-6 * count);
-        add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
+
+    fn loud(&mut self) {
+        let Findings { prepared, explanation, spread, average_variance, ratios, .. } = self.of;
+        let rate_hz = self.rate_hz;
+        let seconds = |sample: usize| sample as f64 / rate_hz;
+        let loud = explanation.loud.iter().zip(ratios).skip(prepared.loud.len());
+        let white = (0.5 * explanation.law.levels[0]).exp() * (rate_hz / average_variance).sqrt() * self.scale;
+        let errors = spread.loud.get(prepared.loud.len()..).unwrap_or_default();
+        let (intervals, bursts): (Vec<_>, Vec<_>) =
+            loud.zip(errors).partition(|((of, _), _)| of.is_interval(self.samples, &prepared.bursts));
+        let bursts: Vec<(&Loud, &Ratio)> = bursts.into_iter().map(|(of, _)| of).collect();
+        for ((one, ratio), error) in intervals {
+            let (from_s, to_s) = (seconds(one.from), seconds(one.to));
+            let change = VarianceChange::Interval { from_s, to_s, factor: ratio.factor.sqrt() };
+            let end = (5.5 * spread.squares / divergence(one.ratio) + 1.0) / NORMAL_95 / rate_hz;
+            let ci95 = vec![
+                ("from_s", about(from_s, end)),
+                ("to_s", about(to_s, end)),
+                ("factor", times(ratio.factor.sqrt(), error * ratio.error)),
+            ];
+            self.add(Kind::VarianceInterval, Arc::new(change), ci95);
+        }
+        if !bursts.is_empty() {
+            let (sum, errors, count) = bursts.iter().fold((0.0, 0.0, 0.0), |(sum, errors, count), (of, ratio)| {
+                let width = (of.to - of.from) as f64;
+                let more = width * ratio.usual * (ratio.factor - 1.0).max(0.0);
+                (sum + more, errors + width * ratio.usual * ratio.factor * ratio.error, count + width)
+            });
+            let excess = sum / count;
+            let sigma = white * excess.sqrt();
+            let intervals = bursts.iter().map(|(of, _)| (seconds(of.from), seconds(of.to))).collect();
+            let error = (0.5 / count).sqrt() * errors / sum.max(1e-6 * count);
+            self.add(Kind::Bursts, Arc::new(Bursts { intervals, sigma }), vec![("sigma", times(sigma, error))]);
+        }
     }
-    if prepared.scedasticity.is_none() {
-        match &explanation.scedasticity {
+
+    fn variances(&mut self, temperature_c: f64) {
+        if self.of.prepared.scedasticity.is_some() {
+            return;
+        }
+        match &self.of.explanation.scedasticity {
             Some(Scedasticity::PerDegree(slope)) => {
                 let change = VarianceChange::PerDegree { per_c: 0.5 * slope, reference_c: temperature_c };
-                let ci95 = vec![("per_c", about(0.5 * slope, 0.5 * spread.per_degree))];
-                add(Kind::VariancePerDegree, Arc::new(change), ci95);
+                let ci95 = vec![("per_c", about(0.5 * slope, 0.5 * self.of.spread.per_degree))];
+                self.add(Kind::VariancePerDegree, Arc::new(change), ci95);
             }
             Some(Scedasticity::Profile(values)) => {
                 let last = (values.len().max(2) - 1) as f64;
-                let at = |index: usize| index as f64 / last * seconds(samples);
+                let length_s = self.samples as f64 / self.rate_hz;
+                let at = |index: usize| index as f64 / last * length_s;
                 let points = values.iter().enumerate().map(|(i, value)| (at(i), (0.5 * value).exp())).collect();
-                add(Kind::VarianceProfile, Arc::new(VarianceChange::Profile(points)), Vec::new());
+                self.add(Kind::VarianceProfile, Arc::new(VarianceChange::Profile(points)), Vec::new());
             }
             None => {}
         }
     }
-    if let Some(spikes) = explanation.spikes
-        && !prepared.has.contains(&EffectKind::Spikes)
-    {
-        let (per_s, size) = (spikes.rate * rate_hz, spikes.size * scale);
-        let error = (1.0 / (spikes.rate * samples as f64).max(1.0)).sqrt();
-        let ci95 = vec![("rate_hz", times(per_s, error)), ("amplitude", times(size, spikes.relative_error))];
-        add(Kind::Spikes, Arc::new(Spikes::new(per_s, size)), ci95);
+
+    fn spikes(&mut self) {
+        let Findings { prepared, explanation, .. } = self.of;
+        if let Some(spikes) = explanation.spikes
+            && !prepared.has.contains(&EffectKind::Spikes)
+        {
+            let (per_s, size) = (spikes.rate * self.rate_hz, spikes.size * self.scale);
+            let error = (1.0 / (spikes.rate * self.samples as f64).max(1.0)).sqrt();
+            let ci95 = vec![("rate_hz", times(per_s, error)), ("amplitude", times(size, spikes.relative_error))];
+            self.add(Kind::Spikes, Arc::new(Spikes::new(per_s, size)), ci95);
+        }
     }
-    found
 }
 
 /// Returns the nats by which one sample distinguishes two variances of this ratio, for the variance that it

@@ -348,10 +348,10 @@ fn of_clock(found: &Found, aligned: &Aligned, real: &Recording, part: &Recording
     let mut notes = Vec::new();
     if part.len() < real.len() {
         notes.push(format!(
-            "compared are the {:.1} s that the reference reaches, from {:.1} s on; {} samples are outside it",
+            "compared are the {:.1} s that the reference reaches, from {:.1} s on; {} outside it",
             part.length_s(),
             aligned.from as f64 / real.rate_hz,
-            real.len() - part.len()
+            imu_core::units::counted((real.len() - part.len()) as u64, "sample is", "samples are")
         ));
     }
     if !aligned.shared {

@@ -5,7 +5,7 @@ use crate::recording::Recording;
 use imu_core::sample::Triad;
 use imu_core::units::STANDARD_GRAVITY_M_S2;
 use imu_model::effects::TriadEffect;
-use imu_model::effects::triad::{Axes, Drive};
+use imu_model::effects::triad::{Axes, Drive, Vibration};
 use imu_model::motion::gravity;
 use imu_model::simulator::SensorModel;
 use imu_model::simulator::response::{STAGES, stage};
@@ -38,15 +38,22 @@ pub(super) fn felt<'a>(real: &'a Recording, sim: &SensorModel) -> Cow<'a, Record
         Some([at[0]?, at[1]?, at[2]?])
     };
     let (of_accel, of_gyro) = (place(&felt, Triad::Accel), place(&felt, Triad::Gyro));
+    let mut vibration = Vibration::new(real.rate_hz);
     for t in 0..felt.len() {
+        let temperature_c = real.temperature_c.as_ref().and_then(|of| of.get(t).copied());
         let mut force = of_accel.map(|at| at.map(|at| felt.channels[at].1[t]));
         for (chain, at, is_accel) in [(&accel, of_accel, true), (&gyro, of_gyro, false)] {
             let (Some(chain), Some(at)) = (chain, at) else { continue };
-            let found = chain.inverse(at.map(|at| felt.channels[at].1[t]), force.filter(|_| !is_accel));
+            // The mean square of the vibration moves little within a sample: an accelerometer's is that of the sample before.
+            let about = Drive { vibration_m2_s4: vibration.now(), temperature_c, ..Drive::default() };
+            let found = chain.inverse(at.map(|at| felt.channels[at].1[t]), force.filter(|_| !is_accel), about);
             at.into_iter().zip(found).for_each(|(at, value)| felt.channels[at].1[t] = value);
             if is_accel {
                 force = Some(found);
             }
+        }
+        if let Some(force) = force.filter(|force| force.iter().all(|of| of.is_finite())) {
+            vibration.next(force);
         }
     }
     Cow::Owned(felt)
@@ -60,13 +67,13 @@ struct Chain {
 
 impl Chain {
     /// Returns the input that the triad felt. `force` acts on a gyro; an accelerometer's force is its own input.
-    fn inverse(&self, shown: Axes, force: Option<Axes>) -> Axes {
+    fn inverse(&self, shown: Axes, force: Option<Axes>, about: Drive) -> Axes {
         let mut input = shown;
         for _ in 0..STEPS {
             let accel_m_s2 = force.unwrap_or(input);
             let mut values = input;
             for effects in &self.stages {
-                values = stage(effects, Drive { input: values, accel_m_s2 });
+                values = stage(effects, Drive { input: values, accel_m_s2, ..about });
             }
             for axis in 0..3 {
                 input[axis] += shown[axis] - values[axis] - self.bias[axis];

@@ -43,8 +43,6 @@ pub enum Foreign {
     LeverArm,
     /// A gyroscope's output has squares and products of the specific force.
     ForceSquared,
-    /// The scale factor follows the temperature.
-    WarmScale,
     /// The output follows the input within some samples, but not by a pure delay: a filter.
     Bandwidth,
 }
@@ -58,8 +56,7 @@ impl Foreign {
             Self::Curve => "bends otherwise than a square does (a cube, or a dead band)",
             Self::Products => "shows products of the inputs of two axes",
             Self::LeverArm => "stands off the point that the reference tells the motion of (a lever arm)",
-            Self::ForceSquared => "shows the square of the specific force (g²-sensitivity, vibration rectification)",
-            Self::WarmScale => "has a scale factor that follows the temperature",
+            Self::ForceSquared => "shows the square of the specific force (g²-sensitivity)",
             Self::Bandwidth => "rounds the corners of a motion as a filter does that its noise does not show",
         }
     }
@@ -67,7 +64,7 @@ impl Foreign {
     /// Returns the kinds that are searched on a triad.
     pub(super) fn of(triad: Triad) -> Vec<Self> {
         let own = if triad == Triad::Gyro { Self::ForceSquared } else { Self::LeverArm };
-        vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::WarmScale, Self::Bandwidth]
+        vec![Self::Creep, Self::Play, Self::Curve, Self::Products, own, Self::Bandwidth]
     }
 }
 
@@ -130,10 +127,18 @@ impl Pricing {
     }
 }
 
-/// Returns the effects of the library that are fitted by regression.
-pub fn candidates(triad: Triad, full_scale: f64) -> Vec<Candidate> {
+/// Returns the effects of the library that are fitted by regression. `reference_c` is the temperature to which a scale factor's
+/// dependence on it refers; `None` if the temperature is unknown or never changes.
+pub fn candidates(triad: Triad, full_scale: f64, reference_c: Option<f64>) -> Vec<Candidate> {
     let all = Candidate::all(triad, full_scale).into_iter();
-    all.filter(|one| !matches!(one, Candidate::Latency | Candidate::Saturation)).collect()
+    all.filter_map(|one| match one {
+        Candidate::Latency | Candidate::Saturation => None,
+        Candidate::TemperatureScale { .. } => {
+            reference_c.map(|reference_c| Candidate::TemperatureScale { reference_c })
+        }
+        other => Some(other),
+    })
+    .collect()
 }
 
 /// Returns the groups of a screen with these candidates and extra columns.
@@ -160,13 +165,7 @@ pub fn groups(candidates: &[Candidate], own: usize, foreign: &[(Foreign, usize)]
 }
 
 /// Returns columns of effects that are not in the library.
-pub fn foreign(
-    of: Foreign,
-    triad: Triad,
-    motions: &[Motion],
-    rate_hz: f64,
-    temperature_c: Option<&[f64]>,
-) -> Vec<Extra> {
+pub fn foreign(of: Foreign, triad: Triad, motions: &[Motion], rate_hz: f64) -> Vec<Extra> {
     let inputs: [Vec<f64>; 3] =
         std::array::from_fn(|axis| motions.iter().map(|motion| input(triad, motion)[axis]).collect());
     let forces: [Vec<f64>; 3] = std::array::from_fn(|axis| motions.iter().map(|of| of.accel_m_s2[axis]).collect());
@@ -189,12 +188,6 @@ pub fn foreign(
             }
             Foreign::Products => (0..3).for_each(|other| own(axis, product(&inputs[other], &inputs[(other + 1) % 3]))),
             Foreign::ForceSquared => (0..3).for_each(|other| own(axis, product(&forces[other], &forces[other]))),
-            Foreign::WarmScale => {
-                if let Some(temperature_c) = temperature_c {
-                    let mean = mean(temperature_c);
-                    own(axis, values.iter().zip(temperature_c).map(|(value, of)| value * (of - mean)).collect());
-                }
-            }
             Foreign::Bandwidth => {
                 // Without the delay to which each is equal to first order: the delay has its own column.
                 FOLLOWS.iter().for_each(|samples| {

@@ -34,14 +34,18 @@ mod rests;
 #[cfg(test)]
 mod round_trip;
 mod rounds;
+mod rows;
 mod select;
 mod settle;
+mod spoiled;
 mod together;
 mod tumble;
 
-pub use posed::diagnose_posed;
+pub use posed::{CERTAIN, beside, diagnose_posed};
 pub use reference::{Known, Reference, ReferenceError};
 pub use residuals::Residuals;
+pub use rows::{Rows, rows};
+pub use spoiled::rows_in_range;
 pub use tumble::diagnose_tumble;
 
 use super::diagnose::{Options, Outcome};

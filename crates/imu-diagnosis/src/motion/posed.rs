@@ -5,6 +5,8 @@
 
 use super::places::driven;
 use super::rests::rests;
+use super::rows::rows;
+use super::spoiled::Spoiled;
 use super::together::{self, Driven, Sums};
 use super::tumble::known;
 use crate::diagnose::{Options, Outcome, diagnose};
@@ -16,18 +18,20 @@ use crate::response::{AXES, Candidate};
 use imu_core::sample::{Channel, Triad};
 use imu_model::effects::EffectKind;
 use imu_model::simulator::SensorModel;
-use imu_pose::{Calibration, Estimate, External, Frames, Track, TriadFit, Unit, against_poses, against_rates};
+use imu_pose::{
+    Calibration, Estimate, External, Frames, Stated, StatedSensor, Track, TriadFit, Unit, against_poses, against_rates,
+};
 use nalgebra::Vector3;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
 /// A number differs from the model's if it is this many half-widths of its 95 % interval away: about 4.5 standard deviations, two
 /// dozen numbers are examined.
-const CERTAIN: f64 = 2.2;
-/// A delay below this is one on a shared clock, s.
-const SHARED_S: f64 = 0.1;
+pub const CERTAIN: f64 = 2.2;
 /// Confidence in a cause: its interval is the record's, and trials of one sensor scatter by more.
 const RIGHT: f64 = 0.95;
+/// Names of the cross-axis sensitivities.
+const PAIRS: [&str; 3] = ["xy", "xz", "yz"];
 /// What the gap was measured on.
 const MEASURED: &str = "parts of the motion that all others foretell";
 /// Numbers of a triad's fit.
@@ -47,11 +51,8 @@ pub fn diagnose_posed(
     options: &Options<'_>,
 ) -> Result<Outcome, DiagnosisError> {
     prepare::comparable(real, sim)?;
-    let track = track(real, reference)?;
-    let found = match reference {
-        External::Poses(poses) => against_poses(&track, poses),
-        External::Rates(rates) => against_rates(&track, rates),
-    }?;
+    let [gyro, accel] = [Triad::Gyro, Triad::Accel].map(|triad| stated(sim, triad));
+    let (found, spoiled) = compared(real, reference, &StatedSensor { gyro, accel })?;
     let mut outcome = at_rest(real, sim, options)?;
     let mut named = Vec::new();
     let (mut sums, mut located) = (Sums::default(), Vec::new());
@@ -88,11 +89,12 @@ pub fn diagnose_posed(
     if !named.is_empty() && diagnosis.verdict != Verdict::UnknownEffect {
         diagnosis.verdict = Verdict::Effects;
     }
-    let mut notes = notes(&found, is_rate);
+    let mut notes = notes(&found, &spoiled, is_rate);
     notes.append(&mut diagnosis.notes);
     diagnosis.notes = notes;
     diagnosis.summary = crate::sentence::summary(diagnosis);
-    let first = first(&found, reference);
+    let mut first = first(&found, reference);
+    first.extend(spoiled.hints(real.len()));
     if !first.is_empty() {
         let texts: Vec<&str> = first.iter().map(|hint| hint.text.as_str()).collect();
         diagnosis.summary = format!("{}; apart from that {}", texts.join("; "), diagnosis.summary);
@@ -100,6 +102,50 @@ pub fn diagnose_posed(
     }
     outcome.augmented.triads = together::corrected(sim, &named);
     Ok(outcome)
+}
+
+/// Returns the deviations that a model states of a triad.
+fn stated(sim: &SensorModel, triad: Triad) -> Stated {
+    Stated {
+        scale: known(sim, triad, EffectKind::ScaleFactor, AXES),
+        cross: known(sim, triad, EffectKind::CrossAxisSensitivity, PAIRS),
+        bias: known(sim, triad, EffectKind::Bias, AXES),
+        later_s: known_latency_s(sim, triad),
+    }
+}
+
+fn known_latency_s(sim: &SensorModel, triad: Triad) -> f64 {
+    let effects = sim.triads.get(&triad).map(|of| of.effects.as_slice()).unwrap_or_default();
+    effects.iter().find(|of| of.kind() == EffectKind::Latency).map_or(0.0, |of| of.delay_s())
+}
+
+/// Returns what poses or rates show of a sensor, without a model, and the samples that were left out because they do not show the motion.
+///
+/// # Errors
+/// [`DiagnosisError`] if they cannot be compared.
+pub fn beside(real: &Recording, reference: &External) -> Result<(Calibration, Vec<Hint>), DiagnosisError> {
+    let (found, spoiled) = compared(real, reference, &StatedSensor::default())?;
+    Ok((found, spoiled.hints(real.len())))
+}
+
+/// Returns what poses or rates show of a sensor, without the samples that are spoiled, and those.
+fn compared(
+    real: &Recording,
+    reference: &External,
+    stated: &StatedSensor,
+) -> Result<(Calibration, Spoiled), DiagnosisError> {
+    let spoiled = Spoiled::of(real);
+    let track = track(real, reference, &spoiled)?;
+    let mut found = match reference {
+        External::Poses(poses) => against_poses(&track, poses, stated),
+        External::Rates(rates) => against_rates(&track, rates, &stated.gyro),
+    }?;
+    // When a row was measured that is sent again does not show.
+    found.gyro.is_timed &= !spoiled.repeats(Triad::Gyro);
+    if let Some(accel) = &mut found.accel {
+        accel.is_timed &= !spoiled.repeats(Triad::Accel);
+    }
+    Ok((found, spoiled))
 }
 
 /// Returns the shortest stretch of time with most of a triad's gap, on one of its channels, which have equal parts of it.
@@ -124,8 +170,9 @@ fn place(channel: Channel, fit: &TriadFit, nats: f64, real: &Recording) -> Optio
     (nats > 4.0).then_some(place)
 }
 
-/// Returns the samples with their stamps, without those that are missing.
-fn track(real: &Recording, reference: &External) -> Result<Track, DiagnosisError> {
+/// Returns the samples with their stamps, without those that are missing or spoiled. Where the accelerometer alone was cut off, it shows
+/// no number.
+fn track(real: &Recording, reference: &External, spoiled: &Spoiled) -> Result<Track, DiagnosisError> {
     let columns = |triad: Triad| triad.channels().map(|channel| real.values(channel));
     let gyro = columns(Triad::Gyro);
     let wanted = |axis: usize| match reference {
@@ -136,29 +183,16 @@ fn track(real: &Recording, reference: &External) -> Result<Track, DiagnosisError
         let channel = Triad::Gyro.channels()[axis].name().to_owned();
         return Err(imu_pose::PoseError::Channel { channel }.into());
     }
-    let accel = columns(Triad::Accel);
-    let has_accel = accel.iter().all(Option::is_some);
-    let begins_s = real.begins_s.unwrap_or(0.0);
-    let at = |of: &[Option<&[f64]>; 3], place: usize| {
-        Vector3::from_fn(|axis, _| of[axis].map_or(0.0, |values| values[place]))
-    };
+    let has_accel = columns(Triad::Accel).iter().all(Option::is_some);
+    let triads = if has_accel { &[Triad::Gyro, Triad::Accel][..] } else { &[Triad::Gyro] };
+    let rows = rows(real, triads);
+    let (out, cut) = (spoiled.rows(real.len()), spoiled.accel(real.len()));
     let mut found = Track::default();
-    let mut there = 0;
-    for place in 0..real.len() {
-        if real.is_missing(place) {
-            continue;
-        }
-        let stamp = if real.time_s.len() == real.len() { place } else { there };
-        let time_s = real.time_s.get(stamp).copied().unwrap_or(place as f64 / real.rate_hz);
-        there += 1;
-        let (rate, force) = (at(&gyro, place), at(&accel, place));
-        let later = found.time_s.last().is_none_or(|last| begins_s + time_s > *last);
-        if later && rate.iter().chain(&force).all(|value| value.is_finite()) {
-            found.time_s.push(begins_s + time_s);
-            found.gyro.push(rate);
-            if has_accel {
-                found.accel.push(force);
-            }
+    for (at, place) in rows.places.iter().enumerate().filter(|(_, place)| !out[**place]) {
+        found.time_s.push(rows.time_s[at]);
+        found.gyro.push(rows.triads[0][at]);
+        if let Some(force) = rows.triads.get(1).map(|of| of[at]) {
+            found.accel.push(if cut[*place] { Vector3::repeat(f64::NAN) } else { force });
         }
     }
     Ok(found)
@@ -256,7 +290,7 @@ fn causes(triad: Triad, fit: &TriadFit, sim: &SensorModel) -> Vec<Driven> {
     let unit = fit.frames.factor;
     [
         of(Candidate::ScaleFactor, AXES, &fit.scale, 1.0),
-        of(Candidate::CrossAxisSensitivity, ["xy", "xz", "yz"], &fit.cross, 1.0),
+        of(Candidate::CrossAxisSensitivity, PAIRS, &fit.cross, 1.0),
         of(Candidate::Bias, AXES, &fit.bias, unit),
     ]
     .into_iter()
@@ -267,14 +301,12 @@ fn causes(triad: Triad, fit: &TriadFit, sim: &SensorModel) -> Vec<Driven> {
 /// Returns the latencies that are the sensor's. On one clock, each delay is one. On two clocks, the smaller belongs to the clocks.
 fn latencies(found: &Calibration, sim: &SensorModel, is_rate: bool) -> Vec<Driven> {
     let mut delays: Vec<(Triad, Estimate)> = vec![(Triad::Gyro, found.gyro.later_s)];
-    delays.extend(found.accel.as_ref().map(|of| (Triad::Accel, of.later_s)));
+    delays.extend(found.accel.as_ref().filter(|of| of.is_timed).map(|of| (Triad::Accel, of.later_s)));
     // The delay of a rate's own instrument does not show apart.
     if is_rate || !found.gyro.is_timed {
         return Vec::new();
     }
-    // Two clocks show by their rates as well.
-    let is_one_rate = found.clock_rate.is_none_or(|of| of.value.abs() <= CERTAIN * of.half());
-    let is_shared = is_one_rate && delays.iter().all(|(_, of)| of.value.abs() < SHARED_S);
+    let is_shared = found.is_one_clock(CERTAIN);
     let least = delays.iter().map(|(_, of)| *of).min_by(|one, other| one.value.total_cmp(&other.value));
     let Some(least) = least else { return Vec::new() };
     let own = delays.into_iter().filter_map(|(triad, of)| {
@@ -283,8 +315,7 @@ fn latencies(found: &Calibration, sim: &SensorModel, is_rate: bool) -> Vec<Drive
         } else {
             (of.value - least.value, of.sd.hypot(least.sd), of.half().hypot(least.half()))
         };
-        let effects = sim.triads.get(&triad).map(|of| of.effects.as_slice()).unwrap_or_default();
-        let known = effects.iter().find(|of| of.kind() == EffectKind::Latency).map_or(0.0, |of| of.delay_s());
+        let known = known_latency_s(sim, triad);
         let off = seconds - known;
         if seconds <= 0.0 || off.abs() <= CERTAIN * half {
             return None;
@@ -359,10 +390,10 @@ fn first(found: &Calibration, reference: &External) -> Vec<Hint> {
     hints
 }
 
-fn notes(found: &Calibration, is_rate: bool) -> Vec<String> {
+fn notes(found: &Calibration, spoiled: &Spoiled, is_rate: bool) -> Vec<String> {
     let mut notes = Vec::new();
-    let fits = [("gyroscope", Some(&found.gyro)), ("accelerometer", found.accel.as_ref())];
-    for (name, fit) in fits {
+    let fits = [(Triad::Gyro, "gyroscope", Some(&found.gyro)), (Triad::Accel, "accelerometer", found.accel.as_ref())];
+    for (triad, name, fit) in fits {
         let Some(fit) = fit else { continue };
         let later = fit.later_s;
         let (size, what) = (1e3 * later.value.abs(), if later.value < 0.0 { "earlier" } else { "later" });
@@ -371,7 +402,12 @@ fn notes(found: &Calibration, is_rate: bool) -> Vec<String> {
         } else {
             ""
         };
-        notes.push(format!("the {name} is {size:.2} ± {:.2} ms {what} than the reference{whose}", 1e3 * later.half()));
+        if !spoiled.repeats(triad) {
+            notes.push(format!(
+                "the {name} is {size:.2} ± {:.2} ms {what} than the reference{whose}",
+                1e3 * later.half()
+            ));
+        }
         let turned = fit.turned_deg.iter().flatten().map(|of| of.value.powi(2)).sum::<f64>().sqrt();
         if turned > 0.0 && fit.turned_deg.iter().all(Option::is_some) {
             let about = fit

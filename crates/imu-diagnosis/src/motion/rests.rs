@@ -1,128 +1,17 @@
-//! Rests: the stretches of a record in which the sensor lies still, and the poses in the rests.
-//!
-//! A quarter of a second is quiet if gyro and accelerometer scatter about as little as in the quietest tenth of the record.
-//! Consecutive quiet parts that keep their level are a rest. A sensor that is never still has no rests.
+//! Rests of a recording ([`imu_pose::tumble`]).
 
-use crate::averages::{mean, quantile};
 use crate::recording::Recording;
 use imu_core::sample::Triad;
-use imu_model::effects::triad::Axes;
-use std::ops::Range;
-
-/// Length of the examined parts, s.
-const PART_S: f64 = 0.25;
-/// Shortest rest, s.
-pub const SHORTEST_S: f64 = 1.5;
-/// Part of the record that counts as the quietest.
-const QUIETEST: f64 = 0.1;
-/// A part is quiet up to this multiple of the standard deviation of the quietest parts, and of the deviation of a
-/// part's mean.
-const QUIET: f64 = 2.5;
-/// Maximum movement of a level in a rest, m/s² and rad/s: more than a hand's tremble, less than any turn.
-const MOVED: [f64; 2] = [0.15, 0.03];
-/// Cosine of 8°, the angle from which on two poses differ.
-const APART: f64 = 0.990_268;
-
-/// A stretch in which the sensor lies still.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rest {
-    /// The samples of the rest.
-    pub within: Range<usize>,
-    /// Mean specific force, m/s².
-    pub force: Axes,
-    /// Mean rate, rad/s, if there is a gyro.
-    pub rate: Option<Axes>,
-}
+pub(super) use imu_pose::tumble::Rest;
 
 /// Returns the rests of a record with an accelerometer, in order.
-pub fn rests(real: &Recording) -> Vec<Rest> {
+pub(super) fn rests(real: &Recording) -> Vec<Rest> {
     let Some(accel) = real.triad(Triad::Accel) else { return Vec::new() };
-    let gyro = real.triad(Triad::Gyro);
-    let size = ((PART_S * real.rate_hz) as usize).max(4);
-    let parts = real.len() / size;
-    if parts < 4 {
-        return Vec::new();
-    }
-    let part = |place: usize| place * size..(place + 1) * size;
-    let of = |columns: [&[f64]; 3]| -> Vec<Option<(Axes, f64)>> {
-        (0..parts)
-            .map(|place| {
-                let gone = part(place).any(|t| real.is_missing(t));
-                let means = columns.map(|values| mean(&values[part(place)]));
-                let square = columns.iter().zip(means).map(|(values, mean)| {
-                    values[part(place)].iter().map(|value| (value - mean).powi(2)).sum::<f64>() / size as f64
-                });
-                let spread = square.sum::<f64>().sqrt();
-                (!gone && spread.is_finite()).then_some((means, spread))
-            })
-            .collect()
-    };
-    let forces = of(accel);
-    let rates = gyro.map(of);
-    let quietest = |of: &[Option<(Axes, f64)>]| {
-        quantile(of.iter().flatten().map(|(_, spread)| *spread).collect(), QUIETEST).unwrap_or(0.0)
-    };
-    let (least_force, least_rate) = (quietest(&forces), rates.as_ref().map_or(0.0, |of| quietest(of)));
-    // The permitted movement of a part beyond its noise: the scatter of the noise itself and a tremble.
-    let quiet = |place: usize| {
-        let still = |of: &Option<(Axes, f64)>, least: f64, moved: f64| {
-            of.as_ref().is_some_and(|(_, spread)| *spread <= QUIET * least + 0.1 * moved)
-        };
-        still(&forces[place], least_force, MOVED[0])
-            && rates.as_ref().is_none_or(|rates| still(&rates[place], least_rate, MOVED[1]))
-    };
-    // A table that turns steadily is quiet too. At rest the rate is the slowest one: the gyro's bias.
-    let pace = |place: usize| {
-        let of = rates.as_ref().and_then(|rates| rates[place].as_ref());
-        of.map_or(0.0, |(rate, _)| rate.iter().map(|value| value * value).sum::<f64>().sqrt())
-    };
-    let slowest = (0..parts).filter(|place| quiet(*place)).map(pace).fold(f64::INFINITY, f64::min);
-    let quiet = |place: usize| quiet(place) && pace(place) <= slowest + MOVED[1];
-    let mut found = Vec::new();
-    let mut open: Option<Range<usize>> = None;
-    for place in 0..=parts {
-        let goes_on = place < parts
-            && quiet(place)
-            && open.as_ref().is_none_or(|run| {
-                let apart = |of: &[Option<(Axes, f64)>], most: f64, least: f64| {
-                    let (Some((first, _)), Some((now, _))) = (&of[run.start], &of[place]) else { return true };
-                    let far = first.iter().zip(now).map(|(one, other)| (one - other).powi(2)).sum::<f64>().sqrt();
-                    far > most + QUIET * least / (size as f64).sqrt()
-                };
-                !apart(&forces, MOVED[0], least_force)
-                    && !rates.as_ref().is_some_and(|rates| apart(rates, MOVED[1], least_rate))
-            });
-        match (&mut open, goes_on) {
-            (Some(run), true) => run.end = place + 1,
-            (None, true) => open = Some(place..place + 1),
-            (Some(run), false) => {
-                // The first and the last part may touch a turn.
-                let within = (run.start + 1) * size..run.end.saturating_sub(1) * size;
-                if within.len() as f64 >= SHORTEST_S * real.rate_hz {
-                    let over = |columns: [&[f64]; 3]| columns.map(|values| mean(&values[within.clone()]));
-                    found.push(Rest { force: over(accel), rate: gyro.map(over), within });
-                }
-                open = (place < parts && quiet(place)).then(|| place..place + 1);
-            }
-            (None, false) => {}
-        }
-    }
-    found
+    imu_pose::tumble::rests(real.rate_hz, accel, real.triad(Triad::Gyro), &|place| real.is_missing(place))
 }
 
 /// Returns the number of distinct poses.
-pub fn poses(rests: &[Rest]) -> usize {
-    let mut seen: Vec<Axes> = Vec::new();
-    for rest in rests {
-        let length = rest.force.iter().map(|value| value * value).sum::<f64>().sqrt();
-        if length < 1.0 {
-            continue;
-        }
-        let along = rest.force.map(|value| value / length);
-        let near = |other: &Axes| other.iter().zip(along).map(|(one, other)| one * other).sum::<f64>() > APART;
-        if !seen.iter().any(near) {
-            seen.push(along);
-        }
-    }
-    seen.len()
+pub(super) fn poses(rests: &[Rest]) -> usize {
+    let all = imu_pose::tumble::poses(rests.iter().map(|rest| rest.force));
+    all.iter().flatten().max().map_or(0, |last| last + 1)
 }

@@ -122,7 +122,7 @@ impl About<'_> {
         });
         let law = noise::law(self.noise_model, triad, rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
-        let candidates = groups::candidates(triad, full_scale(triad, &known));
+        let candidates = groups::candidates(triad, full_scale(triad, &known), self.reference_c(&known));
         let level = level(self.sim, triad);
         let clock = if self.aligned.shared { Clock::Shared } else { Clock::Separate };
         // On one clock a delay is a latency; on two clocks it is an offset.
@@ -134,7 +134,7 @@ impl About<'_> {
         let request = Request { known: &known, level, candidates: &all, clock, filters: &filters };
         let mut counts = Vec::new();
         let extras = Foreign::of(triad).into_iter().flat_map(|of| {
-            let columns = groups::foreign(of, triad, motions, rate_hz, self.temperature_c);
+            let columns = groups::foreign(of, triad, motions, rate_hz);
             counts.push((of, columns.len()));
             columns
         });
@@ -236,7 +236,7 @@ impl About<'_> {
             // Such columns are rarely chosen: they are computed again instead of kept.
             let made = match own.is_empty() {
                 true => Vec::new(),
-                false => groups::foreign(*of, triad, motions, self.part.rate_hz, self.temperature_c),
+                false => groups::foreign(*of, triad, motions, self.part.rate_hz),
             };
             for (column, number) in own {
                 for (axis, sum) in outside.iter_mut().enumerate() {
@@ -284,11 +284,19 @@ impl About<'_> {
         let scale = sent.map(prepare::scale_of);
         let law = noise::law(self.noise_model, triad, self.part.rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
-        let candidates = groups::candidates(triad, full_scale(triad, &known));
+        let candidates = groups::candidates(triad, full_scale(triad, &known), self.reference_c(&known));
         let level = level(self.sim, triad);
         let request =
             Request { known: &known, level, candidates: &candidates, clock: Clock::Separate, filters: &filters };
         Ok(response::fit(&self.record(triad, &samples, sent, &left_out), &law, &request)?)
+    }
+
+    /// Returns the temperature to which a scale factor's dependence on it refers: the model's own, or the record's mean.
+    fn reference_c(&self, known: &[Arc<dyn TriadEffect>]) -> Option<f64> {
+        let temperature_c = self.temperature_c?;
+        let mut own = known.iter().filter(|effect| effect.kind() == EffectKind::TemperatureScale);
+        let mean = || temperature_c.iter().sum::<f64>() / temperature_c.len().max(1) as f64;
+        Some(own.find_map(|effect| effect.number("reference_c")).unwrap_or_else(mean))
     }
 
     fn record<'b>(

@@ -2,10 +2,10 @@
 
 use imu_core::sample::Triad;
 use imu_model::effects::triad::{
-    Axes, Bias, CrossAxisSensitivity, GSensitivity, Latency, Misalignment, Saturation, ScaleFactor,
-    ScaleFactorNonlinearity,
+    Axes, Bias, CrossAxisSensitivity, GSensitivity, Latency, Misalignment, Rectification, Saturation, ScaleFactor,
+    ScaleFactorNonlinearity, TemperatureScale,
 };
-use imu_model::effects::{EffectKind, TriadEffect};
+use imu_model::effects::{EffectKind, TriadEffect, USUAL_TEMPERATURE_C};
 use std::sync::Arc;
 
 /// A standard error of a fraction or an angle above which a motion carries no information about it. Sensors are made to 1–2 %,
@@ -32,6 +32,13 @@ pub enum Candidate {
     CrossAxisSensitivity,
     /// [`GSensitivity`] of a gyroscope.
     GSensitivity,
+    /// [`Rectification`].
+    Rectification,
+    /// [`TemperatureScale`].
+    TemperatureScale {
+        /// The temperature at which it vanishes, °C.
+        reference_c: f64,
+    },
     /// [`Latency`].
     Latency,
     /// [`Saturation`]. Clipped samples are found and left out in any case; as a candidate it is among the effects found.
@@ -54,6 +61,8 @@ impl Candidate {
             Self::Misalignment,
             Self::CrossAxisSensitivity,
             Self::GSensitivity,
+            Self::Rectification,
+            Self::TemperatureScale { reference_c: USUAL_TEMPERATURE_C },
             Self::Latency,
             Self::Saturation,
         ];
@@ -91,6 +100,8 @@ impl Candidate {
                 let row = |row: usize| std::array::from_fn(|column| at(3 * row + column));
                 Arc::new(GSensitivity { m: std::array::from_fn(row) })
             }
+            Self::Rectification => Arc::new(Rectification { axes }),
+            Self::TemperatureScale { reference_c } => Arc::new(TemperatureScale { axes, reference_c }),
             Self::Latency => Arc::new(Latency { seconds: at(0).max(0.0) }),
             Self::Saturation => Arc::new(Saturation { range: at(0) }),
         }
@@ -131,9 +142,10 @@ impl Candidate {
             Self::ScaleFactor
             | Self::ScaleFactorNonlinearity { .. }
             | Self::Misalignment
-            | Self::CrossAxisSensitivity => UNSEEN_FRACTION,
+            | Self::CrossAxisSensitivity
+            | Self::TemperatureScale { .. } => UNSEEN_FRACTION,
             // In the triad's own units, no size is too large to make sense.
-            Self::Bias | Self::GSensitivity => f64::INFINITY,
+            Self::Bias | Self::GSensitivity | Self::Rectification => f64::INFINITY,
             Self::Latency | Self::Saturation => Latency::SECONDS_MAX,
         }
     }

@@ -5,7 +5,7 @@ use super::design::Slot;
 use super::{AXES, Estimate, Record};
 use imu_core::sample::Triad;
 use imu_model::effects::EffectKind;
-use imu_model::effects::triad::Drive;
+use imu_model::effects::triad::{Axes, Drive};
 use imu_model::simulator::Motion;
 
 /// Change of a rate below which an axis counts as not turned, rad/s: well above the Earth's rotation, 7.3e-5.
@@ -163,7 +163,12 @@ fn names(group: &[usize], slots: &[Slot], candidates: &[Candidate], estimates: &
 /// effect itself reports them.
 fn depends(candidate: Candidate, coefficient: usize) -> ([bool; 3], [bool; 3]) {
     let effect = candidate.make(&[]);
-    let at = |input, accel_m_s2| effect.regress(Drive { input, accel_m_s2 }).get(coefficient).copied();
+    // Any temperature but that at which an effect vanishes.
+    let temperature_c = effect.number("reference_c").map(|reference_c| reference_c + 1.0);
+    let at = |input, force: Axes| {
+        let drive = Drive { input, accel_m_s2: force, vibration_m2_s4: force, temperature_c };
+        effect.regress(drive).get(coefficient).copied()
+    };
     let none = at([0.0; 3], [0.0; 3]);
     let unit = |axis: usize| std::array::from_fn(|other| if other == axis { 1.0 } else { 0.0 });
     let input = std::array::from_fn(|axis| at(unit(axis), [0.0; 3]) != none);
@@ -191,6 +196,9 @@ mod tests {
         assert_eq!(depends(Candidate::ScaleFactor, 1), ([false, true, false], [false; 3]));
         assert_eq!(depends(Candidate::Misalignment, 0), ([false, true, true], [false; 3]));
         assert_eq!(depends(Candidate::GSensitivity, 5), ([false; 3], [false, false, true]));
+        assert_eq!(depends(Candidate::Rectification, 2), ([false; 3], [false, false, true]));
+        let warm = Candidate::TemperatureScale { reference_c: 25.0 };
+        assert_eq!(depends(warm, 0), ([true, false, false], [false; 3]));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use super::candidate::Candidate;
 use super::clock::{Clock, delayed};
 use super::{Filters, Record, Request, input};
-use imu_model::effects::triad::{Axes, Drive};
+use imu_model::effects::triad::{Axes, Drive, Vibration};
 use imu_model::effects::{At, Effect as _, Stage, TemperatureBias, TriadEffect};
 use imu_model::simulator::Motion;
 use imu_model::simulator::response::{STAGES, stage};
@@ -223,15 +223,25 @@ impl<'a> Design<'a> {
         At { time_s: index as f64 / self.record.rate_hz, temperature_c: temperature_c.unwrap_or(self.reference_c) }
     }
 
+    /// Returns what acts on the triad in these motions, instant by instant.
+    fn drives<'b>(&'b self, motions: &'b [Motion]) -> impl Iterator<Item = Drive> + 'b {
+        let mut vibration = Vibration::new(self.record.rate_hz);
+        motions.iter().enumerate().map(move |(index, motion)| Drive {
+            input: input(self.record.triad, motion),
+            accel_m_s2: motion.accel_m_s2,
+            vibration_m2_s4: vibration.next(motion.accel_m_s2),
+            temperature_c: self.record.temperature_c.and_then(|of| of.get(index).copied()),
+        })
+    }
+
     /// Returns the output of the memoryless stages.
     fn answer(&self, stages: &[Vec<Arc<dyn TriadEffect>>; 3], motions: &[Motion]) -> [Vec<f64>; 3] {
         let mut axes: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(motions.len()));
-        for motion in motions {
-            let mut values = input(self.record.triad, motion);
+        for mut drive in self.drives(motions) {
             for effects in stages {
-                values = stage(effects, Drive { input: values, accel_m_s2: motion.accel_m_s2 });
+                drive.input = stage(effects, drive);
             }
-            axes.iter_mut().zip(values).for_each(|(axis, value)| axis.push(value));
+            axes.iter_mut().zip(drive.input).for_each(|(axis, value)| axis.push(value));
         }
         axes
     }
@@ -262,9 +272,8 @@ impl<'a> Design<'a> {
         let moved = self.moved(state, 0.0);
         let peak = moved.iter().flat_map(|motion| input(self.record.triad, motion)).map(f64::abs).fold(0.0, f64::max);
         let step = if peak > 0.0 { SLOPE_STEP * peak } else { 1.0 };
-        for (index, motion) in moved.iter().enumerate() {
-            let accel_m_s2 = motion.accel_m_s2;
-            let mut drives = [Drive { input: input(self.record.triad, motion), accel_m_s2 }; 3];
+        for (index, drive) in self.drives(&moved).enumerate() {
+            let mut drives = [drive; 3];
             for place in 1..STAGES.len() {
                 drives[place].input = stage(&stages[place - 1], drives[place - 1]);
             }

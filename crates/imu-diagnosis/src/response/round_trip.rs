@@ -186,6 +186,52 @@ fn intervals_of_g_sensitivity_hold() {
 }
 
 #[test]
+fn intervals_of_rectification_hold() {
+    let rectified = (Candidate::Rectification, vec![1e-4, -5e-5, 2e-5]);
+    coverage(Triad::Gyro, tumble(), std::slice::from_ref(&rectified), &[Candidate::Bias]);
+    let rectified = (Candidate::Rectification, vec![1e-3, -5e-4, 2e-4]);
+    coverage(Triad::Accel, tumble(), &[rectified], &[Candidate::Bias, Candidate::ScaleFactor]);
+}
+
+#[test]
+fn intervals_of_a_scale_factor_that_follows_the_temperature_hold() {
+    let warm = Candidate::TemperatureScale { reference_c: 30.0 };
+    let numbers = [2e-4, -1e-4, 5e-5];
+    let mut reference = rate_table();
+    let temperature_c: Vec<f64> = (0..reference.len()).map(|t| 28.0 + 8.0 * (2e-3 * t as f64).sin()).collect();
+    reference.iter_mut().zip(&temperature_c).for_each(|(motion, of)| motion.temperature_c = Some(*of));
+    let case = Case::new(Triad::Gyro, reference, &[(warm, numbers.to_vec())]);
+    let mut held = 0;
+    for seed in 0..SEEDS {
+        let samples = case.samples(seed);
+        let record = Record {
+            rate_hz: RATE_HZ,
+            triad: Triad::Gyro,
+            samples: samples.each_ref().map(Vec::as_slice),
+            reference: &case.reference,
+            temperature_c: Some(&temperature_c),
+            left_out: &[],
+            sent: None,
+        };
+        let candidates = [Candidate::ScaleFactor, Candidate::Bias, warm];
+        let request = Request {
+            known: &[],
+            level: [0.0; 3],
+            candidates: &candidates,
+            clock: Clock::Shared,
+            filters: &NO_FILTERS,
+        };
+        let found = fit(&record, &case.law, &request).unwrap();
+        for (index, truth) in found.fitted[2].places.clone().zip(numbers) {
+            let [low, high] = found.estimates[index].ci95();
+            held += u64::from((low..=high).contains(&truth));
+        }
+    }
+    // 180 intervals of 95 %: 171 on average, with a standard deviation of 3.
+    assert!(held >= 161, "{held}");
+}
+
+#[test]
 fn intervals_of_latency_hold_with_other_effects_beside_it() {
     let late = |seconds: f64| (Candidate::Latency, vec![seconds]);
     coverage(Triad::Gyro, rate_table(), &[late(0.02)], &[Candidate::Bias]);
