@@ -21,6 +21,8 @@ pub fn of(target: &str) -> Vec<Vec<u8>> {
         "mcap" => ros2_recordings(|topics, messages| {
             vec![ros2::mcap(topics, messages, true, 3), ros2::mcap(topics, messages, false, usize::MAX)]
         }),
+        "table" => tables(),
+        "mapped" => mapped(),
         "config" => config(),
         "http" => http(),
         "faults" => faults(),
@@ -111,6 +113,34 @@ pub fn dictionary(target: &str) -> &'static [&'static [u8]] {
             b"\x28\xB5\x2F\xFD",
             b"\x04\x22\x4D\x18",
             b"MSG: sensor_msgs/Imu\n",
+        ],
+        "table" => &[
+            b"\x93NUMPY\x01\0",
+            b"PK\x03\x04",
+            b"MATLAB 5.0 MAT-file",
+            b"\x89HDF\r\n\x1a\n",
+            b"ULog\x01\x12\x35",
+            b"\xA3\x95\x80",
+            b"'descr': '<f8'",
+            b"'shape': (4000000000,)",
+            b"\xFF\xFF\xFF\xFF",
+            b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\x7F",
+            b"time_s",
+            b"gyro_x_rad_s",
+        ],
+        "mapped" => &[
+            b"=gyro_x_dps",
+            b"#1=time_ms",
+            b"rate[0]=",
+            b"rate.1=",
+            b",",
+            b"\n",
+            b"0.05 0.2 gyro_x\n",
+            b"- - -\n",
+            b"1710358267 1710358268 -\n",
+            b"1e18 -1e18 ",
+            b"int64[] x\n",
+            b"uint16[3] rate\n",
         ],
         "config" => &[
             b"[sensor]\n",
@@ -302,6 +332,51 @@ fn ros2_recordings(write: impl Fn(&[ros2::Topic<'_>], &[ros2::Message]) -> Vec<V
     recordings
 }
 
+/// Returns small files of the forms of other programs, written by those forms' own libraries
+/// (`crates/imu-files/tests/recordings`).
+fn tables() -> Vec<Vec<u8>> {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/imu-files/tests/recordings");
+    let files = [
+        "table.npy",
+        "structured.npy",
+        "fortran.npy",
+        "arrays.npz",
+        "arrays_compressed.npz",
+        "matlab5.mat",
+        "matlab5_compressed.mat",
+        "matlab5_struct.mat",
+        "matlab73.mat",
+        "groups.h5",
+        "px4.ulg",
+        "ardupilot.bin",
+        "utf16_le.csv",
+        "plain.csv.bz2",
+        "plain.csv.xz",
+        "plain.csv.zst",
+    ];
+    files.map(|file| std::fs::read(folder.join(file)).unwrap()).to_vec()
+}
+
+fn mapped() -> Vec<Vec<u8>> {
+    let stamp_ns = |index: u64| 1_710_358_267_000_000_000 + 25_000_000 * index;
+    let definition = "std_msgs/Header header\nint32[3] rate\nfloat64[] force\n";
+    let messages: Vec<ros2::Message> = (0..8)
+        .map(|index| {
+            let cdr = Cdr::little_endian().header(stamp_ns(index)).number(7).number(8).number(index as u32);
+            (0, stamp_ns(index) as i64, cdr.number(2).wide(&[0.5, 9.8]).bytes())
+        })
+        .collect();
+    let bag = ros2::db3(&[("/raw", "own_msgs/msg/Raw", Some(definition))], &messages);
+    let rows: String = (0..20).map(|row| format!("{},{},{}\n", 25 * row, row, -row)).collect();
+    let with = |head: &str, bytes: &[u8]| [head.as_bytes(), bytes].concat();
+    vec![
+        with("rate[0]=gyro_x_deg_s,rate.2=gyro_z_rad_s,force[1]=accel_z_m_s2\n- 0.1 -\n", &bag),
+        with("t=time_ms,a=gyro_x_dps,b=accel_z_g\n0.1 0.3 gyro_x\n", format!("t,a,b\n{rows}").as_bytes()),
+        with("#1=time_ms,#2=gyro_x_dps\n- - -\n", rows.as_bytes()),
+        with(",\n0.05 0.2 -\n", &csv()[0]),
+    ]
+}
+
 fn raw_bytes() -> Vec<Vec<u8>> {
     let mut streams = Vec::new();
     for (common, imu) in [(0x0609, 0), (0x0001, 0x0030), (0x0108, 0)] {
@@ -338,6 +413,8 @@ fn http() -> Vec<Vec<u8>> {
         "GET /v1/captures/1/segments?limit=1&cursor=segments-1-1",
         "GET /v1/captures/1/events",
         "GET /v1/captures?limit=10",
+        "GET /v1/captures/latest/plots/allan-gyro_x.svg?beside=1",
+        "GET /compare?a=&b=1",
         "GET /v1/captures/latest/statistics",
         "GET /v1/captures/latest/allan\nIf-None-Match: \"x\"",
         "GET /v1/captures/latest/noise",

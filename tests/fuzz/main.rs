@@ -137,6 +137,16 @@ fn an_mcap_file_of_any_bytes_takes_bounded_memory_and_loses_nothing_unreported()
 }
 
 #[test]
+fn a_table_of_any_form_takes_bounded_memory_and_loses_nothing_unreported() {
+    fuzz("table");
+}
+
+#[test]
+fn a_map_and_a_part_of_any_kind_are_refused_or_kept_to() {
+    fuzz("mapped");
+}
+
+#[test]
 fn raw_bytes_of_any_kind_take_bounded_memory_and_lose_nothing_unreported() {
     fuzz("raw_bytes");
 }

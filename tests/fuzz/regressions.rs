@@ -43,5 +43,11 @@ pub fn of(target: &str) -> Vec<Vec<u8>> {
             .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap())
             .collect()
     };
-    FOUND.iter().filter(|(name, _)| *name == target).map(|(_, hex)| bytes(hex)).collect()
+    let mut found: Vec<Vec<u8>> = FOUND.iter().filter(|(name, _)| *name == target).map(|(_, hex)| bytes(hex)).collect();
+    if target == "csv" {
+        // Found by `table` in an array: the length of a vector beyond all numbers was a NaN in a remark.
+        let rows: String = (0..40).map(|row| format!("{row},1e200,1e200,{row}e200\n")).collect();
+        found.push(format!("time_s,accel_x_m_s2,accel_y_m_s2,accel_z_m_s2\n{rows}").into_bytes());
+    }
+    found
 }

@@ -12,7 +12,7 @@ mod recording;
 pub type Target = fn(&[u8]);
 
 /// All targets by name.
-pub const TARGETS: [(&str, Target); 10] = [
+pub const TARGETS: [(&str, Target); 12] = [
     ("decoder", decoder::any_split),
     ("csv", recording::csv),
     ("raw_text", recording::raw_text),
@@ -20,6 +20,8 @@ pub const TARGETS: [(&str, Target); 10] = [
     ("bag", recording::any),
     ("db3", recording::any),
     ("mcap", recording::any),
+    ("table", recording::table),
+    ("mapped", recording::mapped),
     ("config", config::refused_with_its_place),
     ("http", http::no_server_error),
     ("faults", faults::refused_with_its_line),

@@ -1,7 +1,9 @@
 //! Recordings: every entry becomes a sample or a rejected one, and the accounting's identities hold.
 
-use imu_core::sample::{DiscardCause, Record};
-use imu_files::recording::{Input, Item, Options, REJECTED_KEPT, Recording, RecordingAccountant, columns};
+use imu_core::sample::{Channel, DiscardCause, Record};
+use imu_files::recording::{
+    ColumnMap, Input, Item, Options, Part, PartEnd, REJECTED_KEPT, Recording, RecordingAccountant, columns,
+};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A line that is longer is read in pieces.
@@ -72,11 +74,56 @@ pub fn any(input: &[u8]) {
     holds(input);
 }
 
+/// Tests a table of another program's form. Parquet is left out: the library that reads it may panic (docs/recordings.md).
+pub fn table(input: &[u8]) {
+    if !input.starts_with(b"PAR1") {
+        holds(input);
+    }
+}
+
+/// Tests what the user states about a recording. The first line is the map of its columns, the second a part: `FROM TO
+/// CHANNELS`, of which `-` is none. The rest is the recording.
+pub fn mapped(input: &[u8]) {
+    let mut lines = input.splitn(3, |byte| *byte == b'\n');
+    let [Some(map), Some(part), Some(bytes)] = [lines.next(), lines.next(), lines.next()] else { return };
+    let map = match ColumnMap::parse(&[String::from_utf8_lossy(map)]) {
+        Ok(map) => map,
+        Err(error) => {
+            let text = error.to_string();
+            return assert!(text.starts_with("columns: ") && text.len() < 20_000, "{text}");
+        }
+    };
+    assert_eq!(ColumnMap::parse(&[map.to_string()]).as_ref(), Ok(&map), "a map is read as it is written");
+    let part = String::from_utf8_lossy(part);
+    let mut words = part.split(' ');
+    let mut end = || {
+        let seconds: f64 = words.next()?.parse().ok()?;
+        // Beyond 1e9 s it is a time of day.
+        let ns = (seconds * 1e9) as i64;
+        Some(if seconds < 1e9 { PartEnd::Since(ns) } else { PartEnd::Utc(ns) })
+    };
+    let (from, to) = (end(), end());
+    let part = Part { from, to, channels: words.next().and_then(|names| Channel::list(names).ok()) };
+    let read = |part: Part| {
+        let input = Input::memory("fuzz", bytes).with_columns(map.clone());
+        holds_as(input, Options { started_utc_ns: 1, part, ..Options::default() })
+    };
+    let (whole, of_part) = (read(Part::default()), read(part));
+    let samples = |items: &[(Option<u64>, bool)]| items.iter().filter(|(rejected, _)| rejected.is_none()).count();
+    if let Some(of_part) = of_part {
+        let whole = whole.expect("a recording of which a part is read is read");
+        assert!(samples(&of_part) <= whole.len(), "a part has no more than the whole");
+    }
+}
+
 /// Reads the recording as the import does and checks the properties. Returns each item's line, if it was rejected, and
 /// whether the recording is a CSV; `None` if it was refused as a whole.
 fn holds(input: &[u8]) -> Option<Vec<(Option<u64>, bool)>> {
-    let options = Options { started_utc_ns: 1, ..Options::default() };
-    let recording = match Recording::read(Input::memory("fuzz", input), options) {
+    holds_as(Input::memory("fuzz", input), Options { started_utc_ns: 1, ..Options::default() })
+}
+
+fn holds_as(input: Input, options: Options) -> Option<Vec<(Option<u64>, bool)>> {
+    let recording = match Recording::read(input, options) {
         Ok(recording) => recording,
         Err(error) => {
             let text = error.to_string();

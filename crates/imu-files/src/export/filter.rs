@@ -181,7 +181,7 @@ pub(super) const ARDUPILOT: Layout = Layout {
 pub(super) fn form(noise: &ImuNoise, layout: &Layout) -> Form {
     let (factor, step) = match layout.step {
         Step::Continuous => (1.0, String::new()),
-        Step::Sample => (noise.rate_hz.sqrt(), format!("at {} Hz", super::short(noise.rate_hz))),
+        Step::Sample => (noise.rate_hz.sqrt(), format!("at {} Hz", imu_core::units::hertz(noise.rate_hz))),
         Step::Filter(dt_s) => (dt_s.sqrt().recip(), format!("at steps of {:.0} ms", 1e3 * dt_s)),
     };
     let takes = match (layout.step, layout.squared) {

@@ -36,7 +36,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
             entries.push(Entry { key, triad, noise, unit, axes });
         }
     }
-    let takes = format!("standard deviations at {} Hz: N√rate; K; each axis", super::short(noise.rate_hz));
+    let takes = format!("standard deviations at {} Hz: N√rate; K; each axis", imu_core::units::hertz(noise.rate_hz));
     Form { takes, source: "SDFormat specification, element noise", each_axis: true, entries }
 }
 

@@ -21,7 +21,7 @@ pub(super) fn form(noise: &ImuNoise) -> Form {
         let axes = axes.map(|axis| axis.n.scaled(noise.rate_hz.sqrt()));
         entries.push(Entry { key, triad, noise: Noise::White, unit: unit.to_owned(), axes });
     }
-    let takes = format!("standard deviations at {} Hz: N√rate", super::short(noise.rate_hz));
+    let takes = format!("standard deviations at {} Hz: N√rate", imu_core::units::hertz(noise.rate_hz));
     Form { takes, source: "isaac-sim/IsaacLab, isaaclab/utils/noise/noise_cfg.py", each_axis: false, entries }
 }
 

@@ -1,5 +1,5 @@
-//! Exports: samples in the formats that other programs read ([`samples`]), and noise parameters in the formats that
-//! simulators and filters read, one target per file. Filters that take one white noise and one walk share `filter`.
+//! Exports: samples in the formats that other programs read ([`samples`]), corrections in the forms of those who apply them
+//! ([`calibration`]), and noise parameters in the formats that simulators and filters read, one target per file. Filters that take one white noise and one walk share `filter`.
 //!
 //! Every maker takes [`ImuNoise`] and returns its numbers in the program's convention (`form`), which the summary of
 //! all programs ([`paste`]) shows too. It also returns text, which covers only the triads that the source has. A
@@ -8,6 +8,7 @@
 //! simulator then gets no walk: a number for a simulator is never larger than the measured one, except N, without which
 //! there would be no noise at all. Units are those of each target's public documentation or code, named in its file.
 
+pub mod calibration;
 mod consistent;
 mod filter;
 mod form;
@@ -319,7 +320,7 @@ impl ImuNoise {
         };
         let (name, duration_s) = (harmless(&report.capture), report.duration_s);
         Self {
-            origin: format!("Capture {name}: {} s at {} Hz", short(duration_s), short(report.rate_hz)),
+            origin: format!("Capture {name}: {} s at {} Hz", short(duration_s), imu_core::units::hertz(report.rate_hz)),
             caution: None,
             behind: report
                 .channels

@@ -40,6 +40,9 @@ pub struct StampChoice {
     pub regular: Vec<f64>,
     /// The two alternating steps, for each column of stamps that comes in pairs.
     pub pairs: Vec<Option<Pairs>>,
+    /// The unit of the stamps before raw lines, if it is not seconds.
+    #[serde(skip)]
+    pub unit: Option<&'static str>,
 }
 
 /// The properties of the examined rows.

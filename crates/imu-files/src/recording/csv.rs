@@ -3,7 +3,7 @@
 //! Columns may stand in any order and be separated by comma, semicolon, tab or space ([`super::header`]); values
 //! are converted to the channel's unit once, here. Where the comma does not separate columns it may be the decimal
 //! sign: the first number with a sign decides, and a row with the other sign is rejected. Other columns are ignored
-//! and reported by name. A blank cell or NaN leaves its channel absent. A row is rejected if it has another number
+//! and reported by name. A blank cell, NaN, NA or null leaves its channel absent. A row is rejected if it has another number
 //! of cells, or a cell that is no number or no stamp. A line that ends within quotation marks is also rejected: a
 //! cell does not run over a line's end, or an open mark would consume the rows behind it. A rejected row's stamp
 //! still shows its time.
@@ -13,7 +13,7 @@
 
 use super::detect::read_error;
 use super::error::RecordingError;
-use super::header::{Column, Header, SPACE, Split, rate_of_comment};
+use super::header::{Column, Header, SPACE, Split, decoded, rate_of_comment};
 use super::info::Decimals;
 use super::input::Input;
 use super::number::{Plain, parse_plain};
@@ -27,6 +27,9 @@ use std::path::PathBuf;
 /// A row of all channels has about 300 bytes; foreign columns may make it longer. A longer line is no row: a file must
 /// not determine how much memory a line without end takes.
 const ROW_BYTES: usize = 64 * 1024;
+
+/// Cells without a value, as spreadsheets, R and Python write them, in any case of letters.
+const ABSENT: [&str; 8] = ["", "nan", "na", "n/a", "null", "none", "nil", "-"];
 
 /// The lines of a file, one at a time.
 struct Lines {
@@ -198,7 +201,7 @@ fn first_rows(input: &Input, after: u64) -> Vec<String> {
     while rows.len() < FIRST_ROWS && lines.advance().unwrap_or(false) {
         lines.by_return = lines.cut() || lines.by_return;
         if lines.number > after {
-            rows.push(String::from_utf8_lossy(lines.current()).into_owned());
+            rows.push(decoded(lines.current()));
         }
     }
     rows
@@ -215,7 +218,7 @@ impl CsvRows {
                 break Header::understand("", map, file, &Vec::new)?;
             }
             lines.by_return = lines.cut() || lines.by_return;
-            let line = String::from_utf8_lossy(lines.current()).into_owned();
+            let line = decoded(lines.current());
             if !Header::is_comment(&line, map) {
                 let number = lines.number;
                 break Header::understand(&line, map, file, &|| first_rows(input, number))?;
@@ -256,7 +259,9 @@ impl CsvRows {
                 return self.bad();
             }
         }
-        if rest.is_some() || taken.sample.channels().is_empty() { self.bad() } else { taken.found() }
+        // Some programs end each row with a delimiter that the header does not have.
+        let has_more = rest.is_some_and(|rest| !rest.trim_ascii().is_empty());
+        if has_more || taken.sample.channels().is_empty() { self.bad() } else { taken.found() }
     }
 
     fn bad(&self) -> Found {
@@ -369,7 +374,7 @@ impl Taken {
                     }
                     None => {
                         let text = std::str::from_utf8(cell).ok()?.trim();
-                        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+                        if ABSENT.iter().any(|absent| text.eq_ignore_ascii_case(absent)) {
                             return Some(());
                         }
                         let comma = *sign != Sign::Point && text.contains(',');

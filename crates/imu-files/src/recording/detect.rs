@@ -3,7 +3,7 @@
 
 use super::columns::foreign;
 use super::error::RecordingError;
-use super::header::{Header, foreign_names, numbers_like};
+use super::header::{Header, decoded, foreign_names, numbers_like};
 use super::input::Input;
 use super::meter::Refusal;
 use super::{folder, ros, table, vn_binary};
@@ -153,7 +153,7 @@ pub fn detect(input: &Input) -> Result<Kind, RecordingError> {
     }
     let lines = || head.split(|byte| *byte == b'\n').filter(|line| !line.trim_ascii().is_empty());
     let map = input.columns();
-    let text = |line: &[u8]| String::from_utf8_lossy(line).into_owned();
+    let text = |line: &[u8]| decoded(line);
     // Old files end their lines with a carriage return alone.
     let mut heads =
         lines().flat_map(|line| line.split(|byte| *byte == b'\r')).map(text).filter(|line| !line.is_empty());

@@ -63,7 +63,8 @@ fn lengths(values: &Values, triad: Triad) -> Vec<f64> {
         let squares: Option<f64> = channels.iter().map(|channel| sample.get(*channel).map(|value| value * value)).sum();
         squares.map(f64::sqrt)
     };
-    values.spread.iter().filter_map(length).collect()
+    // The square of a value that no sensor sends may be beyond all numbers.
+    values.spread.iter().filter_map(length).filter(|length| length.is_finite()).collect()
 }
 
 /// Returns the unit, with its suffix, in which this number satisfies `fits` in the channel's unit.
@@ -167,7 +168,7 @@ fn noise_at_rest(values: &Values) -> Option<f64> {
     };
     let accel = spreads(Triad::Accel)?;
     let length = accel.iter().map(|(median, _)| median * median).sum::<f64>().sqrt();
-    if length == 0.0 || accel.iter().any(|(_, spread)| *spread > REST * length) {
+    if length == 0.0 || !length.is_finite() || accel.iter().any(|(_, spread)| *spread > REST * length) {
         return None;
     }
     let mut axes = [0, 1, 2].map(|axis| {

@@ -1,6 +1,7 @@
 //! Errors that concern a recording as a whole. A single bad line is an item, not an error.
 
-use imu_core::sample::Channel;
+use imu_core::sample::{Channel, ChannelError};
+use imu_core::units::counted;
 use std::path::PathBuf;
 
 /// What can be read, for messages.
@@ -47,6 +48,20 @@ pub enum RecordingError {
         folder: PathBuf,
         /// Files in it.
         found: String,
+    },
+    /// A column has raw counts, which no factor makes SI.
+    #[error(
+        "{}: the column `{column}` is in counts, which have no unit: calibrate it with `vn100d calibrate`, or convert it and state its \
+         unit, such as --columns '{column}={channel}_…'",
+        file.display()
+    )]
+    Counts {
+        /// The file.
+        file: PathBuf,
+        /// The column.
+        column: String,
+        /// The channel.
+        channel: Channel,
     },
     /// The recording is no longer wanted.
     #[error("reading {} was called off", file.display())]
@@ -197,9 +212,10 @@ pub enum RecordingError {
     },
     /// The stamps do not determine a rate.
     #[error(
-        "{}: its {samples} samples have no two stamps of which the later is greater, \
-         so that no rate follows from them; take the stamps out and give --rate HZ",
-        file.display()
+        "{}: its {} no two stamps of which the later is greater, so that no rate follows from them; take the stamps out and \
+         give --rate HZ",
+        file.display(),
+        counted(*samples, "sample has", "samples have")
     )]
     NoStep {
         /// The file.
@@ -208,7 +224,7 @@ pub enum RecordingError {
         samples: u64,
     },
     /// The recording contains no sample.
-    #[error("{} has no sample: {lines} lines, {rejected} of them rejected{first}", file.display())]
+    #[error("{} has no sample: {}, {rejected} of them rejected{first}", file.display(), counted(*lines, "line", "lines"))]
     NoSample {
         /// The file.
         file: PathBuf,
@@ -242,6 +258,34 @@ pub enum RecordingError {
         file: PathBuf,
         /// The topics, with their types and the reasons why they are not read.
         found: String,
+    },
+    /// No sample is in the wanted part.
+    #[error(
+        "{} has no sample in the part that is wanted: it has {}, {length_s:.3} s",
+        file.display(),
+        counted(*samples, "sample", "samples")
+    )]
+    PartEmpty {
+        /// The file.
+        file: PathBuf,
+        /// Number of its samples.
+        samples: u64,
+        /// The time that they take, s.
+        length_s: f64,
+    },
+    /// The part is named by a time of day, which the recording does not tell.
+    #[error("{} tells no time of day: give the part in seconds since its first sample", file.display())]
+    PartTime {
+        /// The file.
+        file: PathBuf,
+    },
+    /// The part has a channel that the recording does not have.
+    #[error("{}: {error}", file.display())]
+    PartChannel {
+        /// The file.
+        file: PathBuf,
+        /// The channel, and those that the recording has.
+        error: ChannelError,
     },
     /// The given rate is invalid.
     #[error("a recording's rate must be a finite number above 0, not {found} Hz")]

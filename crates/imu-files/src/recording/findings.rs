@@ -6,6 +6,7 @@ use super::doubts::shown;
 use super::grid::StampGrid;
 use super::info::RecordingInfo;
 use imu_core::sample::Channel;
+use imu_core::units::counted;
 use std::collections::BTreeMap;
 
 /// A given rate is reported if it differs by more than this share from the rate found.
@@ -142,6 +143,8 @@ impl RecordingInfo {
         // Findings that invalidate other figures come first.
         let mut remarks: Vec<String> = self.pairs().into_iter().collect();
         remarks.extend(self.findings.doubts.iter().map(|doubt| doubt.sentence(self.kind)));
+        let unit = self.stamp_choice.as_ref().and_then(|choice| choice.unit);
+        remarks.extend(unit.map(|unit| format!("the stamps before $VN are in {unit}")));
         self.remark_rate(&mut remarks);
         self.remark_steps(&mut remarks);
         self.remark_rejected_stamps(&mut remarks);
@@ -265,16 +268,18 @@ impl RecordingInfo {
         let found = &self.findings;
         if found.frozen_stamps > 0 {
             remarks.push(format!(
-                "{} stamps repeat the one before, in {} runs of up to {} (a clock that stood still, or lines written twice): \
-                 those samples are rejected as duplicates",
-                found.frozen_stamps, found.frozen_runs, found.longest_frozen_run
+                "{} the one before, in {} of up to {} (a clock that stood still, or lines written twice): such samples are \
+                 rejected as duplicates",
+                counted(found.frozen_stamps, "stamp repeats", "stamps repeat"),
+                counted(found.frozen_runs, "run", "runs"),
+                found.longest_frozen_run
             ));
         }
         if let Some(latest_by_s) = found.latest_by_s {
             remarks.push(format!(
-                "{} stamps lie before the one before, by up to {} s (out of order, or a clock that was set back): those \
-                 samples are rejected as duplicates",
-                found.late_stamps,
+                "{} before the one before, by up to {} s (out of order, or a clock that was set back): such samples are \
+                 rejected as duplicates",
+                counted(found.late_stamps, "stamp lies", "stamps lie"),
                 shown(latest_by_s)
             ));
             let share = found.late_stamps as f64 / (self.samples + found.late_stamps) as f64;
@@ -289,8 +294,8 @@ impl RecordingInfo {
         }
         if found.stray_stamps > 0 {
             remarks.push(format!(
-                "{} stamps lie far ahead of those that follow or are of another clock: those samples are rejected",
-                found.stray_stamps
+                "{} far ahead of those that follow or of another clock: such samples are rejected",
+                counted(found.stray_stamps, "stamp is", "stamps are")
             ));
         }
     }
@@ -308,20 +313,20 @@ impl RecordingInfo {
         remarks.extend(self.quantisation());
         if found.repeated_samples as f64 > REPEATED_FROM * self.samples as f64 {
             remarks.push(format!(
-                "{} samples repeat the one before in every channel: the source was frozen or wrote them twice",
-                found.repeated_samples
+                "{} the one before in every channel: the source was frozen or wrote them twice",
+                counted(found.repeated_samples, "sample repeats", "samples repeat")
             ));
         }
         if found.restarts > 0 {
             remarks.push(format!(
-                "the sensor's clock restarted {} times (a reset): how long it was away nothing tells, no sample is counted missing there",
-                found.restarts
+                "the sensor's clock restarted {} (a reset): how long it was away nothing tells, no sample is counted missing there",
+                counted(found.restarts, "time", "times")
             ));
         }
         if found.strong_fields > 0 && found.doubts.iter().all(|doubt| doubt.triad != "mag") {
             remarks.push(format!(
-                "{} samples have a magnetic field above 25 gauss, which no VN-100 can tell: was it in gauss already?",
-                found.strong_fields
+                "{} a magnetic field above 25 gauss, which no VN-100 can tell: was it in gauss already?",
+                counted(found.strong_fields, "sample has", "samples have")
             ));
         }
     }
@@ -335,7 +340,7 @@ impl RecordingInfo {
         let samples = self.samples;
         let sentence = |(count, names): (u64, Vec<&str>)| {
             let has = if names.len() == 1 { "has" } else { "have" };
-            format!("{} {has} no value in {count} of {samples} samples", names.join(" "))
+            format!("{} {has} no value in {count} of {}", names.join(" "), counted(samples, "sample", "samples"))
         };
         groups.into_iter().map(sentence).collect()
     }
@@ -390,11 +395,6 @@ impl RecordingInfo {
             .collect();
         (!parts.is_empty()).then(|| format!("values come in steps: {}", parts.join(", ")))
     }
-}
-
-/// Returns a count with its noun.
-fn counted(count: u64, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 /// Returns a rate for display: 40.0, 1.0, 0.04245.

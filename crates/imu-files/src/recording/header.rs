@@ -21,6 +21,8 @@ pub(super) const SPACE: u8 = b' ';
 const STAMPS: [(&str, usize); 4] = [("time_s", 9), ("time_ms", 6), ("time_us", 3), ("time_ns", 0)];
 /// Names of the two columns of one stamp: its whole seconds, and the nanoseconds behind them.
 const PARTS: [(&str, usize); 2] = [("time_secs", 9), ("time_nsecs", 0)];
+/// The unit of values that no factor makes SI: steps of a converter, about an offset of its own.
+pub const COUNTS: &str = "counts";
 /// The maximum number of a file's columns in a message, and of characters of each.
 const SHOWN: (usize, usize) = (30, 40);
 
@@ -55,12 +57,14 @@ pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static st
             ("_nt", "nT", 1e-9 * GAUSS_PER_TESLA),
             ("_mt", "mT", 1e-3 * GAUSS_PER_TESLA),
             ("_mgauss", "mgauss", 1e-3),
+            ("_counts", COUNTS, 1.0),
         ],
         Some(Triad::Accel) => &[
             ("_m_s2", "m/s²", 1.0),
             ("_g", "g", STANDARD_GRAVITY_M_S2),
             ("_mg", "mg", 1e-3 * STANDARD_GRAVITY_M_S2),
             ("_ug", "µg", 1e-6 * STANDARD_GRAVITY_M_S2),
+            ("_counts", COUNTS, 1.0),
         ],
         Some(Triad::Gyro) => &[
             ("_rad_s", "rad/s", 1.0),
@@ -69,6 +73,7 @@ pub(super) fn suffixes(channel: Channel) -> &'static [(&'static str, &'static st
             ("_mdps", "mdps", 1e-3 * RAD_PER_DEG),
             ("_mrad_s", "mrad/s", 1e-3),
             ("_deg_h", "deg/h", RAD_PER_DEG / 3600.0),
+            ("_counts", COUNTS, 1.0),
         ],
         None if channel == Channel::Temperature => &[("_c", "°C", 1.0)],
         None => &[("_kpa", "kPa", 1.0), ("_hpa", "hPa", 0.1), ("_pa", "Pa", 1e-3), ("_bar", "bar", 100.0)],
@@ -97,8 +102,8 @@ pub(super) fn target(name: &str) -> Option<Target> {
 
 /// Returns the names that [`target`] accepts, abbreviated.
 pub(super) fn allowed_names() -> &'static str {
-    "time_{s,ms,us,ns}, time_{secs,nsecs}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,mgauss,tesla,mt,ut,nt}, \
-     accel_{x,y,z}_{m_s2,g,mg,ug}, gyro_{x,y,z}_{rad_s,mrad_s,deg_s,dps,mdps,deg_h}, temperature_c and \
+    "time_{s,ms,us,ns}, time_{secs,nsecs}, {yaw,pitch,roll}_{deg,rad}, mag_{x,y,z}_{gauss,mgauss,tesla,mt,ut,nt,counts}, \
+     accel_{x,y,z}_{m_s2,g,mg,ug,counts}, gyro_{x,y,z}_{rad_s,mrad_s,deg_s,dps,mdps,deg_h,counts}, temperature_c and \
      pressure_{kpa,hpa,pa,bar}"
 }
 
@@ -148,7 +153,9 @@ impl Header {
     /// Returns whether a line is a comment before the header.
     pub(super) fn is_comment(line: &str, map: &ColumnMap) -> bool {
         let line = line.trim_start_matches('\u{FEFF}').trim_start();
-        line.starts_with(['#', '%']) && delimiter(without_comment_sign(line, map), map).1 == 0
+        // Excel's line that names the delimiter, and Xsens' comments.
+        let is_marked = line.starts_with("//") || line.starts_with(['#', '%']);
+        line.starts_with("sep=") || is_marked && delimiter(without_comment_sign(line, map), map).1 == 0
     }
 }
 
@@ -230,6 +237,11 @@ fn delimiter(line: &str, map: &ColumnMap) -> (u8, usize) {
     counted.max_by_key(|(_, known)| *known).unwrap_or_else(none)
 }
 
+/// Returns text of UTF-8, or of ISO 8859-1 if it is not that: programs of Windows write `°/s` and `m/s²` in it.
+pub(super) fn decoded(bytes: &[u8]) -> String {
+    std::str::from_utf8(bytes).map_or_else(|_| bytes.iter().map(|byte| char::from(*byte)).collect(), str::to_owned)
+}
+
 /// Returns a line's cells; a cell in quotation marks stays whole.
 fn cells(line: &str, delimiter: u8) -> Vec<String> {
     if delimiter == SPACE {
@@ -238,7 +250,7 @@ fn cells(line: &str, delimiter: u8) -> Vec<String> {
     let mut split = Split::default();
     split.push(line.as_bytes(), delimiter);
     split.finish();
-    split.cells().map(|cell| String::from_utf8_lossy(cell).into_owned()).collect()
+    split.cells().map(decoded).collect()
 }
 
 /// Returns whether every column that the user named by its position contains a number or is empty; other columns may

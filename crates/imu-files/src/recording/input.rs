@@ -28,6 +28,9 @@ pub struct Input {
     keep_on: KeepOn,
     expansion: Expansion,
     columns: ColumnMap,
+    takes_counts: bool,
+    /// The files that follow, in order: those of a split bag.
+    further: Arc<[PathBuf]>,
     /// The arrays of a file that is read whole.
     arrays: Arc<OnceLock<Arc<Arrays>>>,
 }
@@ -41,6 +44,8 @@ impl Input {
             keep_on: KeepOn::default(),
             expansion: EXPANSION,
             columns: ColumnMap::default(),
+            takes_counts: false,
+            further: Arc::default(),
             arrays: Arc::default(),
         }
     }
@@ -53,6 +58,16 @@ impl Input {
     /// Sets the file, with all else as it is.
     pub(super) fn with_path(self, path: PathBuf) -> Self {
         Self { path, ..self }
+    }
+
+    /// Sets the files that follow.
+    pub(super) fn followed_by(self, further: Vec<PathBuf>) -> Self {
+        Self { further: further.into(), ..self }
+    }
+
+    /// Returns the files that follow.
+    pub(super) fn further(&self) -> &[PathBuf] {
+        &self.further
     }
 
     /// Sets the bytes that stand for the path.
@@ -68,6 +83,16 @@ impl Input {
     /// Sets the map of the columns of a foreign CSV.
     pub fn with_columns(self, columns: ColumnMap) -> Self {
         Self { columns, ..self }
+    }
+
+    /// Takes columns in counts as they are if `takes_counts`; else a recording with such columns is refused.
+    pub fn with_counts(self, takes_counts: bool) -> Self {
+        Self { takes_counts, ..self }
+    }
+
+    /// Returns whether columns in counts are taken.
+    pub(super) fn takes_counts(&self) -> bool {
+        self.takes_counts
     }
 
     /// Returns the map of the columns of a foreign CSV.

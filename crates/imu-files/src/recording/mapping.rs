@@ -127,6 +127,18 @@ impl ColumnMap {
         self.pairs.get(found).map(|(_, name)| (found, name.as_str()))
     }
 
+    /// Returns the elements of the array with this path that are named, as `path[2]` or `path.2`: the pair's index in the
+    /// map, the place from 0, and the meaning.
+    pub(super) fn elements(&self, path: &str) -> impl Iterator<Item = (usize, u32, &str)> {
+        self.pairs.iter().enumerate().filter_map(move |(pair, (foreign, name))| {
+            let Foreign::Name(foreign) = foreign else { return None };
+            let behind = foreign.strip_prefix(path)?;
+            let digits = behind.strip_prefix('.').or_else(|| behind.strip_prefix('[')?.strip_suffix(']'))?;
+            let digits = Some(digits).filter(|digits| digits.bytes().all(|byte| byte.is_ascii_digit()))?;
+            Some((pair, digits.parse().ok()?, name.as_str()))
+        })
+    }
+
     /// Returns the foreign sides.
     pub(super) fn foreign(&self) -> impl Iterator<Item = &Foreign> {
         self.pairs.iter().map(|(foreign, _)| foreign)
@@ -212,7 +224,7 @@ mod tests {
         for (text, words) in [
             ("ax", ["\"ax\"", "FOREIGN=NAME"]),
             ("=accel_x_g", ["\"=accel_x_g\"", "FOREIGN=NAME"]),
-            ("ax=accel_x", ["\"accel_x\" is no column's name", "accel_{x,y,z}_{m_s2,g,mg,ug}"]),
+            ("ax=accel_x", ["\"accel_x\" is no column's name", "accel_{x,y,z}_{m_s2,g,mg,ug,counts}"]),
             ("t=time,ax=accel_x_g", ["\"time\"", "time_{s,ms,us,ns}"]),
             ("ax=accel_x_g,t", ["\"t\"", "FOREIGN=NAME"]),
             ("#0=accel_x_g", ["#0", "count from #1"]),

@@ -12,6 +12,8 @@
 //! duplicate, one whose stamp lies ahead of those that follow as malformed. Values are those of the text, converted
 //! only if the column's unit is not the channel's.
 //!
+//! A part ([`Options::part`]) is read as if the file had no more.
+//!
 //! Times: of several stamps the smoothest is used ([`choice`]). A sample's `device_time_ns` is its stamp counted from
 //! the first one. Its UTC is the stamp if stamps are seconds since 1970, else counted from [`Options::started_utc_ns`].
 
@@ -44,6 +46,7 @@ mod meter;
 mod number;
 mod order;
 mod pairs;
+mod part;
 mod placing;
 mod propose;
 mod quantum;
@@ -56,6 +59,7 @@ mod turning;
 mod utf16;
 mod values;
 mod vn_binary;
+mod vn_stamps;
 mod vn_text;
 mod vocabulary;
 
@@ -66,18 +70,21 @@ pub use error::RecordingError;
 pub use findings::{Doubt, Findings, Pairs, Quantisation};
 pub use folder::{is_recording_folder, recording_file, recording_files};
 pub use grid::StampGrid;
+pub use header::COUNTS;
 pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
 pub use input::{Input, open_regular, read_small};
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use mapping::{ColumnMap, ColumnsError};
 pub use meter::KeepOn;
+pub use part::{Part, PartEnd};
 pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
 pub use rows::Rejected;
 
 use choice::{Chosen, choose, choose_of_columns};
-use imu_core::sample::{ChannelSet, Sample};
+use imu_core::sample::{Channel, ChannelSet, Sample};
 use imu_core::units::{NANOS_PER_SECOND, period_ns};
 use order::{Entry, Order};
+use part::{Cut, Reading};
 use placing::Placing;
 use rows::Rows;
 use stamps::UNIX_FROM_NS;
@@ -105,6 +112,8 @@ pub struct Options {
     pub started_utc_ns: i64,
     /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageDefinition>,
+    /// The wanted part.
+    pub part: Part,
 }
 
 /// One line's outcome.
@@ -142,17 +151,37 @@ impl Recording {
             return Err(RecordingError::Rate { found: rate_hz });
         }
         let input = folder::resolved(input)?;
+        let layout = Layout::find(&input, &options)?;
+        let whole = Self::surveyed(input, layout, &options, None)?;
+        if options.part.is_whole() {
+            return Ok(whole);
+        }
+        let Self { input, mut layout, info } = whole;
+        layout.cut = Some(options.part.cut(&layout, &info)?);
+        if options.part.channels.is_some() {
+            layout.find_grid(&input, options.rate_hz)?;
+        }
+        Self::surveyed(input, layout, &options, Some(&info))
+    }
+
+    /// Passes over the file; `whole` is the result for the whole recording if a part of it is read.
+    fn surveyed(
+        input: Input,
+        mut layout: Layout,
+        options: &Options,
+        whole: Option<&RecordingInfo>,
+    ) -> Result<Self, RecordingError> {
         let file = input.path();
-        let mut layout = Layout::find(&input, &options)?;
-        let mut source = layout.open(&input)?;
-        let mut survey = Survey::of(source.rows(), &layout.chosen)?;
+        let mut reading = layout.open(&input)?;
+        let mut survey = Survey::of(&mut reading, &layout.chosen)?;
         if let Some(grid) = survey.another_grid(layout.chosen.grid.as_ref()) {
             layout.chosen.grid = Some(grid);
-            source = layout.open(&input)?;
-            survey = Survey::of(source.rows(), &layout.chosen)?;
+            reading = layout.open(&input)?;
+            survey = Survey::of(&mut reading, &layout.chosen)?;
         }
+        let source = &reading.source;
         if survey.samples == 0 {
-            return Err(survey.no_sample(file));
+            return Err(whole.map_or_else(|| survey.no_sample(file), Part::nothing));
         }
         let stamps = match survey.first_stamp_ns {
             None => Stamps::None,
@@ -176,7 +205,12 @@ impl Recording {
         let first_stamp_ns = survey.first_stamp_ns.unwrap_or(0);
         let started_utc_ns = if stamps == Stamps::Unix { first_stamp_ns } else { options.started_utc_ns };
         let (conversions, ignored_columns) = source.about();
-        let findings = survey.findings(rate_hz, stamps, &conversions, source.rows().decimals());
+        let counts = conversions.iter().find(|of| of.original_unit == COUNTS);
+        if let Some(counts) = counts.filter(|_| !input.takes_counts()) {
+            let (column, channel) = (counts.column.clone(), counts.channel);
+            return Err(RecordingError::Counts { file: file.to_owned(), column, channel });
+        }
+        let findings = survey.findings(rate_hz, stamps, &conversions, source.decimals());
         let stamps_hz = match (options.rate_hz, layout.chosen.overridden_hz) {
             (Some(_), None) if stamped => survey.period_ns().map(|period_ns| NANOS_PER_SECOND as f64 / period_ns),
             (_, overridden_hz) => overridden_hz,
@@ -185,7 +219,7 @@ impl Recording {
             file: file.to_owned(),
             kind: layout.kind,
             channels: survey.channels,
-            decimals: source.rows().decimals().clone(),
+            decimals: source.decimals().clone(),
             conversions,
             ignored_columns,
             second_columns: source.columns().map(|columns| columns.second.clone()).unwrap_or_default(),
@@ -193,7 +227,7 @@ impl Recording {
             stamp_choice: source.stamp_choice(&layout.chosen).filter(|_| stamped),
             findings: Findings {
                 restarts: source.restarts(),
-                absent: survey.absent(survey.channels.union(source.claimed())),
+                absent: survey.absent(survey.channels.union(layout.wanted(source.claimed()))),
                 commented_rate_hz: commented_rate_hz.filter(|_| !stamped),
                 ..findings
             },
@@ -222,7 +256,7 @@ impl Recording {
     /// [`RecordingError`] if the file can no longer be opened.
     pub fn items(&self) -> Result<Items, RecordingError> {
         Ok(Items {
-            source: self.layout.open(&self.input)?,
+            reading: self.layout.open(&self.input)?,
             placing: Placing::new(&self.layout.chosen),
             last_ns: None,
             first_stamp_ns: self.info.first_stamp_ns,
@@ -236,7 +270,7 @@ impl Recording {
 
 /// A recording's samples and rejected lines.
 pub struct Items {
-    source: Source,
+    reading: Reading,
     placing: Placing,
     /// The last sample's time since the first stamp, ns.
     last_ns: Option<i64>,
@@ -257,7 +291,7 @@ impl std::fmt::Debug for Items {
 impl Items {
     fn next_item(&mut self) -> Result<Option<Item>, RecordingError> {
         loop {
-            let Some((entry, placed)) = self.placing.next_entry(self.source.rows())? else { return Ok(None) };
+            let Some((entry, placed)) = self.placing.next_entry(&mut self.reading)? else { return Ok(None) };
             match entry {
                 Entry::Aside => {}
                 Entry::Rejected(mut rejected, stamp_ns) => {
@@ -311,9 +345,17 @@ struct Layout {
     chosen: Chosen,
     /// The topics of a bag.
     topics: Option<ros::Topics>,
+    /// What is kept of the rows, if not all of them.
+    cut: Option<Cut>,
 }
 
 impl Layout {
+    /// Returns those of these channels that are wanted.
+    fn wanted(&self, channels: ChannelSet) -> ChannelSet {
+        let is_wanted = |channel: &Channel| self.cut.as_ref().is_none_or(|cut| cut.channels.contains(*channel));
+        channels.iter().filter(is_wanted).collect()
+    }
+
     fn find(input: &Input, options: &Options) -> Result<Self, RecordingError> {
         let kind = detect(input)?;
         let has_columns = !input.columns().is_empty();
@@ -339,7 +381,7 @@ impl Layout {
                 (choose_of_columns(&mut rows, count)?, None)
             }
         };
-        let mut layout = Self { kind, chosen, topics };
+        let mut layout = Self { kind, chosen, topics, cut: None };
         layout.find_grid(input, options.rate_hz)?;
         Ok(layout)
     }
@@ -349,10 +391,10 @@ impl Layout {
         if self.chosen.column.is_none() {
             return Ok(());
         }
-        let mut source = self.open(input)?;
+        let mut reading = self.open(input)?;
         let (mut order, mut first) = (Order::new(&self.chosen), Vec::new());
         while first.len() < grid::LOOK_AT
-            && let Some(entry) = order.next_entry(source.rows())?
+            && let Some(entry) = order.next_entry(&mut reading)?
         {
             if let Entry::Sample { stamp_ns: Some(stamp_ns), .. } = entry {
                 first.push(stamp_ns);
@@ -368,7 +410,14 @@ impl Layout {
         Ok(())
     }
 
-    fn open(&self, input: &Input) -> Result<Source, RecordingError> {
+    fn open(&self, input: &Input) -> Result<Reading, RecordingError> {
+        // A sensor's own clock starts again with a reset, and the stamps of bags are the host's.
+        let can_turn = !matches!(self.kind, Kind::RawBytes | Kind::Bag | Kind::Db3 | Kind::Mcap);
+        let turning = self.chosen.column.filter(|_| can_turn);
+        self.source(input).map(|source| Reading::new(source, self.cut.clone(), turning))
+    }
+
+    fn source(&self, input: &Input) -> Result<Source, RecordingError> {
         if let Some(topics) = &self.topics {
             return Ok(Source::Ros(Box::new(ros::RosRows::open(input, topics)?), topics.clone()));
         }
@@ -398,6 +447,16 @@ impl Source {
             Self::RawBytes(rows) => rows.as_mut(),
             Self::Table(rows) => rows.as_mut(),
             Self::Ros(rows, _) => rows.as_mut(),
+        }
+    }
+    /// Returns how the values read so far were written.
+    fn decimals(&self) -> &info::Decimals {
+        match self {
+            Self::Csv(rows) => rows.decimals(),
+            Self::VnText(rows) => rows.decimals(),
+            Self::RawBytes(rows) => rows.decimals(),
+            Self::Table(rows) => rows.decimals(),
+            Self::Ros(rows, _) => rows.decimals(),
         }
     }
     /// Returns the columns of a table.
@@ -450,6 +509,8 @@ impl Source {
             Self::RawBytes(_) => "sensor's time since its start".to_owned(),
             Self::Ros(..) => ros::STAMP_NAMES.get(column).copied().unwrap_or_default().to_owned(),
         };
-        Some(StampChoice { name, column: column + 1, regular: chosen.regular.clone(), pairs: chosen.pairs.clone() })
+        let unit = if let Self::VnText(rows) = self { rows.unit(column) } else { None };
+        let (regular, pairs) = (chosen.regular.clone(), chosen.pairs.clone());
+        Some(StampChoice { name, column: column + 1, regular, pairs, unit })
     }
 }

@@ -148,7 +148,7 @@ fn stamps_that_stand_still_or_come_late_are_counted_and_reported() {
     assert_eq!(recording.info().rejected, [(DiscardCause::Duplicate, 6)].into());
     let remarks = recording.info().remarks();
     assert_remark(&remarks, &["5 stamps repeat the one before, in 2 runs of up to 4"]);
-    assert_remark(&remarks, &["1 stamps lie before the one before, by up to 0.05 s"]);
+    assert_remark(&remarks, &["1 stamp lies before the one before, by up to 0.05 s"]);
 }
 
 #[test]

@@ -33,6 +33,8 @@ impl Siblings {
         let Some((before, index)) = index(name) else { return Cow::Borrowed(name) };
         let has = |index: usize| self.names.contains(&format!("{before}[{index}]"));
         match index {
+            // A matrix of several quantities.
+            _ if has(4) => Cow::Owned(format!("{before}[]")),
             _ if has(0) => Cow::Borrowed(name),
             1.. if has(1) && has(2) && has(3) => Cow::Owned(format!("{before}[{}]", index - 1)),
             _ => Cow::Owned(format!("{before}[]")),

@@ -7,17 +7,8 @@ use imu_core::units::NANOS_PER_SECOND;
 /// years).
 pub(super) const UNIX_FROM_NS: i64 = 100_000_000 * NANOS_PER_SECOND as i64;
 
-/// Decimal places from a second to a nanosecond.
-const NANO_PLACES: usize = 9;
-
-/// Converts seconds as decimal text to nanoseconds, rounded at the tenth decimal; `None` if the text is no number or
-/// the time lies beyond 292 years.
-pub(super) fn parse_seconds(text: &str) -> Option<i64> {
-    parse_stamp(text.as_bytes(), NANO_PLACES)
-}
-
-/// Converts a stamp in any unit of which a nanosecond is the `places`th decimal: 9 for seconds, 6 for ms, 3 for µs, 0
-/// for ns.
+/// Converts a stamp as decimal text to nanoseconds, rounded at the next decimal, in any unit of which a nanosecond is the `places`th
+/// decimal: 9 for seconds, 6 for ms, 3 for µs, 0 for ns. `None` if the text is no number or the time lies beyond 292 years.
 ///
 /// This does not use `f64`, which resolves a time since 1970 only to 240 ns.
 pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
@@ -48,11 +39,16 @@ pub(super) fn parse_stamp(text: &[u8], places: usize) -> Option<i64> {
 
 /// Converts a date of ISO 8601 with a time of day to nanoseconds since 1970; one without a zone counts as UTC.
 pub(super) fn parse_date(text: &[u8]) -> Option<i64> {
-    if text.get(4) != Some(&b'-') || !text.contains(&b':') {
+    if !matches!(text.get(4), Some(b'-' | b'/')) || !text.contains(&b':') {
         return None;
     }
-    let text = std::str::from_utf8(text).ok()?.trim();
-    let with_zone = chrono::DateTime::parse_from_rfc3339(text).ok().map(|date| date.to_utc());
+    // ISO 8601 permits a comma before the fraction; others write slashes, or the zone's name.
+    let text = std::str::from_utf8(text).ok()?.trim().replacen(',', ".", 1).replacen('/', "-", 2);
+    let of_utc = text.strip_suffix("UTC").or(text.strip_suffix("GMT"));
+    let text = of_utc.map_or(text.as_str(), str::trim_end);
+    let zones = ["%Y-%m-%dT%H:%M:%S%.f%z", "%Y-%m-%d %H:%M:%S%.f%z", "%Y-%m-%d %H:%M:%S%.f %z"];
+    let other = || zones.iter().find_map(|form| chrono::DateTime::parse_from_str(text, form).ok());
+    let with_zone = chrono::DateTime::parse_from_rfc3339(text).ok().or_else(other).map(|date| date.to_utc());
     let without = || {
         let forms = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f"];
         forms.iter().find_map(|form| chrono::NaiveDateTime::parse_from_str(text, form).ok()).map(|date| date.and_utc())
@@ -86,6 +82,11 @@ impl RowStamps {
     }
     pub(super) fn count(&self) -> usize {
         self.count
+    }
+    pub(super) fn set(&mut self, column: usize, stamp_ns: i64) {
+        if let Some(own) = self.nanos[..self.count].get_mut(column) {
+            *own = stamp_ns;
+        }
     }
     pub(super) fn get(&self, column: usize) -> Option<i64> {
         self.nanos[..self.count].get(column).copied()
@@ -237,7 +238,7 @@ mod tests {
             ("99999999999999", None),
             ("12:30", None),
         ] {
-            assert_eq!(parse_seconds(text), nanos, "{text:?}");
+            assert_eq!(parse_stamp(text.as_bytes(), 9), nanos, "{text:?}");
         }
     }
 
@@ -266,6 +267,10 @@ mod tests {
             ("2024-03-13T20:31:07.5+01:00", Some(1_710_358_267_500_000_000)),
             ("2024-03-13 19:31:07.5", Some(1_710_358_267_500_000_000)),
             ("2024-03-13T19:31:07", Some(1_710_358_267_000_000_000)),
+            ("2024-03-13T20:31:07,5+0100", Some(1_710_358_267_500_000_000)),
+            ("2024-03-13 11:31:07.5 -08:00", Some(1_710_358_267_500_000_000)),
+            ("2024/03/13 19:31:07.5", Some(1_710_358_267_500_000_000)),
+            ("2024-03-13 19:31:07.5 UTC", Some(1_710_358_267_500_000_000)),
             ("2024-03-13", None),
             ("19:31:07", None),
             ("2024-13-13T19:31:07Z", None),

@@ -85,16 +85,51 @@ fn columns_stand_in_any_order_and_units_are_converted_once() {
 
 #[test]
 fn a_blank_cell_or_nan_is_an_absent_channel_and_never_a_number() {
-    let content = "time_s,gyro_x_rad_s,gyro_y_rad_s\n0,1,1\n1,,2\n2,NaN,3\n3,4,4\n4,,\n5,6,6\n";
-    let loaded = Folder::new().load(content, Options::default()).unwrap();
-    let x = loaded.column(Channel::GyroX).unwrap();
-    let numbers: Vec<Option<f64>> =
-        x.values.iter().map(|value| Some(*value).filter(|value| value.is_finite())).collect();
-    assert_eq!(numbers, [Some(1.0), None, None, Some(4.0), Some(6.0)]);
+    for absent in ["NaN", "NA", "null", "None", "-", " n/a "] {
+        let content =
+            format!("time_s,gyro_x_rad_s,gyro_y_rad_s\n0,1,1\n1,,2\n2,{absent},3\n3,4,4\n4,,{absent}\n5,6,6\n");
+        let loaded = Folder::new().load(&content, Options::default()).unwrap();
+        let x = loaded.column(Channel::GyroX).unwrap();
+        let numbers: Vec<Option<f64>> =
+            x.values.iter().map(|value| Some(*value).filter(|value| value.is_finite())).collect();
+        assert_eq!(numbers, [Some(1.0), None, None, Some(4.0), Some(6.0)], "{absent}");
+        check_gap_of_an_empty_row(&loaded);
+    }
+}
+
+fn check_gap_of_an_empty_row(loaded: &LoadedRecording) {
     // The row without any value is rejected: the stamps show the gap.
     assert_eq!(loaded.segments, [0..4, 4..5]);
     assert_eq!(shape(&loaded.gaps), [(4, 1, true, GapCause::Source)]);
     assert_eq!(loaded.info.rejected, [(DiscardCause::Malformed, 1)].into());
+}
+
+#[test]
+fn what_programs_of_windows_write_around_a_table_is_read() {
+    let rows = "0,1,2,3\n1,4,5,6\n";
+    for (header, rows) in [
+        ("sep=,\ntime_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]\n", rows.to_owned()),
+        (
+            "// Start Time: Unknown\n// Update Rate: 1.0Hz\nZeit (s),gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]\n",
+            rows.to_owned(),
+        ),
+        ("time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]\n", rows.replace('\n', ",\n")),
+        (
+            "//seq,time_s,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]\n",
+            rows.replace("0,1", "7,0,1").replace("1,4", "8,1,4"),
+        ),
+    ] {
+        let loaded = Folder::new().load(&format!("{header}{rows}"), Options::default()).unwrap();
+        assert_eq!((loaded.samples, loaded.info.rate_hz, loaded.info.rejected.len()), (2, 1.0, 0), "{header}");
+    }
+    let mut latin = b"time_s,gyro_x [\xb0/s],accel_x [m/s\xb2]\n0,90,1\n1,90,1\n".to_vec();
+    let loaded = columns(&Recording::read(Input::memory("a.csv", latin.clone()), Options::default()).unwrap()).unwrap();
+    assert_eq!(loaded.samples, 2);
+    assert!((values(&loaded, Channel::GyroX)[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    // A cell that is no UTF-8 is still no number.
+    latin.extend(b"2,\xb0,1\n");
+    let loaded = columns(&Recording::read(Input::memory("a.csv", latin), Options::default()).unwrap()).unwrap();
+    assert_eq!((loaded.samples, loaded.info.rejected.len()), (2, 1));
 }
 
 #[test]
@@ -357,6 +392,9 @@ fn the_last_number_before_the_dollar_is_the_stamp() {
         assert_eq!(loaded.samples, 4);
     }
     let content: String = (0..4).map(|i| format!("[12:30:0{i}] {}\n", line(0.1))).collect();
+    let loaded = folder.load(&content, Options::default()).unwrap();
+    assert_eq!((loaded.info.stamps, loaded.info.rate_hz), (Stamps::Relative, 1.0));
+    let content: String = (0..4).map(|_| format!("desk: {}\n", line(0.1))).collect();
     let loaded = folder.load(&content, Options::default()).unwrap();
     assert_eq!((loaded.info.stamps, loaded.info.ignored_columns.len()), (Stamps::None, 1));
 }

@@ -1,8 +1,7 @@
 //! Raw `$VN…` lines, as a terminal program or a logging driver wrote them.
 //!
-//! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers separated by tabs, spaces, commas or semicolons are
-//! stamps in seconds, or nanoseconds since 1970; [`super::choice`] selects one of several. Other text there is
-//! ignored and reported.
+//! A line is `[stamp …] $VN…*checksum`. Before the `$`, numbers and dates separated by tabs, spaces, commas or semicolons
+//! are stamps ([`super::vn_stamps`]); [`super::choice`] selects one of several. Other text there is ignored and reported.
 //!
 //! The checksum decides, by the same decoder that reads a port. A line whose checksum fails is rejected, and nothing in
 //! it is guessed. Only a complete good message behind a spliced one is still a sample. Valid messages without a
@@ -15,16 +14,16 @@ use super::header::foreign_names;
 use super::info::Decimals;
 use super::input::Input;
 use super::rows::{Rejected, Row, Rows};
-use super::stamps::{RowStamps, UNIX_FROM_NS, parse_seconds, parse_stamp};
+use super::vn_stamps::Units;
 use imu_core::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, Event};
 
 /// Longest line that is kept whole; the rest is read as another line. Messages are shorter than 300 bytes.
-const LINE_BYTES: u64 = 4096;
+pub(super) const LINE_BYTES: u64 = 4096;
 /// The beginning of every message.
-const START: &[u8] = b"$VN";
+pub(super) const START: &[u8] = b"$VN";
 /// The name of text before the message that is no stamp, in the list of ignored columns.
 const UNREAD_PREFIX: &str = "text before $VN";
 
@@ -46,6 +45,7 @@ pub(super) struct VnRows {
     bytes: Vec<u8>,
     /// The number of stamps of a measurement; `None` accepts any number.
     stamp_count: Option<usize>,
+    units: Units,
     ignored: Vec<String>,
     decimals: Decimals,
     decoder: Decoder,
@@ -61,6 +61,7 @@ impl VnRows {
             line: 0,
             bytes: Vec::new(),
             stamp_count,
+            units: Units::of(input)?,
             ignored: Vec::new(),
             decimals: Decimals::default(),
             decoder: line_decoder(),
@@ -71,6 +72,11 @@ impl VnRows {
     /// Returns the ignored parts of the lines read so far.
     pub(super) fn ignored(&self) -> &[String] {
         &self.ignored
+    }
+
+    /// Returns the unit of a column of stamps, if it is not seconds.
+    pub(super) fn unit(&self, column: usize) -> Option<&'static str> {
+        self.units.name(column)
     }
 
     /// Reads one line into `bytes`; returns whether there was one.
@@ -103,7 +109,7 @@ impl VnRows {
         let (prefix, message) = line.split_at(start);
         let message = unquoted(message);
         let (message, bad) = read_message(message, &mut self.decoder, &mut self.decimals);
-        let (stamps, is_text) = stamps(prefix);
+        let (stamps, is_text) = self.units.stamps(prefix);
         let bad = bad.map(|cause| rejected(cause, true));
         let sample = match message {
             Message::Measurement(sample) if sample.channels().is_empty() => {
@@ -191,28 +197,6 @@ fn unquoted(message: &[u8]) -> &[u8] {
     let message = &message[..bare(message)];
     let message = message.strip_suffix(br"\n").unwrap_or(message);
     message.strip_suffix(br"\r").unwrap_or(message)
-}
-
-/// Returns the stamps before a message, and whether there is also something that is no stamp: then none of it is used.
-fn stamps(prefix: &[u8]) -> (RowStamps, bool) {
-    let mut stamps = RowStamps::default();
-    let Ok(text) = std::str::from_utf8(prefix) else { return (stamps, true) };
-    // The message may be a table's cell in quotation marks, or Python's bytes.
-    let bare = text.trim_end_matches(['"', '\'']);
-    let text =
-        if bare.len() < text.len() { bare.strip_suffix('b').unwrap_or(bare).trim_end_matches('"') } else { text };
-    // A stamp may be a cell in quotation marks as well.
-    let words =
-        text.split(|c: char| c.is_whitespace() || c == ',' || c == ';').map(|word| word.trim_matches(['"', '\'']));
-    for word in words.filter(|word| !word.is_empty()) {
-        // What is too large for seconds may be nanoseconds since 1970, as rostopic writes them.
-        let nanos = || parse_stamp(word.as_bytes(), 0).filter(|nanos| *nanos >= UNIX_FROM_NS);
-        match parse_seconds(word).or_else(nanos) {
-            Some(nanos) => stamps.push(nanos),
-            None => return (RowStamps::default(), true),
-        }
-    }
-    (stamps, false)
 }
 
 #[cfg(test)]

@@ -183,7 +183,7 @@ const TIMES: [(&[&str], usize); 4] = [
     (&["ns", "nsec", "nanos", "nanosecond", "nanoseconds"], 0),
 ];
 /// Words for time, and words that may stand beside them.
-const TIME_WORDS: [&str; 8] = ["time", "timestamp", "timestamps", "stamp", "t", "ts", "elapsed", "epoch"];
+const TIME_WORDS: [&str; 9] = ["time", "timestamp", "timestamps", "stamp", "t", "ts", "elapsed", "epoch", "zeit"];
 const BESIDE_TIME: [&str; 22] = [
     "since",
     "start",

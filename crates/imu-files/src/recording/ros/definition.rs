@@ -4,9 +4,10 @@
 //! and `MSG: package/Name` (ROS 2 also writes `package/msg/Name`). Types that the text lacks come from the
 //! definitions that the user gave ([`MessageDefinition`]), then from the [standard ones](imu_core::ros_messages).
 //! The wanted types, at any depth, are `sensor_msgs/Imu`, `MagneticField`, `Temperature` and `FluidPressure`, and
-//! the groups of `vectornav_msgs`. Also wanted are fields that the user names by their dotted paths, numbers named
-//! as a CSV's columns (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The
-//! content of arrays is skipped.
+//! the groups of `vectornav_msgs`. Also wanted are fields that the user names by their dotted paths (numbers of any
+//! kind, and elements of arrays of numbers: `imu.rate[0]`), floating-point numbers named as a CSV's columns
+//! (`gyro_x_rad_s`), the stamps of headers, and strings (one may be the sensor's raw line). The rest of arrays is
+//! skipped.
 //!
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
@@ -14,7 +15,7 @@
 use super::super::header::known_column;
 use super::super::mapping::ColumnMap;
 use super::given::MessageDefinition;
-use super::layout::{Encoding, Layout, MessageError, Op, Unit, multiply};
+use super::layout::{Encoding, Layout, MessageError, Number, Op, Unit, Wanted, multiply};
 use imu_core::ros_messages;
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::GAUSS_PER_TESLA;
@@ -303,18 +304,24 @@ impl Types<'_> {
         let name = field.name.as_str();
         match field.repeat {
             Repeat::Once => {
-                let wide = field.kind == "float64";
-                let is_float = wide || field.kind == "float32";
+                let number = Number::of(&field.kind);
+                let is_float = matches!(number, Some(Number::Float32 | Number::Float64));
                 let own = meaning.channel(name).filter(|(channel, _)| is_float && !self.map.has(*channel));
-                match self.of_user(name, is_float, meaning).or(own) {
+                let found = number.and_then(|number| Some((number, self.of_user(name, meaning).or(own)?)));
+                match found {
                     // A second sensor in one message does not overwrite the first.
-                    Some((channel, unit)) if !has(ops, channel) => ops.push(Op::Value { channel, wide, unit }),
+                    Some((number, (channel, unit))) if !has(ops, channel) => {
+                        ops.push(Op::Value(Wanted { channel, number, unit }));
+                    }
                     _ if meaning == Meaning::Header && field.kind == "time" => ops.push(Op::Stamp),
                     _ => self.skip(ops, size, size)?,
                 }
             }
             Repeat::Times(times) => {
                 let bytes = multiply(size, times)?;
+                if self.elements(field, Some(times), meaning, ops) {
+                    return Ok(());
+                }
                 match meaning.covariance(name).filter(|_| field.kind == "float64" && times > 0) {
                     Some(triad) if !ops.contains(&Op::Covariance(triad)) => {
                         ops.push(Op::Covariance(triad));
@@ -323,24 +330,54 @@ impl Types<'_> {
                     _ => self.skip(ops, size, bytes)?,
                 }
             }
+            Repeat::Counted if self.elements(field, None, meaning, ops) => {}
             Repeat::Counted => ops.push(Op::SkipCounted { align: size, bytes: size }),
         }
         Ok(())
     }
 
     /// Returns what the user's map states about a number.
-    fn of_user(&mut self, name: &str, is_float: bool, meaning: Meaning) -> Option<(Channel, Unit)> {
-        if !is_float || meaning == Meaning::Array {
+    fn of_user(&mut self, name: &str, meaning: Meaning) -> Option<(Channel, Unit)> {
+        if meaning == Meaning::Array {
             return None;
         }
         let path = format!("{}{name}", self.path);
         let found = self.map.of(0, &path).map(|(pair, name)| (pair, known_column(name)));
-        if self.paths.len() < PATHS_MAX {
-            self.paths.push(path);
-        }
+        self.note(path);
         let (pair, (channel, unit, factor)) = found.and_then(|(pair, known)| Some((pair, known?)))?;
         self.mapped.push(pair);
         Some((channel, Unit { name: unit, factor }))
+    }
+
+    /// Keeps a path for messages.
+    fn note(&mut self, path: String) {
+        if self.paths.len() < PATHS_MAX {
+            self.paths.push(path);
+        }
+    }
+
+    /// Adds an array of numbers if the user's map names elements of it, as `rate[0]` or `rate.0`; returns whether it does.
+    fn elements(&mut self, field: &Field, count: Option<u32>, meaning: Meaning, ops: &mut Vec<Op>) -> bool {
+        let Some(number) = Number::of(&field.kind).filter(|_| meaning != Meaning::Array && count != Some(0)) else {
+            return false;
+        };
+        let path = format!("{}{}", self.path, field.name);
+        let (map, mut wanted): (&ColumnMap, Vec<(u32, Wanted)>) = (self.map, Vec::new());
+        for (pair, place, name) in map.elements(&path) {
+            let known = known_column(name).filter(|_| count.is_none_or(|count| place < count));
+            let Some((channel, unit, factor)) = known else { continue };
+            if !has(ops, channel) && wanted.iter().all(|(_, other)| other.channel != channel) {
+                wanted.push((place, Wanted { channel, number, unit: Unit { name: unit, factor } }));
+                self.mapped.push(pair);
+            }
+        }
+        let last = count.map_or_else(|| "…".to_owned(), |count| (count - 1).to_string());
+        self.note(if last == "0" { format!("{path}[0]") } else { format!("{path}[0] to [{last}]") });
+        let found = !wanted.is_empty();
+        if found {
+            ops.push(Op::Elements(count, number, wanted));
+        }
+        found
     }
 
     /// Adds a field that is itself a message, or an array of messages.
@@ -397,7 +434,7 @@ impl Types<'_> {
 }
 
 fn has(ops: &[Op], wanted: Channel) -> bool {
-    ops.iter().any(|op| matches!(op, Op::Value { channel, .. } if *channel == wanted))
+    ops.iter().flat_map(Op::wanted).any(|of| of.channel == wanted)
 }
 
 /// Parses a line of a definition; `None` if it is empty, a comment or a constant.

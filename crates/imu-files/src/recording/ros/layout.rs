@@ -33,6 +33,11 @@ pub(in crate::recording) enum MessageError {
     /// The encoding is neither that of ROS 1 nor CDR.
     #[error("messages are encoded as {0:?}: ros1 and cdr are read")]
     Encoding(String),
+    /// The message is compressed.
+    #[error(
+        "the message is compressed, which its bag does not state: convert the bag with `ros2 bag convert`, without compression"
+    )]
+    Compressed,
     /// The message has fewer bytes than the layout requires.
     #[error("the message ends too early")]
     Short,
@@ -80,6 +85,54 @@ pub(in crate::recording) struct Values<'a> {
     pub(super) raw: Option<&'a [u8]>,
 }
 
+/// The form of a number in a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Number {
+    Float32,
+    Float64,
+    /// An integer of 1, 2, 4 or 8 bytes.
+    Int {
+        bytes: usize,
+        signed: bool,
+    },
+}
+
+impl Number {
+    /// Returns the form of a built-in type; `None` if it is no number.
+    pub(super) fn of(kind: &str) -> Option<Self> {
+        let int = |bytes, signed| Some(Self::Int { bytes, signed });
+        match kind {
+            "float32" => Some(Self::Float32),
+            "float64" => Some(Self::Float64),
+            "int8" => int(1, true),
+            "uint8" => int(1, false),
+            "int16" => int(2, true),
+            "uint16" => int(2, false),
+            "int32" => int(4, true),
+            "uint32" => int(4, false),
+            "int64" => int(8, true),
+            "uint64" => int(8, false),
+            _ => None,
+        }
+    }
+
+    fn bytes(self) -> usize {
+        match self {
+            Self::Float32 => 4,
+            Self::Float64 => 8,
+            Self::Int { bytes, .. } => bytes,
+        }
+    }
+}
+
+/// A wanted number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Wanted {
+    pub(super) channel: Channel,
+    pub(super) number: Number,
+    pub(super) unit: Unit,
+}
+
 /// One step of reading. Alignments are those of CDR.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Op {
@@ -97,13 +150,23 @@ pub(super) enum Op {
     Repeat(Option<u32>, Vec<Op>),
     Stamp,
     Text,
-    Value {
-        channel: Channel,
-        wide: bool,
-        unit: Unit,
-    },
+    Value(Wanted),
+    /// This many numbers (`None`: a count comes first), of which some are wanted, by their places from 0.
+    Elements(Option<u32>, Number, Vec<(u32, Wanted)>),
     /// The first element of a covariance: −1 states that the triad has no values.
     Covariance(Triad),
+}
+
+impl Op {
+    /// Returns the wanted numbers of the step itself.
+    pub(super) fn wanted(&self) -> impl Iterator<Item = &Wanted> {
+        let (one, several): (Option<&Wanted>, &[(u32, Wanted)]) = match self {
+            Self::Value(wanted) => (Some(wanted), &[]),
+            Self::Elements(_, _, wanted) => (None, wanted),
+            _ => (None, &[]),
+        };
+        one.into_iter().chain(several.iter().map(|(_, wanted)| wanted))
+    }
 }
 
 /// The positions of a type's values, and which of them are wanted.
@@ -117,13 +180,13 @@ pub(in crate::recording) struct Layout {
     pub(super) paths: Vec<String>,
 }
 
+/// The first bytes of data that zstd compressed; those of CDR are 0 and an encoding, and no string of ROS 1 is so long.
+const ZSTD: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+
 impl Layout {
     /// Returns the channels that a message of this type may contain, and their units in it.
     pub(super) fn channels(&self) -> impl Iterator<Item = (Channel, Unit)> + '_ {
-        self.ops.iter().filter_map(|op| match op {
-            Op::Value { channel, unit, .. } => Some((*channel, *unit)),
-            _ => None,
-        })
+        self.ops.iter().flat_map(Op::wanted).map(|wanted| (wanted.channel, wanted.unit))
     }
 
     /// Returns whether a message of this type may have the sensor's raw line.
@@ -133,6 +196,9 @@ impl Layout {
 
     /// Returns the values in a message's bytes.
     pub(super) fn read<'a>(&self, bytes: &'a [u8]) -> Result<Values<'a>, MessageError> {
+        if bytes.starts_with(&ZSTD) {
+            return Err(MessageError::Compressed);
+        }
         let mut cursor = Cursor::new(bytes, self.encoding)?;
         let mut values = Values::default();
         cursor.walk(&self.ops, &mut values)?;
@@ -212,6 +278,52 @@ impl<'a> Cursor<'a> {
         Ok(if self.big_endian { f64::from_be_bytes(bytes) } else { f64::from_le_bytes(bytes) })
     }
 
+    fn value(&mut self, wanted: &Wanted, values: &mut Values<'a>) -> Result<(), MessageError> {
+        let Wanted { channel, number, unit } = *wanted;
+        let value = match number {
+            Number::Float64 => self.wide()?,
+            Number::Float32 => f64::from(f32::from_bits(self.number()?)),
+            Number::Int { bytes, signed } => self.integer(bytes, signed)?,
+        };
+        // A factor of 1 must leave the value as it was sent.
+        let value = if unit.factor == 1.0 { value } else { value * unit.factor };
+        values.channels[channel as usize] = Some(value);
+        Ok(())
+    }
+
+    fn integer(&mut self, bytes: usize, signed: bool) -> Result<f64, MessageError> {
+        self.align(bytes);
+        let taken = self.take(bytes)?;
+        let shift = |sum: u64, byte: &u8| sum << 8 | u64::from(*byte);
+        let bits = if self.big_endian { taken.iter().fold(0, shift) } else { taken.iter().rev().fold(0, shift) };
+        // The sign is that of the value's own highest bit.
+        let unused = 64 - 8 * bytes as u32;
+        Ok(if signed { ((bits << unused) as i64 >> unused) as f64 } else { bits as f64 })
+    }
+
+    /// Reads the wanted ones of `count` numbers; a place behind the last one has no value.
+    fn elements(
+        &mut self,
+        count: u32,
+        number: Number,
+        wanted: &[(u32, Wanted)],
+        values: &mut Values<'a>,
+    ) -> Result<(), MessageError> {
+        let bytes = number.bytes();
+        if count > 0 {
+            self.align(bytes);
+        }
+        let from = self.at;
+        self.take(multiply(bytes, count)?)?;
+        let end = self.at;
+        for (place, of) in wanted.iter().filter(|(place, _)| *place < count) {
+            self.at = from + multiply(bytes, *place)?;
+            self.value(of, values)?;
+        }
+        self.at = end;
+        Ok(())
+    }
+
     fn skip(&mut self, align: usize, bytes: usize) -> Result<(), MessageError> {
         if bytes > 0 {
             self.align(align);
@@ -263,11 +375,13 @@ impl<'a> Cursor<'a> {
                         values.raw = start.and_then(|start| text.get(start..));
                     }
                 }
-                Op::Value { channel, wide, unit } => {
-                    let value = if *wide { self.wide()? } else { f64::from(f32::from_bits(self.number()?)) };
-                    // A factor of 1 must leave the value as it was sent.
-                    let value = if unit.factor == 1.0 { value } else { value * unit.factor };
-                    values.channels[*channel as usize] = Some(value);
+                Op::Value(wanted) => self.value(wanted, values)?,
+                Op::Elements(count, number, wanted) => {
+                    let count = match count {
+                        Some(count) => *count,
+                        None => self.number()?,
+                    };
+                    self.elements(count, *number, wanted, values)?;
                 }
                 Op::Covariance(triad) => {
                     if self.wide()? == -1.0 {

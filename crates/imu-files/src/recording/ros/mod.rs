@@ -5,6 +5,7 @@
 //! recording and the topics that belong to it; [`rows`] converts its messages to rows.
 
 mod bag;
+mod chain;
 mod db3;
 mod definition;
 mod given;
@@ -66,8 +67,13 @@ trait Messages {
     fn check(&self) -> Result<(), RecordingError>;
 }
 
-/// Opens a file of one of these kinds.
+/// Opens a recording of one of these kinds: a file, or all files of a split bag.
 fn open(kind: Kind, input: &Input) -> Result<Box<dyn Messages>, RecordingError> {
+    if input.further().is_empty() { open_one(kind, input) } else { Ok(Box::new(chain::Chain::open(kind, input)?)) }
+}
+
+/// Opens a file of one of these kinds.
+fn open_one(kind: Kind, input: &Input) -> Result<Box<dyn Messages>, RecordingError> {
     Ok(match kind {
         Kind::Db3 => Box::new(db3::Db3Reader::open(input)?),
         Kind::Mcap => Box::new(mcap::McapReader::open(input)?),

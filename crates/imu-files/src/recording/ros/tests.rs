@@ -68,6 +68,92 @@ fn an_imu_topic_gives_its_values_with_and_without_a_definition_in_the_file() {
 }
 
 #[test]
+fn a_split_bag_is_read_as_if_it_were_one_file() {
+    let of = |range: std::ops::Range<usize>| -> Vec<Message> {
+        range.flat_map(|index| [message(0, index, imu(index)), message(1, index, mag(index))]).collect()
+    };
+    type Writer = fn(&[Message]) -> Vec<u8>;
+    // The second file has its topics in another order, and so other numbers for them.
+    let swapped = |messages: &[Message]| -> Vec<Message> {
+        messages.iter().map(|(topic, received, data)| (1 - topic, *received, data.clone())).collect()
+    };
+    let forms: [(&str, Writer, Writer); 2] = [
+        ("db3", |all| db3(&[IMU, MAG], all), |all| db3(&[MAG, IMU], all)),
+        ("mcap", |all| mcap(&[IMU, MAG], all, true, 7), |all| mcap(&[MAG, IMU], all, true, 7)),
+    ];
+    for (end, one, other) in forms {
+        let folder = tempfile::tempdir().unwrap();
+        let place = |name: &str| folder.path().join(format!("{name}.{end}"));
+        // Alphabetical order is not that of the recording.
+        std::fs::write(place("b"), one(&of(0..40))).unwrap();
+        std::fs::write(place("a"), other(&swapped(&of(40..100)))).unwrap();
+        let metadata = format!("rosbag2_bagfile_information:\n  relative_file_paths:\n    - b.{end}\n    - a.{end}\n");
+        std::fs::write(folder.path().join("metadata.yaml"), metadata).unwrap();
+        let loaded = columns(&Recording::open(folder.path(), Options::default()).unwrap()).unwrap();
+        assert_eq!((loaded.samples, loaded.missing, loaded.info.rate_hz), (100, 0, 40.0), "{end}");
+        let expected: Vec<f64> = (0..100).map(|index| GYRO[0] + f64::from(index)).collect();
+        assert_eq!(column(&loaded, Channel::GyroX), expected, "{end}");
+        assert_eq!(column(&loaded, Channel::MagX), [2e-5 * 1e4; 100], "{end}");
+        // A file in the middle that is no bag costs itself.
+        let metadata = format!("x:\n  relative_file_paths:\n    - b.{end}\n    - c.{end}\n    - a.{end}\n");
+        std::fs::write(folder.path().join("metadata.yaml"), metadata).unwrap();
+        std::fs::write(place("c"), "no bag").unwrap();
+        let loaded = columns(&Recording::open(folder.path(), Options::default()).unwrap()).unwrap();
+        assert_eq!(loaded.samples, 100, "{end}");
+        assert!(loaded.info.rejected.values().sum::<u64>() >= 1, "{end}: {:?}", loaded.info.rejected);
+    }
+}
+
+#[test]
+fn a_bag_of_hundreds_of_files_is_read_whole() {
+    const FILES: usize = 300;
+    let folder = tempfile::tempdir().unwrap();
+    let mut metadata = "x:\n  relative_file_paths:\n".to_owned();
+    for file in 0..FILES {
+        let messages: Vec<Message> = (4 * file..4 * file + 4).map(|index| message(0, index, imu(index))).collect();
+        std::fs::write(folder.path().join(format!("{file}.mcap")), mcap(&[IMU], &messages, true, 7)).unwrap();
+        metadata += &format!("    - {file}.mcap\n");
+    }
+    std::fs::write(folder.path().join("metadata.yaml"), metadata).unwrap();
+    let loaded = columns(&Recording::open(folder.path(), Options::default()).unwrap()).unwrap();
+    assert_eq!((loaded.samples, loaded.missing), (4 * FILES as u64, 0));
+}
+
+#[test]
+fn integers_and_elements_of_arrays_are_read_by_their_paths() {
+    let definition =
+        "std_msgs/Header header\nint16 temperature\nuint8[3] head\nint32[3] rate\nfloat64[] force\nint64 tail";
+    let data = |index: usize, long: bool| {
+        // The header has 21 bytes: one more, and the number of two bytes is aligned.
+        let [low, high] = (-250_i16).to_le_bytes();
+        let mut cdr = Cdr::little_endian().header(stamp_ns(index)).byte(0).byte(low).byte(high).byte(1).byte(2).byte(3);
+        cdr = [-7_i32, 8, index as i32].into_iter().fold(cdr, |cdr, value| cdr.number(value as u32));
+        let force: &[f64] = if long { &[0.5, 9.8] } else { &[0.5] };
+        cdr.number(force.len() as u32).wide(force).wide(&[f64::from_bits(-3_i64 as u64)]).bytes()
+    };
+    let topic = ("/raw", "own_msgs/msg/Raw", Some(definition));
+    let messages: Vec<_> = (0..40).map(|index| message(0, index, data(index, index != 7))).collect();
+    let read = |map: &str| {
+        let input = Input::memory("test", db3(&[topic], &messages));
+        let input = input.with_columns(ColumnMap::parse(&[map]).unwrap());
+        Recording::read(input, Options::default()).and_then(|recording| columns(&recording))
+    };
+    let map =
+        "temperature=temperature_c,rate[0]=gyro_x_deg_s,rate.2=gyro_z_rad_s,force[1]=accel_z_m_s2,tail=mag_x_gauss";
+    let loaded = read(map).unwrap();
+    assert_eq!(column(&loaded, Channel::Temperature), [-250.0; 40]);
+    assert_eq!(column(&loaded, Channel::GyroX), [-7.0 * std::f64::consts::PI / 180.0; 40]);
+    assert_eq!(column(&loaded, Channel::GyroZ), (0..40).map(f64::from).collect::<Vec<_>>());
+    assert_eq!(column(&loaded, Channel::MagX), [-3.0; 40]);
+    let force = column(&loaded, Channel::AccelZ);
+    assert!(force[7].is_nan() && force[6] == 9.8 && force[8] == 9.8, "{force:?}");
+    for (map, named) in [("rate[3]=gyro_x_rad_s", "rate[0] to [2]"), ("force=accel_x_g", "force[0] to […]")] {
+        let error = read(map).unwrap_err().to_string();
+        assert!(error.contains(named), "{map}: {error}");
+    }
+}
+
+#[test]
 fn big_endian_messages_are_read_too() {
     let data = |index| Cdr::big_endian().imu(stamp_ns(index), GYRO, ACCEL).bytes();
     let messages: Vec<_> = (0..40).map(|index| message(0, index, data(index))).collect();

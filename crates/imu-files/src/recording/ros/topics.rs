@@ -15,16 +15,21 @@ use crate::recording::info::Conversion;
 use crate::recording::input::Input;
 use crate::recording::mapping::ColumnMap;
 use imu_core::sample::{Channel, ChannelSet};
+use imu_core::units::counted;
 use std::collections::{HashMap, HashSet, VecDeque};
 
 /// Connections that are examined, of readable ones and of others; a bag has one per topic and publisher.
 const CONNECTIONS_MAX: usize = 256;
+/// Connections of topics that are examined already: those of a split bag's further files.
+const SAME_MAX: usize = 20_000;
 /// Connections that are only known to contain text; whether it contains raw lines is only seen in their messages.
 const TEXTS_MAX: usize = 192;
 /// Connections whose numbers are kept.
 const KNOWN_MAX: usize = 65_536;
 /// Other topics that are reported.
 const NAMED_MAX: usize = 20;
+/// Paths of numbers that are reported.
+const PATHS_SHOWN: usize = 64;
 /// Topics whose stamps are compared.
 const COMPARED_MAX: usize = 12;
 /// The maximum distance, in messages, between messages of one stamp.
@@ -142,7 +147,7 @@ impl Candidate {
     fn describe(&self) -> String {
         let shown = |text: &str| text.chars().take(80).collect::<String>();
         let why = self.refused.as_ref().map_or_else(
-            || format!("{} messages", self.messages),
+            || counted(self.messages, "message", "messages"),
             |refused| if refused == NO_DATA { refused.clone() } else { format!("not read: {refused}") },
         );
         format!("{} ({}, {why})", shown(&self.topic.name), shown(&self.topic.message_type))
@@ -196,15 +201,18 @@ impl Search {
     }
 
     fn connect(&mut self, connection: &Connection, given: &[MessageDefinition], map: &ColumnMap) {
-        if self.known.len() >= KNOWN_MAX || !self.known.insert(connection.number) {
+        if self.known.contains(&connection.number) {
             return;
         }
-        if self.connections.len() >= CONNECTIONS_MAX {
+        let same = self.candidates.iter().position(|candidate| candidate.topic.has(connection));
+        // Each file of a split bag states its topics again.
+        let most = if same.is_some() { SAME_MAX } else { CONNECTIONS_MAX };
+        if self.known.len() >= KNOWN_MAX || self.connections.len() >= most {
             self.passed_over += 1;
             return;
         }
+        self.known.insert(connection.number);
         let layout = layout_of(connection, given, map);
-        let same = self.candidates.iter().position(|candidate| candidate.topic.has(connection));
         let index = match same {
             Some(index) => index,
             None => {
@@ -224,11 +232,11 @@ impl Search {
         };
         let candidate = &self.candidates[index];
         if candidate.refused.is_none() && !candidate.has_values() {
-            if self.texts >= TEXTS_MAX {
+            if self.texts >= TEXTS_MAX && same.is_none() {
                 self.passed_over += 1;
                 return;
             }
-            self.texts += 1;
+            self.texts += usize::from(same.is_none());
         }
         if let (Ok(layout), None) = (layout, &self.candidates[index].refused) {
             self.connections.insert(connection.number, (index, layout));
@@ -327,6 +335,15 @@ impl Topics {
         let Some((main, _)) = usable.max_by_key(|(_, candidate)| rank(candidate)) else {
             let names: Vec<_> = candidates.iter().take(NAMED_MAX).map(Candidate::describe).chain(passed_over).collect();
             let mut found = if names.is_empty() { "no topics".to_owned() } else { names.join(", ") };
+            let paths: Vec<&str> = candidates
+                .iter()
+                .flat_map(|candidate| &candidate.paths)
+                .take(PATHS_SHOWN)
+                .map(String::as_str)
+                .collect();
+            if !input.columns().is_empty() && !paths.is_empty() {
+                found.push_str(&format!("; none of its numbers is mapped: {}", paths.join(" | ")));
+            }
             if let Some(damage) = damage {
                 found.push_str(&format!("; it is damaged: {damage}"));
             }
