@@ -112,8 +112,16 @@ pub struct ImportRequest {
     pub columns: Option<String>,
     /// Definitions of messages that are missing in a bag.
     pub definitions: Vec<MessageText>,
+    /// The begin of the wanted part: RFC 3339, or seconds since the first sample.
+    pub from: Option<String>,
+    /// Its end.
+    pub to: Option<String>,
+    /// The wanted channels, separated by commas.
+    pub channels: Option<String>,
     /// Name of the capture.
     pub name: Option<String>,
+    /// A note about it.
+    pub note: Option<String>,
     /// Cancelled once no client waits for the import any more.
     #[serde(skip)]
     pub abandoned: CancellationToken,

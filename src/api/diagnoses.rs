@@ -5,7 +5,7 @@ use super::extract::{P, Q, is_json, no_json};
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
 use super::{aside, conditional, held, jobs, page};
-use crate::jobs::{DiagnosisBody as Body, DiagnosisDocument, read_diagnosis};
+use crate::jobs::{DiagnosisBody as Body, DiagnosisDocument, ReferenceAxis, read_diagnosis};
 use crate::page as pages;
 use crate::store::{DiagnosisRow, JobKind, JobRow, JobState, Reader, ResultRow, StoreError, UtcNs};
 use axum::extract::{Request, State};
@@ -24,9 +24,12 @@ pub(super) struct DiagnosisBody {
     #[schema(value_type = Object)]
     sim: Option<Value>,
     /// The sensor's motion: the text of a CSV with `time_s`, `ref_gyro_x_rad_s` … `ref_accel_z_m_s2`, or `still`,
-    /// `tumble`, `rate-table` for the motions that the simulator makes. Effects that a motion drives are diagnosed too.
+    /// `tumble`, `poses`, `rate-table` for the motions that the simulator makes. Effects that a motion drives are diagnosed too.
     #[schema(value_type = String)]
     reference: Option<Value>,
+    /// The sensor's axis about which an encoder turns: for a reference with `encoder_rpm`.
+    #[schema(inline)]
+    reference_axis: Option<ReferenceAxis>,
 }
 
 /// A diagnosis in a list.

@@ -4,11 +4,12 @@
 use super::extract::Q;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
-use super::{aside, page};
+use super::{aside, page, samples};
 use crate::control::{ImportError, ImportReport, ImportRequest, MessageText};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, header};
 use axum::response::Response;
+use imu_core::sample::Channel;
 use serde::Deserialize;
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
@@ -51,6 +52,15 @@ pub(super) struct ImportQuery {
     /// text of the type's `.msg` file.
     #[param(example = "[{\"name\": \"own_msgs/msg/Reading\", \"text\": \"float64 gyro_x_rad_s\"}]")]
     message_definitions: Option<String>,
+    /// Only the samples from this time on: RFC 3339, or seconds since the first sample.
+    from: Option<String>,
+    /// Only the samples before this time.
+    to: Option<String>,
+    /// Only these channels: names, separated by commas.
+    #[param(example = "gyro_x,gyro_y,gyro_z")]
+    channels: Option<String>,
+    /// A note about the capture, one line.
+    note: Option<String>,
 }
 
 /// Imports a recording (CSV, raw lines or bytes, a ROS bag, MCAP) as a capture; answers once it is one. The same
@@ -89,7 +99,11 @@ pub(super) async fn import(
         internal_rate_hz: query.internal_rate_hz,
         columns: query.columns,
         definitions,
+        from: query.from,
+        to: query.to,
+        channels: query.channels,
         name: query.name,
+        note: query.note,
         abandoned: abandoned.clone(),
     };
     // A client that disconnects before the answer cancels the import.
@@ -152,6 +166,11 @@ fn check(query: &ImportQuery, headers: &HeaderMap) -> Result<Vec<MessageText>, A
     if let Some(name) = &query.name {
         crate::store::check_name(name)?;
     }
+    query.note.as_deref().map(crate::store::check_note).transpose()?;
+    [&query.from, &query.to].into_iter().flatten().try_for_each(|end| samples::time(end).map(|_| ()))?;
+    if let Some(Err(error)) = query.channels.as_deref().map(Channel::list) {
+        return Err(ApiError::bad_request(format!("`channels`: {error}")));
+    }
     let Some(definitions) = &query.message_definitions else { return Ok(Vec::new()) };
     if definitions.len() > DEFINITIONS_MAX {
         return Err(ApiError::bad_request(format!("`message_definitions`: allowed are {DEFINITIONS_MAX} bytes")));
@@ -187,5 +206,17 @@ mod tests {
         let long = asked(None, Some(" ".repeat(DEFINITIONS_MAX + 1))).unwrap_err();
         assert!(long.contains("allowed are 8192 bytes"), "{long}");
         assert!(asked(Some("x".repeat(COLUMNS_MAX + 1)), None).unwrap_err().contains("columns"));
+        let part = |from: &str, channels: &str, note: &str| {
+            let [from, channels, note] = [from, channels, note].map(|text| Some(text.to_owned()));
+            check(&ImportQuery { from, channels, note, ..ImportQuery::default() }, &headers)
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(part("2026-11-21T20:00:00Z", "gyro_x,accel_z", "on foam"), Ok(Vec::new()));
+        for (from, channels, note, named) in
+            [("soon", "gyro_x", "", "soon"), ("1", "gyro_w", "", "`channels`"), ("1", "gyro_x", "a\nb", "note")]
+        {
+            let error = part(from, channels, note).unwrap_err();
+            assert!(error.contains(named), "{error}");
+        }
     }
 }

@@ -60,7 +60,7 @@ async fn answer<T: Send + 'static>(
     let previous = (search.page > 1).then(|| address(search.page - 1));
     let next = search.page.checked_add(1).filter(|_| found.more).map(address);
     let view = ListView { search: &search, found: &found, previous: previous.as_deref(), next: next.as_deref() };
-    Ok(pages::html_with_search(show(&view)))
+    Ok(pages::html_with_form(show(&view)))
 }
 
 /// Returns the page of all captures.

@@ -12,6 +12,7 @@
 mod analysis;
 mod aside;
 mod captures;
+mod comparison;
 mod conditional;
 mod connection;
 mod diagnoses;

@@ -9,8 +9,8 @@ use super::samples;
 use super::state::ApiState;
 use crate::gallery::{self, Picture};
 use crate::jobs::{Documents, JobKind};
-use crate::page::{self, CaptureView, DashboardView, Figure, SeriesView};
-use crate::store::{JobRow, JobState, PageRequest, SOFTWARE, SampleRange};
+use crate::page::{self, CaptureView, DashboardView, Figure, SeriesView, Served};
+use crate::store::{CaptureRow, JobRow, JobState, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
@@ -52,8 +52,8 @@ pub(super) fn html(page: String) -> Response {
     (headers, Html(page)).into_response()
 }
 
-/// Returns the answer of a page with a search, which a browser sends itself.
-pub(super) fn html_with_search(page: String) -> Response {
+/// Returns the answer of a page with a form that a browser sends itself, such as a search.
+pub(super) fn html_with_form(page: String) -> Response {
     let mut response = html(page);
     response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy("'self'"));
     response
@@ -93,40 +93,23 @@ pub(super) async fn dashboard(
 /// Returns a capture's page: its data, the numbers, the pictures.
 pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result<Response, ApiError> {
     let _permit = state.drawing_permit().await?;
-    let (facts, diagnoses, jobs) = state
+    let (facts, diagnoses, jobs, models, captures) = state
         .read(move |reader| {
             let id = reader.resolve(&name)?;
             let all = PageRequest::first();
             Ok((
                 gallery::facts(reader, id)?,
                 reader.diagnoses(Some(id), &all)?.rows,
-                reader.jobs(Some(id), None, &all)?.rows,
+                jobs_of(reader, id)?,
+                reader.models(&all)?.rows,
+                ended(reader, Some(id))?,
             ))
         })
         .await?;
-    let id = facts.row.id.to_string();
-    let (mut documents, mut remarks, mut waits) = (Documents::default(), Vec::new(), false);
-    for kind in [JobKind::Statistics, JobKind::Noise, JobKind::Allan] {
-        match analysis::drawn(&state, kind, &id).await {
-            Ok(Drawn::Documents(found, _)) => documents.extend(*found),
-            Ok(Drawn::Later(_)) => {
-                waits = true;
-                remarks.push(under_way(kind, &jobs));
-            }
-            Err(error) if error.kind() == ProblemType::AnalysisFailed => {
-                remarks.push(format!("There is no {}: {error}.", kind.gives()));
-            }
-            // Too many requests at once, or a slow disk: the page asks again. A result that cannot be read stays
-            // unreadable.
-            Err(error) => {
-                waits |= error.kind() != ProblemType::Internal;
-                remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
-            }
-        }
-    }
+    let Analyses { documents, mut remarks, waits } = analyses(&state, facts.row.id, &jobs).await;
     remarks.extend(facts.remark());
-    let pictures = gallery::pictures(&facts, &documents).into_iter();
-    Ok(html(page::capture(&CaptureView {
+    let (id, pictures) = (facts.row.id.to_string(), gallery::pictures(&facts, &documents).into_iter());
+    Ok(html_with_form(page::capture(&CaptureView {
         facts: &facts,
         is_kept: true,
         documents: &documents,
@@ -134,12 +117,59 @@ pub(super) async fn capture(State(state): State<ApiState>, P(name): P) -> Result
         waits,
         diagnoses: &diagnoses,
         figures: &pictures.map(|picture| (picture.name(), linked(&id, picture))).collect(),
-        served: Some(state.parts.token.is_some()),
+        served: Some(Served { token: state.parts.token.is_some(), models: &models, captures: &captures }),
         enclosed: &[],
     })))
 }
 
-fn linked(id: &str, picture: Picture) -> Figure {
+/// Returns the captures that have ended and have samples, the latest hundred, without `but`.
+pub(super) fn ended(reader: &Reader, but: Option<i64>) -> Result<Vec<CaptureRow>, StoreError> {
+    let mut rows = reader.captures(None, &PageRequest::first())?.rows;
+    rows.retain(|of| Some(of.id) != but && !of.state.is_open() && of.samples > 0);
+    Ok(rows)
+}
+
+/// Returns the latest jobs over a capture.
+pub(super) fn jobs_of(reader: &Reader, id: i64) -> Result<Vec<JobRow>, StoreError> {
+    Ok(reader.jobs(Some(id), None, &PageRequest::first())?.rows)
+}
+
+/// The analyses of a capture that a page shows.
+#[derive(Debug, Default)]
+pub(super) struct Analyses {
+    /// Those that are there.
+    pub(super) documents: Documents,
+    /// What is missing, and why: sentences.
+    pub(super) remarks: Vec<String>,
+    /// Whether something that is missing will be there.
+    pub(super) waits: bool,
+}
+
+/// Returns the analyses of a capture; one that does not exist yet is queued. `jobs` are those over the capture.
+pub(super) async fn analyses(state: &ApiState, id: i64, jobs: &[JobRow]) -> Analyses {
+    let (id, mut all) = (id.to_string(), Analyses::default());
+    for kind in [JobKind::Statistics, JobKind::Noise, JobKind::Allan] {
+        match analysis::drawn(state, kind, &id).await {
+            Ok(Drawn::Documents(found, _)) => all.documents.extend(*found),
+            Ok(Drawn::Later(_)) => {
+                all.waits = true;
+                all.remarks.push(under_way(kind, jobs));
+            }
+            Err(error) if error.kind() == ProblemType::AnalysisFailed => {
+                all.remarks.push(format!("There is no {}: {error}.", kind.gives()));
+            }
+            // Too many requests at once, or a slow disk: the page asks again. A result that cannot be read stays
+            // unreadable.
+            Err(error) => {
+                all.waits |= error.kind() != ProblemType::Internal;
+                all.remarks.push(format!("The {} is not at hand now: {error}.", kind.gives()));
+            }
+        }
+    }
+    all
+}
+
+pub(super) fn linked(id: &str, picture: Picture) -> Figure {
     let address = format!("/v1/captures/{id}/plots/{}.svg", picture.name());
     Figure::Linked { alt: picture.description(), address, height: picture.height() }
 }

@@ -4,7 +4,8 @@ use super::held;
 use super::layers::{self, Streamed};
 use super::state::{ApiParts, ApiState};
 use super::{
-    analysis, captures, diagnoses, health, imports, jobs, lists, models, openapi, pages, plots, samples, status,
+    analysis, captures, comparison, diagnoses, health, imports, jobs, lists, models, openapi, pages, plots, samples,
+    status,
 };
 use axum::extract::Request;
 use axum::http::{HeaderMap, StatusCode, Version, header};
@@ -63,6 +64,7 @@ pub fn router(parts: ApiParts) -> Router {
         .route("/jobs", axum::routing::get(lists::jobs))
         .route("/models", axum::routing::get(lists::models))
         .route("/captures/{id}", axum::routing::get(pages::capture))
+        .route("/compare", axum::routing::get(comparison::comparison))
         .route("/captures/{id}/series/{channel}", axum::routing::get(pages::series))
         .route("/diagnoses/{id}", axum::routing::get(diagnoses::page))
         .layer(compress)

@@ -10,6 +10,7 @@ use imu_core::sample::record::CaptureEnd;
 use imu_core::sample::{
     Accountant, DiscardCause, EventKind, EventRecord, GapCause, Observation, RateDoubt, Record, Sample, Timebase,
 };
+use imu_core::units::counted;
 use imu_core::units::period_ns;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -297,7 +298,8 @@ impl Recorder {
             let (kind, message) = match self.counts.samples {
                 0 => (EventKind::CaptureStarted, format!("capture `{}` has its first sample", self.plan.name)),
                 samples => {
-                    (EventKind::CaptureStarted, format!("capture `{}` goes on after {samples} samples", self.plan.name))
+                    let samples = counted(samples, "sample", "samples");
+                    (EventKind::CaptureStarted, format!("capture `{}` goes on after {samples}", self.plan.name))
                 }
             };
             out.push(Record::Event(EventRecord { utc_ns: sample.host_utc_ns, kind, message, detail: None }));
@@ -433,8 +435,10 @@ impl Recorder {
             utc_ns,
             kind: EventKind::CaptureEnded,
             message: format!(
-                "capture `{}` {words}: {samples} samples, {missing} missing in {gaps} gaps",
-                self.plan.name
+                "capture `{}` {words}: {}, {missing} missing in {}",
+                self.plan.name,
+                counted(samples, "sample", "samples"),
+                counted(gaps, "gap", "gaps")
             ),
             detail: None,
         }));

@@ -3,8 +3,9 @@
 use super::analysis;
 use super::args::{AllanArgs, Format};
 use super::figures::{counted, hertz};
-use super::{Context, Outcome, print_json, table};
+use super::{Context, Outcome, failed, print_json, table};
 use crate::jobs::{JobParameters, direct};
+use crate::store::printable;
 use imu_noise::allan::AllanReport;
 use std::io::Write as _;
 
@@ -14,6 +15,19 @@ pub(super) fn run(context: &Context, args: &AllanArgs) -> anyhow::Result<Outcome
     let (name, rejected) = (together.name(), together.rejected());
     let parameters = JobParameters { taus: args.taus, estimator: args.estimator, channels: None, with: Vec::new() };
     let report = direct::allan(&together.source, together.plan, &parameters)?;
+    let of_none = report.channels.iter().filter(|(_, curve)| curve.tau_s.is_empty()).map(|(channel, _)| channel.name());
+    let of_none: Vec<&str> = of_none.collect();
+    if !of_none.is_empty() {
+        let reason = format!(
+            "{} of {name} has too few values in consecutive samples for a deviation: a channel that only some rows have is analysed \
+             alone (--channels, of a file)",
+            of_none.join(", ")
+        );
+        if of_none.len() == report.channels.len() {
+            return Err(failed(reason));
+        }
+        eprintln!("note: {}", printable(&reason));
+    }
     match (context.json, args.format) {
         (true, _) | (_, Format::Json) => print_json(&report)?,
         (_, Format::Csv) => print_csv(&report)?,

@@ -8,6 +8,7 @@ use crate::store::{CaptureRow, Chunk, Missing, Reader, StoreError};
 use imu_core::sample::{Channel, FilterWindows, StatedSampling, Triad};
 use imu_core::units::NANOS_PER_SECOND;
 use imu_files::recording::{KeepOn, Kind, LoadedRecording, Recording, Stamps, columns};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The facts about a capture or recording besides its samples.
@@ -75,17 +76,22 @@ impl Together {
         [unit, of.began.as_deref().and_then(|began| began.get(..10)).map(str::to_owned)]
     }
 
+    /// Returns whether a channel has this unit.
+    pub(super) fn has_unit(&self, unit: &str) -> bool {
+        self.captures.iter().any(|of| of.setting.units.values().any(|own| own == unit))
+    }
+
     /// Returns whether frames or lines of a capture were rejected on the way in.
     pub(super) fn rejected(&self) -> bool {
         self.captures.iter().any(|of| of.rejected)
     }
 }
 
-/// The database, if a capture in it is named, and the recordings in memory. Recordings have ids below 0, which no
+/// The captures' databases, which differ if they are parts, and the recordings in memory. Recordings have ids below 0, which no
 /// capture has.
 #[derive(Default)]
 pub(super) struct Shelf {
-    reader: Option<Reader>,
+    readers: BTreeMap<i64, Reader>,
     recordings: Vec<Loaded>,
 }
 
@@ -149,7 +155,7 @@ impl Shelf {
     }
 
     fn reader(&self, id: i64) -> Result<&Reader, StoreError> {
-        self.reader.as_ref().ok_or_else(|| StoreError::NoSuchCapture(id.to_string()))
+        self.readers.get(&id).ok_or_else(|| StoreError::NoSuchCapture(id.to_string()))
     }
 }
 
@@ -278,7 +284,8 @@ fn of_recording(source: &mut Shelf, named: &str, recording: &Recording) -> anyho
 
 fn of_capture(source: &mut Shelf, reader: Reader, row: CaptureRow) -> anyhow::Result<(Material, Plan)> {
     // As in the background jobs: the rate of most samples; two rates are never mixed.
-    let plan = Plan::read(source.reader.insert(reader), row.id, row.samples, &Channel::ANALYSED)?;
+    let plan = Plan::read(&reader, row.id, row.samples, &Channel::ANALYSED)?;
+    source.readers.insert(row.id, reader);
     let material = Material {
         windows: row.configuration.filter_windows(),
         setting: Setting::of(&row, plan.rate_hz),

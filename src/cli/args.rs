@@ -13,19 +13,23 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 mod by_hand;
+mod calibrate;
 mod cost;
 mod diagnose;
 mod noise;
+mod part;
 mod pictures;
 mod recordings;
 mod validation;
 
 pub use by_hand::{DeleteArgs, NoteArgs, PinArgs, RenameArgs, StartArgs, StopArgs};
+pub use calibrate::{CalibrateArgs, Form};
 pub use cost::{CostArgs, Tolerances};
-pub use diagnose::{DiagnoseArgs, ReferenceAxis};
+pub use diagnose::DiagnoseArgs;
 pub use noise::{ConsistentPair, NoiseArgs, SheetChoice, Undecided};
+pub use part::{ChannelList, PartArgs};
 pub use pictures::{PlotArgs, ReportArgs};
-pub use recordings::{ChannelList, ExportArgs, ImportArgs, TimeOrigin};
+pub use recordings::{ExportArgs, ImportArgs, TimeOrigin};
 pub use validation::ValidationArgs;
 
 /// Captures a VectorNav VN-100 unattended into SQLite and reports its noise parameters.
@@ -108,6 +112,9 @@ pub enum Command {
         /// Rate of a recording in Hz: for one without stamps, or to override its stamps
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
+        /// The part that is shown
+        #[command(flatten)]
+        part: PartArgs,
     },
     /// Print Allan deviation curves of a capture or a recording
     Allan(AllanArgs),
@@ -124,6 +131,8 @@ pub enum Command {
     /// Report where a recording and a simulator differ, which effect the simulator lacks, and how far the gap shrinks
     /// with it
     Diagnose(DiagnoseArgs),
+    /// Report scale factors, misalignment and bias with intervals from a tumble or beside poses, and write what corrects them
+    Calibrate(CalibrateArgs),
     /// Report what a sensor model's errors cost: growth of attitude, velocity and position errors of unaided integration
     /// at rest, by cause, and against limits
     Cost(CostArgs),
@@ -335,6 +344,9 @@ pub struct AllanArgs {
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// The part of each capture
+    #[command(flatten)]
+    pub part: PartArgs,
     /// Estimator
     #[arg(long, value_parser = estimator(), default_value = "oadev")]
     pub estimator: Estimator,
@@ -379,7 +391,7 @@ pub struct SimulateArgs {
     /// Seed: the same seed gives the same samples
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Motion that the sensor follows: a file (docs/simulation.md), still, tumble or rate-table (default: none, at rest without gravity or Earth rate)
+    /// Motion that the sensor follows: a file (docs/simulation.md), still, tumble, poses or rate-table (default: none, at rest without gravity or Earth rate)
     #[arg(long, value_name = "FILE|NAME")]
     pub motion: Option<String>,
     /// Write the motion, with one row per sample: the reference of a diagnosis
@@ -417,14 +429,22 @@ pub struct TrialArgs {
     pub suite: Option<String>,
     /// Use cases with a known motion: scale factor, misalignment, g-sensitivity and similar effects; a fifth of the
     /// cases have no effect, half one of the library, a fifth two, a tenth one outside it
-    #[arg(long, conflicts_with_all = ["on", "html"])]
+    #[arg(long, conflicts_with = "html")]
     pub motion: bool,
-    /// Impose the effects on this recording instead of on simulated noise: id, name, `latest`, or a file's path
+    /// Impose the effects on this recording instead of on a simulated one: id, name, `latest`, or a file's path; with
+    /// --motion also give --reference
     #[arg(long, value_name = "CAPTURE|FILE", add = complete::captures_and_files())]
     pub on: Option<String>,
+    /// Poses of the recording that --on names (docs/formats.md): with --motion, each case has scale factors, cross-axis
+    /// sensitivity, bias or latency on top of the real motion
+    #[arg(long, value_name = "FILE", requires_all = ["motion", "on"], conflicts_with_all = ["samples", "truth"])]
+    pub reference: Option<PathBuf>,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate, requires = "on")]
     pub rate: Option<f64>,
+    /// The part of that recording
+    #[command(flatten)]
+    pub part: PartArgs,
     /// Samples per case, 10000 or more (default: drawn, 27 min to 5 h; of a recording 65536, or all if it is shorter)
     #[arg(long, value_name = "N")]
     pub samples: Option<usize>,
@@ -506,6 +526,9 @@ pub struct TrialPartArgs {
     /// Cases with a known motion
     #[arg(long)]
     pub motion: bool,
+    /// Cases on a recording beside poses
+    #[arg(long)]
+    pub posed: bool,
     /// Seed of the cases
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
@@ -568,6 +591,9 @@ pub enum ModelCommand {
         /// Rate of recordings without stamps in Hz
         #[arg(long, value_name = "HZ", value_parser = rate)]
         rate: Option<f64>,
+        /// The part of each capture
+        #[command(flatten)]
+        part: PartArgs,
         /// The sampling of the sensor
         #[command(flatten)]
         sampling: SamplingArgs,

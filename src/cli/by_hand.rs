@@ -2,6 +2,7 @@
 
 use super::args::{ClientArgs, DeleteArgs, NoteArgs, PinArgs, RenameArgs, StartArgs, StopArgs};
 use super::client::{self, Change, shown};
+use super::figures::counted;
 use super::{Context, Outcome, failed, print_json, usage};
 use crate::store::{check_name, check_note, printable};
 use anyhow::Context as _;
@@ -123,8 +124,7 @@ pub(super) fn stop(context: &Context, args: &StopArgs) -> anyhow::Result<Outcome
         None => daemon.open_capture()?.ok_or_else(|| failed("no capture runs or waits: nothing to stop"))?,
     };
     let row = daemon.ask(Change::Post, &format!("{}/stop", path(&named)?), None)?;
-    let [samples, missing] = ["samples", "missing"].map(|key| shown(&row[key]));
-    tell(context, &row, &format!("{} is stopped: {samples} samples, {missing} missing", called(&row)))
+    tell(context, &row, &format!("{} is stopped: {}, {} missing", called(&row), samples(&row), shown(&row["missing"])))
 }
 
 /// Protects captures from deletion, or ends the protection.
@@ -158,11 +158,15 @@ pub(super) fn delete(context: &Context, args: &DeleteArgs) -> anyhow::Result<Out
     })
 }
 
+fn samples(row: &Value) -> String {
+    counted(row["samples"].as_u64().unwrap_or_default(), "sample", "samples")
+}
+
 /// Asks on the terminal whether these captures are to be deleted.
 fn is_wanted(rows: &[Value], answers: &mut impl BufRead) -> std::io::Result<bool> {
     let mut question = std::io::stderr().lock();
     for row in rows {
-        writeln!(question, "{}: {} samples", called(row), shown(&row["samples"]))?;
+        writeln!(question, "{}: {}", called(row), samples(row))?;
     }
     write!(question, "Delete with all samples, for good? [y/N] ")?;
     question.flush()?;
@@ -202,8 +206,11 @@ fn each<T>(
         for capture in captures {
             let done = answers.len();
             let asked = ask(capture);
-            let (answer, sentence) =
-                if done == 0 { asked? } else { asked.with_context(|| format!("{done} before it are done"))? };
+            let (answer, sentence) = if done == 0 {
+                asked?
+            } else {
+                asked.with_context(|| format!("{done} before it {} done", if done == 1 { "is" } else { "are" }))?
+            };
             if !context.json {
                 client::print(&sentence)?;
             }

@@ -2,6 +2,7 @@
 //! the program itself, so that the answers are those of the database.
 
 use super::args::Cli;
+use super::figures::counted;
 use super::place::PATIENCE;
 use super::{Context, client};
 use crate::gallery::Picture;
@@ -142,7 +143,7 @@ fn candidate(row: &Offered) -> CompletionCandidate {
     let plain = row.name.chars().all(is_plain) && !row.name.starts_with('-') && check_name(&row.name).is_ok();
     let (value, mut about) =
         if plain { (row.name.clone(), String::new()) } else { (row.id.to_string(), format!("{}, ", row.name)) };
-    about = format!("{about}{}, {} samples", row.state, row.samples);
+    about = format!("{about}{}, {}", row.state, counted(row.samples, "sample", "samples"));
     if let Some(note) = &row.note {
         about = format!("{about}, {}", note.chars().take(NOTE_CHARS).collect::<String>());
     }

@@ -1,6 +1,7 @@
 //! `vn100d cost`: what a sensor model's errors cost in degrees, m/s and m.
 
 use super::args::CostArgs;
+use super::figures::counted;
 use super::{Context, Outcome, analysis, failed, model, print_json, simulate, table, usage};
 use crate::jobs::{self, Gridded};
 use imu_core::units::format_duration;
@@ -126,9 +127,9 @@ impl Real {
         let Gridded { recording, from_s, left_out, .. } = &self.gridded;
         (*left_out > 0).then(|| {
             format!(
-                "pieces are of the {:.0} s from {from_s:.0} s on, the longest part without a gap of a minute; {left_out} samples are \
-                 outside it",
-                recording.length_s()
+                "pieces are of the {:.0} s from {from_s:.0} s on, the longest part without a gap of a minute; {} outside it",
+                recording.length_s(),
+                counted(*left_out, "sample is", "samples are")
             )
         })
     }

@@ -1,11 +1,11 @@
 //! `vn100d diagnose`: where a recording and a simulator differ, and which effect the simulator lacks.
 
-use super::args::{DiagnoseArgs, ReferenceAxis};
+use super::args::DiagnoseArgs;
 use super::diagnose_text::Style;
 use super::limits::Limit;
 use super::output::{Output, is_same};
 use super::{Context, Outcome, analysis, diagnose_limits, diagnose_text, junit, limits, model, usage};
-use crate::jobs::{TwoThreads, add_cost, gridded, read_reference};
+use crate::jobs::{ReferenceAxis, TwoThreads, add_cost, gridded, read_reference};
 use crate::page;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
@@ -96,8 +96,14 @@ fn outputs(args: &DiagnoseArgs, read: &[&Path]) -> anyhow::Result<[Option<Output
     Ok([create(&args.augmented_model)?, create(&args.html)?, create(&args.junit)?])
 }
 
-/// Reads the reference: the sensor's motion, poses, or rates about one axis; gzip is unpacked.
-fn reference(path: &Path, axis: Option<ReferenceAxis>) -> anyhow::Result<Known> {
+/// Reads the reference: the sensor's motion, poses, or rates about one axis.
+pub(super) fn reference(path: &Path, axis: Option<ReferenceAxis>) -> anyhow::Result<Known> {
+    let found = read_reference(&reference_text(path)?, &path.display().to_string(), axis);
+    found.map_err(|reason| anyhow::anyhow!("the reference {} cannot be used: {reason}", path.display()))
+}
+
+/// Reads the text of a reference; gzip is unpacked.
+pub(super) fn reference_text(path: &Path) -> anyhow::Result<String> {
     let name = path.display().to_string();
     let mut file = BufReader::new(File::open(path).with_context(|| format!("the reference {name} cannot be read"))?);
     anyhow::ensure!(!file.get_ref().metadata()?.is_dir(), "the reference {name} is a folder: expected a CSV file");
@@ -112,8 +118,7 @@ fn reference(path: &Path, axis: Option<ReferenceAxis>) -> anyhow::Result<Known> 
         "the reference {name} has more than {} MiB of text: cut it",
         REFERENCE_BYTES >> 20
     );
-    let found = read_reference(&text, &name, axis.map(|axis| axis as usize));
-    found.map_err(|reason| anyhow::anyhow!("the reference {name} cannot be used: {reason}"))
+    Ok(text)
 }
 
 /// Returns the simulator's law: a model's file, or a recording that a simulator made, to which a law is fitted first.
@@ -128,7 +133,7 @@ fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Re
         same_rate(sim.rate_hz)?;
         return Ok((sim, None));
     }
-    let together = analysis::open(context, std::slice::from_ref(&args.sim), args.rate)?;
+    let together = analysis::open(&context.whole(), std::slice::from_ref(&args.sim), args.rate)?;
     same_rate(together.plan.rate_hz)?;
     Ok(model::fitted(together, &imu_diagnosis::effects(), None)?.fitted.as_law()?)
 }

@@ -3,11 +3,12 @@
 use super::args::{ExportArgs, TimeOrigin};
 use super::figures::counted;
 use super::output::Output;
+use super::part::Part;
 use super::progress::{SAMPLES, bar};
-use super::samples::{Block, Part, Samples};
+use super::samples::{Block, Samples};
 use super::source::file;
 use super::subject::Stop;
-use super::{Context, Outcome, print_json, usage};
+use super::{Context, Outcome, failed, print_json, usage};
 use crate::store::StoreError;
 use anyhow::Context as _;
 use imu_core::sample::{Channel, ChannelError};
@@ -69,8 +70,8 @@ fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
     let stop = Stop::listen()?;
     let read: Vec<&Path> = file(named).into_iter().collect();
     let output = path.map(|path| Output::create(path, args.force, &read)).transpose()?;
-    let part =
-        Part { from: args.from, to: args.to, channels: args.channels.as_ref().map(|channels| channels.0.clone()) };
+    let part = Part::of(args.part.clone());
+    let is_part = !part.is_whole();
     let source = opened(Samples::open(context, named, args.rate, part, stop.keep_on()))?;
     let outcome = if source.rejected { Outcome::WithLoss } else { Outcome::Done };
     let utc = args.time == TimeOrigin::Utc;
@@ -80,6 +81,9 @@ fn one_file(context: &Context, args: &ExportArgs) -> anyhow::Result<Outcome> {
     };
     let shown = output.path().display().to_string();
     let report = write(source, format, utc, output.file(), &stop, &shown)?;
+    if is_part && report.samples == 0 {
+        return Err(failed(format!("{named} has no sample in the part that is wanted; no file is kept")));
+    }
     output.keep()?;
     if context.json {
         print_json(&report)?;
@@ -103,7 +107,7 @@ fn format(args: &ExportArgs, path: Option<&Path>) -> anyhow::Result<SampleFormat
 fn data_set(context: &Context, args: &ExportArgs, folder: &Path) -> anyhow::Result<Outcome> {
     let stop = Stop::listen()?;
     // One schema for all files: a capture without a channel has an empty column.
-    let channels = args.channels.as_ref().map_or_else(|| Channel::ALL.to_vec(), |channels| channels.0.clone());
+    let channels = args.part.channels.as_ref().map_or_else(|| Channel::ALL.to_vec(), |channels| channels.0.clone());
     let (mut outcome, mut reports) = (Outcome::Done, Vec::new());
     for id in wanted(context, args)? {
         let placed = match Samples::of_capture(context, id, channels.clone()) {

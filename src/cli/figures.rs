@@ -2,6 +2,7 @@
 //! read them (`1.95e-4`).
 
 use crate::page::digits;
+use imu_core::units;
 
 /// Returns a number with this many significant digits.
 pub(super) fn rounded(value: f64, digits: usize) -> String {
@@ -27,13 +28,7 @@ pub(super) fn with_interval(value: f64, [low, high]: [f64; 2]) -> String {
 
 /// Returns a rate in Hz: two decimals, or three digits of a rate below 1 Hz, without trailing zeros.
 pub(super) fn hertz(rate_hz: f64) -> String {
-    let text = if rate_hz < 1.0 { rounded(rate_hz, 3) } else { format!("{rate_hz:.2}") };
-    let text = if text.contains('.') && !text.contains('e') {
-        text.trim_end_matches('0').trim_end_matches('.')
-    } else {
-        &text
-    };
-    format!("{text} Hz")
+    format!("{} Hz", units::hertz(rate_hz))
 }
 
 /// Returns a time of RFC 3339 in UTC without its fraction of a second.
@@ -43,8 +38,7 @@ pub(super) fn to_the_second(rfc3339: &str) -> String {
 
 /// Returns a count with its noun in the singular or the plural.
 pub(super) fn counted(count: impl Into<u64>, one: &str, several: &str) -> String {
-    let count = count.into();
-    format!("{count} {}", if count == 1 { one } else { several })
+    units::counted(count.into(), one, several)
 }
 
 #[cfg(test)]

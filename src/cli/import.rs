@@ -3,13 +3,14 @@
 use super::args::ImportArgs;
 use super::client;
 use super::figures::{counted, hertz};
+use super::part::Part;
 use super::place::another_database;
 use super::progress::bar;
 use super::{Context, Outcome, print_json, usage};
 use crate::clock::SystemClock;
 use crate::control::{ImportReport, MessageText};
 use crate::daemon::import::{Source, import};
-use crate::store::{ImportEnd, Store, StoreError, StoreOptions};
+use crate::store::{ImportEnd, Store, StoreError, StoreOptions, printable};
 use anyhow::Context as _;
 use imu_files::recording::{ColumnMap, Input, MessageDefinition, detect, open_regular, recording_file, unmerged_log};
 use std::io::Write as _;
@@ -33,7 +34,8 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
         return Err(usage("--name names one capture, but several files were given"));
     }
     // The daemon receives the options as parsed here.
-    let stated = Given { columns: context.columns.clone(), definitions: context.definitions.clone() };
+    let Context { columns, definitions, part, .. } = context.clone();
+    let stated = Given { columns, definitions, part };
     let writer = writer(context, args)?;
     let (mut outcome, mut answers) = (Outcome::Done, Vec::new());
     for file in &args.files {
@@ -64,6 +66,7 @@ pub(super) fn run(context: &Context, args: &ImportArgs) -> anyhow::Result<Outcom
 struct Given {
     columns: ColumnMap,
     definitions: Vec<MessageDefinition>,
+    part: Part,
 }
 
 /// Returns the named daemon, or the one that has the database; without one, the database itself.
@@ -113,10 +116,11 @@ fn import_here(store: &Store, file: &Path, args: &ImportArgs, stated: &Given) ->
     let bar = bar("{bar:40} {percent} %  {human_pos} samples", 0);
     // Another instance's daemon may capture beside it.
     crate::process::step_back();
-    let Given { columns, definitions } = stated;
+    let Given { columns, definitions, .. } = stated;
     let (columns, definitions) = (columns.clone(), definitions.clone());
-    let (rate_hz, sampling) = (args.rate, args.sampling.stated());
-    let source = Source { rate_hz, sampling, columns, definitions, ..Source::of(file) };
+    let (rate_hz, sampling, note) = (args.rate, args.sampling.stated(), args.note.clone());
+    let part = stated.part.of_recording();
+    let source = Source { rate_hz, sampling, columns, definitions, part, note, ..Source::of(file) };
     let imported = import(store, &SystemClock, source, args.name.clone(), &mut |written, of| {
         bar.set_length(of);
         bar.set_position(written);
@@ -137,6 +141,13 @@ fn send(
     stated: &Given,
 ) -> anyhow::Result<ImportReport> {
     let unreadable = || format!("{} cannot be read", file.display());
+    if file.is_dir() {
+        return Err(usage(format!(
+            "{0} has several files, and the daemon takes one: `vn100d export {0} --out FILE.parquet` makes one of them; import \
+             that",
+            file.display()
+        )));
+    }
     // A file that is not a recording is not sent.
     detect(&Input::file(file).with_columns(stated.columns.clone()))?;
     if let Some(log) = unmerged_log(file) {
@@ -152,6 +163,8 @@ fn send(
     let bar = bar("{bar:40} {percent} %  {bytes} sent", length);
     let mut query = vec![("file", file.display().to_string())];
     query.extend(args.name.clone().map(|name| ("name", name)));
+    query.extend(args.note.clone().map(|note| ("note", note)));
+    query.extend(stated.part.query());
     query.extend(args.rate.map(|rate_hz| ("rate_hz", rate_hz.to_string())));
     query.extend(args.sampling.filter_window.map(|window| ("filter_window", window.to_string())));
     query.extend(args.sampling.internal_rate.map(|rate_hz| ("internal_rate_hz", rate_hz.to_string())));
@@ -184,13 +197,13 @@ fn print_summary(report: &ImportReport) -> std::io::Result<()> {
     }
     for rejected in report.first_rejected.iter().take(REJECTED_SHOWN) {
         let text: String = rejected.text.chars().take(REJECTED_CHARS).collect();
-        writeln!(stdout, "    {} {}: {text}", rejected.entry, rejected.line)?;
+        writeln!(stdout, "    {} {}: {}", rejected.entry, rejected.line, printable(&text))?;
     }
     for remark in &report.remarks {
-        writeln!(stdout, "  {remark}")?;
+        writeln!(stdout, "  {}", printable(remark))?;
     }
     if !report.ignored_columns.is_empty() {
-        writeln!(stdout, "  ignored: {}", report.ignored_columns.join(", "))?;
+        writeln!(stdout, "  ignored: {}", printable(&report.ignored_columns.join(", ")))?;
     }
     for conversion in &report.conversions {
         writeln!(
@@ -225,8 +238,10 @@ mod tests {
         let arguments = |listen: Option<&str>| ImportArgs {
             files: vec!["desk.csv".into()],
             rate: None,
+            part: crate::cli::args::PartArgs::default(),
             sampling: crate::cli::args::SamplingArgs::default(),
             name: None,
+            note: None,
             listen: listen.map(str::to_owned),
         };
         let held = Store::open(&folder.path().join("vn100d.db"), StoreOptions::default()).unwrap();

@@ -2,7 +2,7 @@
 
 use super::client::{self, ClientError, shown};
 use super::figures::to_the_second;
-use comfy_table::{Table, presets};
+use super::table::Table;
 use serde_json::Value;
 
 /// Queries the daemon at `base_url` (`http://127.0.0.1:8100`) and prints its latest 100 jobs as a table, or as the JSON
@@ -17,14 +17,12 @@ pub fn run(base_url: &str, json: bool) -> Result<(), ClientError> {
     }
     match answer["jobs"].as_array().map_or(&[][..], Vec::as_slice) {
         [] => client::print("There are no jobs."),
-        jobs => client::print(&table(jobs).trim_fmt()),
+        jobs => client::print(&table(jobs).to_string()),
     }
 }
 
 fn table(jobs: &[Value]) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(["job", "kind", "capture", "state", "progress", "submitted", "result"]);
+    let mut table = Table::new(&["job", "kind", "capture", "state", "progress", "submitted", "result"]);
     for job in jobs {
         let progress = job["progress"].as_f64().map_or_else(|| "–".to_owned(), |part| format!("{:.0} %", part * 100.0));
         let outcome = if job["error"].is_null() { &job["result"] } else { &job["error"] };
@@ -58,12 +56,14 @@ mod tests {
             serde_json::json!({"id": 1, "kind": "allan", "capture": 1, "state": "failed", "progress": 0,
                 "created_at": "2026-11-21T19:00:00.000000000Z", "error": "no samples", "result": null}),
         ];
-        let text = table(&jobs).trim_fmt();
-        let lines: Vec<&str> = text.lines().collect();
+        let text = table(&jobs).to_string();
+        let lines: Vec<&str> = text.lines().filter(|line| line.starts_with('│')).collect();
         assert_eq!(lines.len(), 3, "{text}");
         for part in ["61 %", "2026-11-21T20:00:00Z", "running", "–"] {
             assert!(lines[1].contains(part), "{part} in {}", lines[1]);
         }
         assert!(lines[2].contains("no samples"), "{}", lines[2]);
+        let narrow = table(&jobs).at_most(60).to_string();
+        assert!(narrow.lines().all(|line| line.chars().count() <= 60) && narrow.contains("no samples"), "{narrow}");
     }
 }

@@ -5,6 +5,7 @@ mod analysis;
 pub mod args;
 mod backup;
 mod by_hand;
+mod calibrate;
 mod calibration;
 mod captures;
 mod check;
@@ -30,6 +31,7 @@ mod model;
 mod noise;
 mod notify;
 mod output;
+mod part;
 mod place;
 mod plot;
 mod probe;
@@ -49,6 +51,7 @@ mod trial;
 mod trial_motion;
 mod trial_on;
 mod trial_part;
+mod trial_posed;
 mod trial_show;
 mod validation;
 mod within;
@@ -142,11 +145,20 @@ pub struct Context {
     pub columns: ColumnMap,
     /// `--message-definition`.
     pub definitions: Vec<MessageDefinition>,
+    /// Whether the command takes recordings in counts.
+    pub takes_counts: bool,
+    /// `--from`, `--to` and `--channels`.
+    pub part: part::Part,
     /// The database that is read, once it was searched for: a command reads one database.
     place: OnceLock<place::Place>,
 }
 
 impl Context {
+    /// Returns the same without a part: for another recording than the one of which a part is wanted.
+    fn whole(&self) -> Self {
+        Self { part: part::Part::default(), ..self.clone() }
+    }
+
     /// Returns the effective configuration.
     fn load(&self, overrides: &Overrides) -> Result<Config, ConfigError> {
         crate::config::load(self.config.as_deref(), &Environment::from_process(), overrides)
@@ -301,8 +313,10 @@ fn is_broken_pipe(error: &anyhow::Error) -> bool {
 
 fn run(cli: Cli) -> anyhow::Result<Outcome> {
     let (columns, definitions) = source::stated(&cli)?;
+    let takes_counts = matches!(cli.command, Command::Calibrate(_));
+    let part = part::Part::stated(&cli.command)?;
     let (data_dir, config, json) = (cli.data_dir, cli.config, cli.json);
-    let context = Context { data_dir, config, json, columns, definitions, place: OnceLock::new() };
+    let context = Context { data_dir, config, json, columns, definitions, takes_counts, part, place: OnceLock::new() };
     match cli.command {
         Command::Run(args) => run::run(&context, &args),
         Command::Demo(args) => demo::run(&context, &args),
@@ -326,7 +340,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Import(args) => import::run(&context, &args),
         Command::Export(args) => export::run(&context, &args),
         Command::Captures => captures::run(&context),
-        Command::Show { capture, rate } => show::run(&context, &capture, rate),
+        Command::Show { capture, rate, .. } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
         Command::Noise(args) => noise::run(&context, &args),
         Command::Plot(args) => plot::run(&context, &args),
@@ -337,6 +351,7 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Worker(args) => worker::run(&args),
         Command::Model(args) => model::run(&context, &args),
         Command::Diagnose(args) => diagnose::run(&context, &args),
+        Command::Calibrate(args) => calibrate::run(&context, &args),
         Command::Cost(args) => cost::run(&context, &args),
         Command::Backup(args) => backup::run(&context, &args),
         Command::Check { database } => check::run(&context, database),

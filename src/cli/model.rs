@@ -21,7 +21,7 @@ use std::path::Path;
 /// Runs the sub-command.
 pub(super) fn run(context: &Context, args: &ModelArgs) -> anyhow::Result<Outcome> {
     match &args.command {
-        ModelCommand::Fit { captures, rate, sampling, effects, name, out, overwrite, force } => {
+        ModelCommand::Fit { captures, rate, part: _, sampling, effects, name, out, overwrite, force } => {
             let read: Vec<&Path> = captures.iter().map(Path::new).filter(|path| path.exists()).collect();
             let output = |path: &Path| Output::create_by("--overwrite", path, *overwrite, &read);
             let out = out.as_deref().map(output).transpose()?;

@@ -26,9 +26,13 @@ pub(super) fn run(context: &Context, args: &PlotArgs) -> anyhow::Result<Outcome>
     let picture = args.picture;
     let path = Some(args.out.as_path()).filter(|path| *path != Path::new("-"));
     let form = path.map_or(Ok(Form::Svg), form)?;
-    let window = Window { from: args.from, to: args.to };
-    if window != Window::default() && !matches!(picture, Picture::Timeseries(_)) {
-        return Err(usage(format!("--from and --to are for timeseries-<channel>, not for {}", picture.name())));
+    // The times of a series go on counting from the capture's first sample; other pictures are of the part alone.
+    let window = match picture {
+        Picture::Timeseries(_) => Window { from: args.part.from, to: args.part.to },
+        _ => Window::default(),
+    };
+    if args.part.channels.is_some() {
+        return Err(usage(format!("--channels is not for a plot: {} names its channels", picture.name())));
     }
     if path.is_none() && context.json {
         return Err(usage("--json and the plot both want standard output: name --out FILE.svg"));
@@ -76,7 +80,7 @@ fn image(subject: &Subject, picture: Picture, window: Window, form: Form) -> any
             "{} needs {lacking}, which {} does not have: it has {}",
             picture.name(),
             row.name,
-            there.join(", ")
+            if there.is_empty() { "no channel yet".to_owned() } else { there.join(", ") }
         )));
     }
     let mut documents = Documents::default();

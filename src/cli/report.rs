@@ -219,6 +219,7 @@ mod tests {
         let context =
             Context { data_dir: Some(folder.path().to_owned()), config: None, json: false, ..Context::default() };
         let args = ReportArgs {
+            part: super::super::args::PartArgs::default(),
             captures: vec!["latest".to_owned()],
             out: out.clone(),
             rate: None,

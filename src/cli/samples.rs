@@ -1,22 +1,15 @@
 //! Samples: reads the samples to export, from a capture of the database or a recording's file, block by block.
 
 use super::Context;
+use super::part::Part;
 use super::source::{Source, has_rejected, note_assumed_rate, note_assumed_time};
-use crate::store::{Chunk, GapRow, Moment, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
+use crate::store::{Chunk, GapRow, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use imu_core::sample::{Channel, Gap, Record, Sample, SensorDescription};
 use imu_files::export::samples::{About, Rows, Tally};
 use imu_files::recording::{Item, KeepOn, Recording, RecordingAccountant, Stamps};
 
 /// Samples per block: one short query, some 1 MB.
 const BLOCK: usize = 8192;
-
-/// The wanted part of a capture.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Part {
-    pub from: Option<Moment>,
-    pub to: Option<Moment>,
-    pub channels: Option<Vec<Channel>>,
-}
 
 /// Samples to be exported.
 pub(super) struct Samples {
@@ -67,7 +60,11 @@ impl Samples {
         Ok(Self::of_range(reader, range, channels)?)
     }
 
-    fn of_range(reader: Reader, range: SampleRange, channels: Vec<Channel>) -> Result<Self, StoreError> {
+    /// Returns a range of a capture's samples with these columns.
+    ///
+    /// # Errors
+    /// The database's error.
+    pub(super) fn of_range(reader: Reader, range: SampleRange, channels: Vec<Channel>) -> Result<Self, StoreError> {
         let capture = &range.capture;
         let about = About {
             id: Some(capture.id),

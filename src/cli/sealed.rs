@@ -2,6 +2,7 @@
 //! required rates. Both stationary trials and those with a motion run here.
 
 use super::args::{TrialArgs, TrialPart};
+use super::figures::counted;
 use super::limits::Limit;
 use super::progress::bar;
 use super::{Outcome, usage};
@@ -70,7 +71,8 @@ impl<'a> Sealed<'a> {
         if cases == 0 {
             return Err(usage(empty()));
         }
-        eprintln!("{cases} cases of seed {}; their keys are sealed: the manifest's SHA-256 is {sha256}", self.seed);
+        let cases = counted(cases as u64, "case", "cases");
+        eprintln!("{cases} of seed {}; the keys are sealed: the manifest's SHA-256 is {sha256}", self.seed);
         Ok((manifest, sha256))
     }
 
@@ -178,6 +180,9 @@ impl<'a> Sealed<'a> {
         command.args(["trial-part", part.into()]);
         if self.args.motion {
             command.arg("--motion");
+        }
+        if self.args.reference.is_some() {
+            command.arg("--posed");
         }
         if part != TrialPart::Diagnose {
             command.args(["--seed", &self.seed.to_string(), "--cases", &self.shape.cases.to_string()]);

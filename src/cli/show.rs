@@ -122,7 +122,8 @@ fn accounting_lines(report: &Report) -> Vec<String> {
     lines.push(format!("expected {} = {} received + {} missing", report.expected, report.committed, report.missing));
     for unchecked in &report.unchecked {
         let Unchecked { reason, samples, missing } = unchecked;
-        lines.push(format!("not checked by the sensor's ticks: {samples} samples, {missing} missing ({reason})"));
+        let samples = counted(*samples, "sample", "samples");
+        lines.push(format!("not checked by the sensor's ticks: {samples}, {missing} missing ({reason})"));
     }
     lines.extend(report.violations.iter().map(|violation| format!("DOES NOT AGREE: {violation}")));
     lines
@@ -151,7 +152,8 @@ fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) ->
         let assumed = if info.rate_assumed { " (assumed)" } else { "" };
         writeln!(
             stdout,
-            "recording {file}: {:.3} s at {}{assumed}, {}, {} missing in {}, {}",
+            "recording {}: {:.3} s at {}{assumed}, {}, {} missing in {}, {}",
+            printable(file),
             recording.duration_s(),
             hertz(info.rate_hz),
             counted(recording.samples, "sample", "samples"),
@@ -164,10 +166,10 @@ fn show_recording(context: &Context, file: &str, recording: &LoadedRecording) ->
         }
         for rejected in info.first_rejected.iter().take(REJECTED_SHOWN) {
             let text: String = rejected.text.chars().take(REJECTED_CHARS).collect();
-            writeln!(stdout, "    {} {}: {text}", info.kind.entry(), rejected.line)?;
+            writeln!(stdout, "    {} {}: {}", info.kind.entry(), rejected.line, printable(&text))?;
         }
         for remark in info.remarks() {
-            writeln!(stdout, "  {remark}")?;
+            writeln!(stdout, "  {}", printable(&remark))?;
         }
         for line in by_cause(recording.gaps.iter().map(|gap| (gap.cause, gap.missing))) {
             writeln!(stdout, "  {line}")?;

@@ -5,26 +5,30 @@ use super::emulate::{load_model, stop_on_signal};
 use super::figures::{counted, hertz};
 use super::output::{Output, is_same, refuse_without_room};
 use super::progress::{SAMPLES, bar};
-use super::{Context, Outcome, failed, print_json, usage};
+use super::{Context, Outcome, diagnose, failed, print_json, usage};
 use crate::clock::{Clock as _, SystemClock};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
 use imu_core::sample::{CaptureConfiguration, Channel, SensorDescription};
+use imu_diagnosis::Known;
 use imu_model::motion::file::{Rows, Writer, between, rate_of, samples_per_row};
 use imu_model::motion::{Course, Kind, Site, Temperatures, gravity};
 use imu_model::simulator::records::Records;
 use imu_model::simulator::{Block, Motion, SensorModel, Simulator};
+use imu_pose::{External, Poses};
 use indicatif::ProgressBar;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufRead as _, BufReader, BufWriter, Read as _, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of threads that make samples: with two cores a third would have none, and with four the writer keeps its own.
 const THREADS: usize = 2;
+/// Length of a motion's header at most.
+const HEADER_BYTES: u64 = 4096;
 /// The longest simulation, s: a hundred years. Stamps count nanoseconds from 1970 in 64 bits, which end in 2262.
 const LONGEST_S: f64 = 3_155_760_000.0;
 
@@ -34,6 +38,8 @@ enum Given {
     Course(Course),
     /// A file at a rate, with one row per `samples_per_row` of the sensor's own samples.
     File { path: String, rows: u64, has_temperature: bool, samples_per_row: u32 },
+    /// Poses of another instrument, converted to rows at the output's rate.
+    Poses { rows: Arc<[Motion]>, samples_per_row: u32 },
 }
 
 /// Runs to the end of the duration or of the motion.
@@ -47,6 +53,9 @@ pub(super) fn run(context: &Context, args: &SimulateArgs) -> anyhow::Result<Outc
     let motion_s = match &motion {
         Some(Given::File { rows, samples_per_row, .. }) => {
             Some(*rows as f64 * f64::from(*samples_per_row) / internal_hz)
+        }
+        Some(Given::Poses { rows, samples_per_row }) => {
+            Some(rows.len() as f64 * f64::from(*samples_per_row) / internal_hz)
         }
         _ => None,
     };
@@ -174,11 +183,38 @@ fn given(named: &str, rate_hz: f64, internal_hz: f64, duration_s: Option<f64>) -
         };
         return Ok(Given::Course(Course::new(kind, duration_s, Site::default())?));
     }
+    if let Some(poses) = poses(named)? {
+        let samples_per_row = samples_per_row(named, rate_hz, rate_hz, internal_hz)?;
+        let instants =
+            imu_pose::course(&poses, rate_hz).with_context(|| format!("the motion {named} cannot be used"))?;
+        if poses.position_m.is_empty() {
+            eprintln!("note: {named} has no positions: the accelerometer has gravity alone");
+        }
+        let row = |of: &imu_pose::Instant| Motion {
+            gyro_rad_s: of.rate_rad_s.into(),
+            accel_m_s2: of.force_m_s2.into(),
+            temperature_c: None,
+        };
+        return Ok(Given::Poses { rows: instants.iter().map(row).collect(), samples_per_row });
+    }
     let found_hz = rate_of(open(named)?, named)?;
     let survey = Rows::new(open(named)?, named, found_hz)?.survey()?;
     let samples_per_row = samples_per_row(named, survey.rate_hz, rate_hz, internal_hz)?;
     let (rows, has_temperature) = (survey.rows, survey.has_temperature);
     Ok(Given::File { path: named.to_owned(), rows, has_temperature, samples_per_row })
+}
+
+/// Returns the poses in a file; `None` if it has none.
+fn poses(named: &str) -> anyhow::Result<Option<Poses>> {
+    let mut line = String::new();
+    let is_text = open(named)?.take(HEADER_BYTES).read_line(&mut line).is_ok();
+    if is_text && line.contains("ref_gyro") {
+        return Ok(None);
+    }
+    Ok(match diagnose::reference(Path::new(named), None) {
+        Ok(Known::External(External::Poses(poses))) => Some(poses),
+        _ => None,
+    })
 }
 
 /// Returns the rows of a motion up to a time, at most `most`, and their rate in Hz.
@@ -191,7 +227,9 @@ pub(super) fn motion_rows(
     let internal_hz = model.internal_rate_hz(model.rate_hz);
     let motion = given(named, model.rate_hz, internal_hz, Some(length_s))?;
     let row_hz = match &motion {
-        Given::File { samples_per_row, .. } => internal_hz / f64::from(*samples_per_row),
+        Given::File { samples_per_row, .. } | Given::Poses { samples_per_row, .. } => {
+            internal_hz / f64::from(*samples_per_row)
+        }
         Given::Course(_) => internal_hz,
     };
     let failed = Failed::default();
@@ -220,6 +258,10 @@ impl Given {
     fn rows(&self, rate_hz: f64, failed: &Failed) -> anyhow::Result<Box<dyn Iterator<Item = Motion> + Send>> {
         match self {
             Self::Course(course) => Ok(Box::new(course.clone().sampled(rate_hz))),
+            Self::Poses { rows, .. } => {
+                let rows = Arc::clone(rows);
+                Ok(Box::new((0..rows.len()).map(move |place| rows[place])))
+            }
             Self::File { path, .. } => {
                 let (failed, rows) = (failed.clone(), Rows::new(open(path)?, path, None)?);
                 Ok(Box::new(rows.map_while(move |row| match row {
@@ -241,7 +283,9 @@ impl Given {
     ) -> anyhow::Result<Box<dyn Iterator<Item = Motion> + Send>> {
         let rows = self.rows(internal_hz, failed)?;
         Ok(match self {
-            Self::File { samples_per_row, .. } if *samples_per_row > 1 => Box::new(between(rows, *samples_per_row)),
+            Self::File { samples_per_row, .. } | Self::Poses { samples_per_row, .. } if *samples_per_row > 1 => {
+                Box::new(between(rows, *samples_per_row))
+            }
             _ => rows,
         })
     }

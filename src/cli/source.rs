@@ -1,9 +1,10 @@
 //! Source: the input of a command, a capture of the database or a recording's file.
 
 use super::args::{Cli, Command};
+use super::part;
 use super::{Context, usage};
 use crate::clock::{Clock as _, SystemClock};
-use crate::store::{CaptureRow, Reader};
+use crate::store::{CaptureRow, Reader, printable};
 use anyhow::Context as _;
 use imu_files::recording::{
     ColumnMap, DefinitionError, Input, KeepOn, MessageDefinition, Options, Recording, RecordingInfo,
@@ -13,23 +14,27 @@ use std::path::Path;
 
 /// The input of a command.
 pub(super) enum Source {
-    /// A capture: its database and its row.
+    /// A capture: its database and its row, or those of the wanted part of it.
     Capture(Box<Reader>, Box<CaptureRow>),
-    /// A recording's file.
+    /// A recording's file, or the wanted part of it.
     Recording(Box<Recording>),
 }
 
 impl Source {
-    /// Opens the file of this name if there is one, and reads it while `keep_on` allows it; else the capture.
+    /// Opens the file of this name if there is one, and reads it while `keep_on` allows it; else the capture. Of both only
+    /// the wanted part.
     ///
     /// # Errors
     /// If neither can be read.
     pub(super) fn open(context: &Context, named: &str, rate_hz: Option<f64>, keep_on: KeepOn) -> anyhow::Result<Self> {
         if let Some(file) = file(named) {
-            let definitions = context.definitions.clone();
-            let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), definitions };
+            let (definitions, part) = (context.definitions.clone(), context.part.of_recording());
+            let options = Options { rate_hz, started_utc_ns: SystemClock.utc_ns(), definitions, part };
             let input = Input::file(file).while_wanted(keep_on).with_columns(context.columns.clone());
-            return Ok(Self::Recording(Box::new(Recording::read(input, options)?)));
+            let input = input.with_counts(context.takes_counts);
+            let recording = Recording::read(input, options)?;
+            note_ignored(named, &recording.info().ignored_columns);
+            return Ok(Self::Recording(Box::new(recording)));
         }
         if !context.columns.is_empty() || !context.definitions.is_empty() {
             return Err(usage(format!(
@@ -37,7 +42,10 @@ impl Source {
                  a capture"
             )));
         }
-        let (reader, row) = context.capture(named)?;
+        let (mut reader, mut row) = context.capture(named)?;
+        if !context.part.is_whole() {
+            (reader, row) = part::of_capture(&reader, &row, &context.part, &keep_on)?;
+        }
         Ok(Self::Capture(Box::new(reader), Box::new(row)))
     }
 }
@@ -66,6 +74,7 @@ pub(super) fn stated(cli: &Cli) -> anyhow::Result<(ColumnMap, Vec<MessageDefinit
             | Command::Report(_)
             | Command::Model(_)
             | Command::Diagnose(_)
+            | Command::Calibrate(_)
             | Command::Cost(_)
             | Command::Trial(_)
     );
@@ -102,6 +111,20 @@ pub(super) fn has_rejected(info: &RecordingInfo) -> bool {
 /// Reports on standard error that no source states the rate, so that machine-readable output stays clean.
 pub(super) fn note_assumed_rate(named: &str, rate_hz: f64) {
     eprintln!("note: {named} tells no rate: {rate_hz} Hz is assumed (--rate HZ tells another)");
+}
+
+/// Names of ignored columns that are shown.
+const IGNORED_SHOWN: usize = 6;
+
+/// Reports on standard error the columns of a recording that are not read.
+pub(super) fn note_ignored(named: &str, columns: &[String]) {
+    if columns.is_empty() {
+        return;
+    }
+    let shown = columns.iter().take(IGNORED_SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
+    let more = columns.len().saturating_sub(IGNORED_SHOWN);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    eprintln!("{}", printable(&format!("note: {named}: not read: {shown}{more} (--columns names what a column is)")));
 }
 
 /// Reports on standard error that no source states the time.

@@ -2,7 +2,8 @@
 
 use super::client::{self, ClientError, shown};
 use super::figures::{counted, hertz};
-use comfy_table::{Table, presets};
+use super::table::{facts, terminal};
+use crate::page::span;
 use imu_core::units::format_duration;
 use serde_json::Value;
 use std::time::Duration;
@@ -14,15 +15,12 @@ use std::time::Duration;
 /// [`ClientError`]; [`ClientError::is_unreachable`] is exit code 69.
 pub fn run(base_url: &str, json: bool) -> Result<(), ClientError> {
     let status = client::get(base_url, "/v1/status")?;
-    client::print(&if json { status.to_string() } else { table(&status).trim_fmt() })
+    client::print(&if json { status.to_string() } else { facts(&rows(&status), terminal()) })
 }
 
-fn table(status: &Value) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    let mut row = |name: &str, value: String| {
-        table.add_row([name.to_owned(), value]);
-    };
+fn rows(status: &Value) -> Vec<[String; 2]> {
+    let mut rows = Vec::new();
+    let mut row = |name: &str, value: String| rows.push([name.to_owned(), value]);
     let (sensor, capture) = (&status["sensor"], &status["capture"]);
     let (storage, jobs) = (&status["storage"], &status["jobs"]);
     row("daemon", format!("vn100d {}, up {}", shown(&status["version"]), duration(&status["uptime_s"])));
@@ -99,8 +97,10 @@ fn table(status: &Value) -> Table {
             row("share", format!("{link}, {reading}, {bytes} bytes, {dropped} dropped"));
         }
         if !share["socket"].is_null() {
-            let [socket, clients, lost] = ["socket", "clients", "lost_lines"].map(|name| shown(&share[name]));
-            row("share", format!("{socket}, {clients} clients, {lost} samples lost by slow ones"));
+            let socket = shown(&share["socket"]);
+            let lost = counted(share["lost_lines"].as_u64().unwrap_or_default(), "sample", "samples");
+            let clients = counted(share["clients"].as_u64().unwrap_or_default(), "client", "clients");
+            row("share", format!("{socket}, {clients}, {lost} lost by slow ones"));
         }
         if !share["error"].is_null() {
             row("", shown(&share["error"]));
@@ -108,12 +108,16 @@ fn table(status: &Value) -> Table {
     }
     let counts = ["running", "queued", "done", "failed"].map(|name| format!("{} {name}", shown(&jobs[name])));
     row("jobs", counts.join(", "));
-    table
+    rows
 }
 
 fn lasts(storage: &Value) -> String {
     let left = &storage["time_to_full_s"];
-    if left.is_null() { String::new() } else { format!(", full in {}", duration(left)) }
+    if left.is_null() {
+        String::new()
+    } else {
+        format!(", full in {}", left.as_f64().map_or_else(|| shown(left), span))
+    }
 }
 
 fn size(storage: &Value, names: &[&str]) -> String {
@@ -140,7 +144,7 @@ mod tests {
         let mut value = serde_json::to_value(status).unwrap();
         value["version"] = "0.1.0".into();
         value["uptime_s"] = 61.4.into();
-        table(&value).trim_fmt()
+        facts(&rows(&value), None)
     }
 
     #[test]
@@ -149,6 +153,20 @@ mod tests {
         assert!(text.contains("vn100d 0.1.0, up 1m1s"), "{text}");
         assert!(text.contains("absent") && text.contains("none"), "{text}");
         assert!(!text.contains("null") && !text.contains('–'), "{text}");
+    }
+
+    #[test]
+    fn a_status_fits_the_terminal() {
+        let mut status = Status::default();
+        status.sensor.state = SensorState::Stalled;
+        status.sensor.hint = Some("the cable may be loose, or the sensor may have no power: look at both".to_owned());
+        let mut value = serde_json::to_value(&status).unwrap();
+        value["version"] = "0.1.0".into();
+        let text = facts(&rows(&value), Some(40));
+        assert!(text.lines().all(|line| line.chars().count() <= 40), "{text}");
+        assert!(text.contains("the cable") && text.contains("at both"), "{text}");
+        // The names stand alone at the left.
+        assert!(text.lines().any(|line| line.starts_with("          ") && !line.trim().is_empty()), "{text}");
     }
 
     #[test]
@@ -182,7 +200,7 @@ mod tests {
             "1h elapsed, 4h to come",
             "143990 received, 10 missing in 2 gaps, 143950 on disk",
             "nothing since 2026-11-21T20:00:00Z",
-            "0.0 MiB used, 5.0 GiB free, full in 2h",
+            "0.0 MiB used, 5.0 GiB free, full in 2 h",
         ] {
             assert!(text.contains(part), "{part} in\n{text}");
         }

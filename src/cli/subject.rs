@@ -3,7 +3,7 @@
 use super::analysis::contradicted;
 use super::emulate::stop_on_signal;
 use super::progress::bar;
-use super::source::{file, note_assumed_rate, note_assumed_time};
+use super::source::{self, file, note_assumed_rate, note_assumed_time, note_ignored};
 use super::{Context, failed};
 use crate::clock::SystemClock;
 use crate::daemon::import::{ImportError, Source, import};
@@ -12,7 +12,6 @@ use crate::store::{CaptureRow, Reader, Store, StoreOptions};
 use anyhow::Context as _;
 use imu_core::sample::{Channel, StatedSampling};
 use imu_files::recording::{KeepOn, RecordingError};
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -85,12 +84,26 @@ impl Subject {
         stated: Option<StatedSampling>,
         stop: &Stop,
     ) -> anyhow::Result<Self> {
+        let keep_on = stop.keep_on();
         let mut subject = match file(named) {
-            Some(path) => stop.unless(Self::of_recording(path, rate_hz, stop))?,
-            None => {
-                let (reader, row) = context.capture(named)?;
-                Self { reader, row, of_file: false, stated: None, remarks: Vec::new(), _folder: None }
+            Some(path) => {
+                let (columns, definitions) = (context.columns.clone(), context.definitions.clone());
+                let part = context.part.of_recording();
+                let source = Source { rate_hz, keep_on, columns, definitions, part, ..Source::of(path) };
+                stop.unless(Self::of_recording(source, stop))?
             }
+            None => match source::Source::open(context, named, rate_hz, keep_on)? {
+                source::Source::Capture(reader, row) => {
+                    let (reader, row) = (*reader, *row);
+                    let remarks = if context.part.is_whole() {
+                        Vec::new()
+                    } else {
+                        vec![format!("This is a part of capture {}.", row.id)]
+                    };
+                    Self { reader, row, of_file: false, stated: None, remarks, _folder: None }
+                }
+                source::Source::Recording(_) => return Err(failed(format!("{named} became a file meanwhile"))),
+            },
         };
         if subject.row.rate_assumed {
             note_assumed_rate(named, subject.row.rate_hz.unwrap_or_default());
@@ -106,11 +119,11 @@ impl Subject {
     }
 
     /// Imports the recording into a temporary database.
-    fn of_recording(file: &Path, rate_hz: Option<f64>, stop: &Stop) -> anyhow::Result<Self> {
+    fn of_recording(source: Source<'_>, stop: &Stop) -> anyhow::Result<Self> {
+        let file = source.file;
         let folder = tempfile::Builder::new().prefix("vn100d-").tempdir().context("no temporary folder can be made")?;
         let database = folder.path().join("vn100d.db");
         let store = Store::open(&database, StoreOptions::default())?;
-        let source = Source { rate_hz, keep_on: stop.keep_on(), ..Source::of(file) };
         let bar = bar("{bar:40} {percent} %  {human_pos} samples read", 0);
         let imported = import(&store, &SystemClock, source, None, &mut |written, of| {
             bar.set_length(of);
@@ -122,6 +135,7 @@ impl Subject {
         store.close()?;
         let reader = Reader::open(&database)?;
         let row = reader.capture(imported.end.id())?;
+        note_ignored(&file.display().to_string(), &imported.report.ignored_columns);
         let mut remarks = Vec::new();
         if imported.report.stamps != "unix" {
             note_assumed_time(&file.display().to_string());

@@ -109,6 +109,19 @@ impl Table {
     }
 }
 
+/// Returns rows of a name and a text, without borders, within this many columns.
+pub(super) fn facts(rows: &[[String; 2]], within: Option<u16>) -> String {
+    let mut table = comfy_table::Table::new();
+    table.load_style(presets::NOTHING);
+    if let Some(within) = within {
+        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(within);
+        let names = rows.iter().map(|[name, _]| name.len_shown()).max().unwrap_or_default();
+        table.set_constraints([ColumnConstraint::Absolute(Width::Fixed(names.saturating_add(2)))]);
+    }
+    table.add_rows(rows);
+    table.trim_fmt()
+}
+
 impl fmt::Display for Table {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         to.write_str(&self.drawn(self.within))
@@ -127,7 +140,7 @@ impl Shown for str {
 }
 
 /// Returns the number of columns of the terminal on standard output, or of `COLUMNS`; none if it is no terminal.
-fn terminal() -> Option<u16> {
+pub(super) fn terminal() -> Option<u16> {
     let stated = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());
     let of_terminal = || rustix::termios::tcgetwinsize(std::io::stdout()).ok().map(|size| size.ws_col);
     stated.or_else(of_terminal).filter(|columns| *columns > 0)

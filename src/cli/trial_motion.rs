@@ -4,7 +4,9 @@
 //! the keys' digests comes first and the keys last.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
+use super::figures::counted;
 use super::sealed::{Sealed, Shape, discrepancy, outcome, thresholds, words};
+use super::trial_posed::Ground;
 use super::{Context, Outcome, print_json, table, usage};
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
@@ -15,6 +17,7 @@ use imu_trial::motion::case::{SAMPLES_MIN, pack, unpack};
 use imu_trial::motion::score::RATES;
 use imu_trial::motion::{Case, Key, Score, judge, plan};
 use imu_trial::page::{self, percent};
+use imu_trial::posed;
 use serde_json::Value;
 use std::io::{Read as _, Write as _};
 
@@ -23,12 +26,15 @@ const MISSES_SHOWN: usize = 20;
 
 /// Runs a trial and prints the result.
 pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome> {
-    plan(0, 1, words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
+    let ground = ground(context, args)?;
+    if ground.is_none() {
+        plan(0, 1, words(&args.kinds)).map_err(|error| usage(format!("--kinds: {error}")))?;
+    }
     if args.samples.is_some_and(|samples| samples < SAMPLES_MIN) {
         return Err(usage(format!("--samples: a case with a motion takes {SAMPLES_MIN} or more")));
     }
     let required = thresholds(args, &RATES.map(|(name, _)| name))?;
-    let sealed = Sealed::new(args, Shape::of(args), None)?;
+    let sealed = Sealed::new(args, Shape::of(args), ground.as_ref().map(Ground::folder))?;
     let (manifest, manifest_sha256) = sealed.manifest(|| "--cases: there is no case".to_owned())?;
     let reports = sealed.reports(manifest.digests.len())?;
     let verified =
@@ -43,7 +49,13 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         .iter()
         .zip(&reports)
         .zip(truths)
-        .map(|((key, report), truth)| judge(key, report.as_ref().map_err(String::as_str), truth))
+        .map(|((key, report), truth)| {
+            let report = report.as_ref().map_err(String::as_str);
+            match ground.as_ref().and_then(|ground| ground.of_case(key.case)) {
+                Some((own, apart)) => posed::judge(key, report, own, apart),
+                None => judge(key, report, truth),
+            }
+        })
         .collect();
     let score = Score::of(SOFTWARE, sealed.seed, &manifest_sha256, &judgements);
     sealed.keep("judgements.json", &serde_json::to_vec_pretty(&judgements)?)?;
@@ -54,6 +66,17 @@ pub(super) fn run(context: &Context, args: &TrialArgs) -> anyhow::Result<Outcome
         show(&score)?
     }
     Ok(outcome(&required, |name| score.rates.get(name).and_then(|rate| rate.share)))
+}
+
+/// Returns the recording on which effects are imposed, if one is given with its poses.
+fn ground(context: &Context, args: &TrialArgs) -> anyhow::Result<Option<Ground>> {
+    match (&args.on, &args.reference) {
+        (Some(named), Some(reference)) => Ground::of(context, args, named, reference).map(Some),
+        (Some(_), None) => {
+            Err(usage("--on: with --motion the poses of the recording are needed: give --reference POSE"))
+        }
+        (None, _) => Ok(None),
+    }
 }
 
 /// Returns the part that the true effects close: the same discrepancy under the model that has them.
@@ -70,6 +93,9 @@ fn closed_by_truth(report: &Value, truth: &Value) -> Option<f64> {
 
 /// Runs one part of a trial for the calling process.
 pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
+    if args.posed {
+        return super::trial_posed::run_part(args);
+    }
     let mut stdout = std::io::stdout().lock();
     if args.part == TrialPart::Diagnose {
         let mut bytes = Vec::new();
@@ -112,10 +138,10 @@ pub(super) fn run_part(args: &TrialPartArgs) -> anyhow::Result<Outcome> {
 
 fn show(score: &Score) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "{} cases with a motion of seed {}", score.cases, score.seed)?;
+    writeln!(stdout, "{} with a motion of seed {}", counted(score.cases as u64, "case", "cases"), score.seed)?;
     let mut rows = table(&["", "cases", "share (95 %)"]);
     for (name, meaning) in RATES {
-        if let Some(rate) = score.rates.get(name) {
+        if let Some(rate) = score.rates.get(name).filter(|rate| rate.of > 0) {
             rows.add_row([meaning.to_owned(), format!("{} of {}", rate.count, rate.of), percent(*rate)]);
         }
     }

@@ -79,22 +79,30 @@ pub(super) fn stretch(folder: &Path, number: usize) -> anyhow::Result<Stretch> {
 
 /// Returns a stretch with the model of its own effects.
 fn of_itself(recording: &Recording) -> anyhow::Result<Stretch> {
-    let mut model = recorded::first_model(recording);
-    let mut named = Vec::new();
-    for round in 0..ROUNDS {
-        // For a device without a description there is no prior; for a fitted model there is.
-        let options = Options { believed: round > 0, ..Options::default() };
-        let outcome = imu_diagnosis::diagnose(recording, &model, &options)?;
-        let report = Report::of(&serde_json::to_value(&outcome.diagnosis)?)?;
-        named = report.causes.into_iter().map(|cause| (cause.effect, cause.channels)).collect();
-        if named.is_empty() && round > 0 {
-            break;
-        }
-        if round + 1 < ROUNDS {
-            model = read_again(&outcome.augmented)?;
-        }
-    }
+    let (model, report) =
+        settled(recorded::first_model(recording), |model, options| imu_diagnosis::diagnose(recording, model, options))?;
+    let causes = Report::of(&report)?.causes;
+    let named: Vec<_> = causes.into_iter().map(|cause| (cause.effect, cause.channels)).collect();
     Ok(Stretch::new(recording.clone(), model, &named))
+}
+
+/// Diagnoses under a first model and then under what was found, until nothing is named or no round is left. Returns the last
+/// model and its diagnosis.
+pub(super) fn settled(
+    first: SensorModel,
+    diagnose: impl Fn(&SensorModel, &Options<'_>) -> Result<imu_diagnosis::Outcome, imu_diagnosis::DiagnosisError>,
+) -> anyhow::Result<(SensorModel, serde_json::Value)> {
+    let mut model = first;
+    let mut round = 0;
+    loop {
+        // For a device without a description there is no prior; for a fitted model there is.
+        let outcome = diagnose(&model, &Options { believed: round > 0, ..Options::default() })?;
+        round += 1;
+        if round == ROUNDS || (round > 1 && outcome.diagnosis.causes.is_empty()) {
+            return Ok((model, serde_json::to_value(&outcome.diagnosis)?));
+        }
+        model = read_again(&outcome.augmented)?;
+    }
 }
 
 /// Returns the second half of a stretch under the model fitted to the first half: verdict and number of causes; `None`
@@ -109,11 +117,11 @@ fn halves(stretch: &Recording) -> anyhow::Result<Option<(String, usize)>> {
 }
 
 /// Returns the model in the form in which the processes read it.
-fn read_again(model: &SensorModel) -> anyhow::Result<SensorModel> {
+pub(super) fn read_again(model: &SensorModel) -> anyhow::Result<SensorModel> {
     Ok(SensorModel::from_value(&serde_json::to_value(model)?, "the corrected model")?)
 }
 
-fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+pub(super) fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     std::fs::read(path).with_context(|| format!("{} cannot be read", path.display()))
 }
 
@@ -121,7 +129,7 @@ fn survey_of(folder: &Path) -> PathBuf {
     folder.join("survey.json")
 }
 
-fn parcel_of(folder: &Path, number: usize) -> PathBuf {
+pub(super) fn parcel_of(folder: &Path, number: usize) -> PathBuf {
     folder.join(format!("{number:05}.parcel"))
 }
 

@@ -1,5 +1,6 @@
 //! Prints the result of a trial on a terminal.
 
+use super::figures::counted;
 use super::table;
 use imu_trial::page::{limit, percent, size};
 use imu_trial::score::Miss;
@@ -13,15 +14,20 @@ const MISSES_SHOWN: usize = 12;
 pub(super) fn show(score: &Score) -> std::io::Result<()> {
     let mut stdout = std::io::stdout().lock();
     let classes: Vec<String> = score.classes.iter().map(|(name, count)| format!("{count} {name}")).collect();
-    writeln!(stdout, "{} cases of seed {}: {}", score.cases, score.seed, classes.join(", "))?;
+    let cases = counted(score.cases as u64, "case", "cases");
+    writeln!(stdout, "{cases} of seed {}: {}", score.seed, classes.join(", "))?;
     if let Some(suite) = score.suite.and_then(Suite::named) {
         writeln!(stdout, "{}", suite.described(&score.manifest_sha256))?;
     }
     if let Some(on) = &score.on {
         writeln!(
             stdout,
-            "imposed on {} in {} stretches; {} causes are its own and set aside, {} of {} cases are called unknown as they are",
-            on.recording, on.stretches, on.own_causes, on.own_unknown.count, on.own_unknown.of
+            "imposed on {} in {}; {} its own and set aside, {} of {} called unknown as they are",
+            on.recording,
+            counted(on.stretches as u64, "stretch", "stretches"),
+            counted(on.own_causes as u64, "cause is", "causes are"),
+            on.own_unknown.count,
+            counted(on.own_unknown.of as u64, "case is", "cases are")
         )?;
     }
     let mut rows = table(&["", "", "count", "share (95 %)"]);

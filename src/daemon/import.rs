@@ -9,7 +9,9 @@ pub use reading::Source;
 use crate::clock::Clock;
 use crate::control::{self, ImportReport, ImportRequest, Importer};
 use crate::jobs::{Jobs, SamplingError};
-use crate::store::{CaptureState, ChannelRow, Import, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name};
+use crate::store::{
+    CaptureState, ChannelRow, Import, ImportEnd, NAME_MAX, NewCapture, Store, StoreError, check_name, check_note,
+};
 use imu_core::sample::Record;
 use imu_files::recording::{ColumnsError, DefinitionError, KeepOn, RecordingError};
 use reading::{ChannelFacts, Facts, Step};
@@ -81,7 +83,7 @@ pub fn import(
     name: Option<String>,
     progress: &mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
 ) -> Result<Imported, ImportError> {
-    let mut writing = Writing::begin(store, source.called, name, progress)?;
+    let mut writing = Writing::begin(store, source.called, (name, source.note.clone()), progress)?;
     reading::read(source, clock.utc_ns(), &mut |step| writing.take(step))?;
     writing.end()
 }
@@ -91,6 +93,7 @@ struct Writing<'a> {
     store: &'a Store,
     called: &'a Path,
     name: Option<String>,
+    note: Option<String>,
     progress: &'a mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
     fingerprint: String,
     facts: Option<Facts>,
@@ -100,18 +103,17 @@ struct Writing<'a> {
 }
 
 impl<'a> Writing<'a> {
-    /// Begins a capture of a recording of this name. An invalid name is refused before anything is read.
+    /// Begins a capture of a recording of this name. An invalid name or note is refused before anything is read.
     fn begin(
         store: &'a Store,
         called: &'a Path,
-        name: Option<String>,
+        (name, note): (Option<String>, Option<String>),
         progress: &'a mut dyn FnMut(u64, u64) -> Result<(), ImportError>,
     ) -> Result<Self, ImportError> {
-        if let Some(name) = &name {
-            check_name(name)?;
-        }
+        name.as_deref().map(check_name).transpose()?;
+        let note = note.as_deref().map(check_note).transpose()?.flatten();
         let (fingerprint, written) = (String::new(), 0);
-        Ok(Self { store, called, name, progress, fingerprint, facts: None, import: None, written, end: None })
+        Ok(Self { store, called, name, note, progress, fingerprint, facts: None, import: None, written, end: None })
     }
 
     /// Takes a step; returns whether the next one is wanted.
@@ -156,6 +158,7 @@ impl<'a> Writing<'a> {
     fn capture(&mut self, facts: &Facts) -> NewCapture {
         let mut capture = NewCapture::new(&self.called.display().to_string(), CaptureState::Imported);
         capture.name = self.name.take();
+        capture.note = self.note.take();
         capture.liked_name = Some(name_of(self.called));
         capture.started_utc_ns = Some(facts.started_utc_ns);
         capture.rate_assumed = facts.report.rate_assumed;
@@ -239,7 +242,8 @@ impl Importer for DaemonImporter {
             Ok(())
         };
         let called = Path::new(&request.called);
-        let imported = Writing::begin(&self.store, called, request.name.clone(), &mut room).and_then(|mut writing| {
+        let told = (request.name.clone(), request.note.clone());
+        let imported = Writing::begin(&self.store, called, told, &mut room).and_then(|mut writing| {
             apart::read_apart(&request, self.clock.utc_ns(), &keep_on, &mut |step| writing.take(step))?;
             writing.end()
         });
@@ -280,7 +284,9 @@ fn refused(error: &ImportError, request: &ImportRequest) -> control::ImportError
         | ImportError::Refused(_) => control::ImportError::Recording(reason),
         ImportError::Process(_) => control::ImportError::Process(reason),
         ImportError::Store(StoreError::NameTaken(_)) => control::ImportError::NameTaken(reason),
-        ImportError::Store(StoreError::NameRefused { .. }) => control::ImportError::NameRefused(reason),
+        ImportError::Store(StoreError::NameRefused { .. } | StoreError::NoteRefused(_)) => {
+            control::ImportError::NameRefused(reason)
+        }
         ImportError::Store(_) | ImportError::Read { .. } | ImportError::NoRoom { .. } => {
             control::ImportError::Store(reason)
         }

@@ -24,6 +24,8 @@ pub struct Noise {
     model: SensorModel,
     seed: u64,
     running: Option<Running>,
+    /// The configurations so far, each with the number of its simulations.
+    started: Vec<(Stream, u64)>,
 }
 
 /// A running simulation, for one configuration of the output.
@@ -61,9 +63,9 @@ impl Stream {
 
 impl Source {
     /// Creates noise of this model. The simulation begins with the first message after each change of the output, so
-    /// that a stream's noise depends on the seed and not on the time of the request.
+    /// that a stream's noise depends on the seed and not on the time of the request. After a reset it is other noise.
     pub fn model(model: SensorModel, seed: u64) -> Self {
-        Self::Model(Box::new(Noise { model, seed, running: None }))
+        Self::Model(Box::new(Noise { model, seed, running: None, started: Vec::new() }))
     }
 }
 
@@ -73,7 +75,19 @@ impl Noise {
         let running = match &mut self.running {
             Some(running) if running.stream == stream => running,
             other => {
-                let simulator = Simulator::new(&self.model, self.seed, stream.rate_hz(), RECORD_LENGTH_S)?;
+                let again = match self.started.iter_mut().find(|(known, _)| *known == stream) {
+                    Some((_, times)) => {
+                        *times += 1;
+                        *times
+                    }
+                    None => {
+                        self.started.push((stream.clone(), 0));
+                        0
+                    }
+                };
+                // A multiple of an odd number far from powers of two: no seed's stream is that of a neighbouring seed.
+                let seed = self.seed.wrapping_add(again.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+                let simulator = Simulator::new(&self.model, seed, stream.rate_hz(), RECORD_LENGTH_S)?;
                 other.insert(Running { stream, simulator, origin: tick, instants: 0, values: [0.0; Channel::COUNT] })
             }
         };

@@ -177,7 +177,25 @@ pub fn file(
     form: Form,
     is_apart: bool,
 ) -> Result<Option<Vec<u8>>, JobError> {
-    let svg = svg(reader, capture, picture, window, documents)?;
+    written(svg(reader, capture, picture, window, documents)?, form, is_apart)
+}
+
+/// Returns the content of the file of a picture with the Allan deviation of one channel in two captures, each with its
+/// name and documents; `None` if there is nothing to draw. A PNG is made in a separate process if `is_apart`.
+///
+/// # Errors
+/// The reason why there is no PNG.
+pub fn beside(
+    channel: Channel,
+    captures: [(&str, &Documents); 2],
+    form: Form,
+    is_apart: bool,
+) -> Result<Option<Vec<u8>>, JobError> {
+    let [Some(a), Some(b)] = captures.map(|(name, of)| Some((name, of.allan.as_ref()?))) else { return Ok(None) };
+    written(plot::deviation_beside(channel, [a, b]), form, is_apart)
+}
+
+fn written(svg: String, form: Form, is_apart: bool) -> Result<Option<Vec<u8>>, JobError> {
     Ok(match form {
         _ if svg.is_empty() => None,
         Form::Svg => Some(plot::alone(&svg).into_bytes()),

@@ -7,7 +7,7 @@
 use super::fold::{join, split};
 use super::plan::Plan;
 use super::runner::Keeper;
-use super::{Gridded, JobError, ReferenceMotion, add_cost, fitted, gridded};
+use super::{Gridded, JobError, ReferenceAxis, ReferenceMotion, add_cost, fitted, gridded};
 use crate::store::{JobCheckpoint, JobKind, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
 use imu_diagnosis::{Diagnosis, Drawings, Known, Options, Reference, Workers};
@@ -117,14 +117,14 @@ impl DiagnosisParameters {
 ///
 /// # Errors
 /// A sentence for the user.
-pub fn read_reference(text: &str, name: &str, axis: Option<usize>) -> Result<Known, String> {
+pub fn read_reference(text: &str, name: &str, axis: Option<ReferenceAxis>) -> Result<Known, String> {
     if !text.contains('\n') {
         return Err(
-            "expected a motion's CSV with a header line, poses or rates likewise, or one of still, tumble, rate-table"
+            "expected a motion's CSV with a header line, poses or rates likewise, or one of still, tumble, poses, rate-table"
                 .to_owned(),
         );
     }
-    if let Some(external) = imu_pose::read(text, axis).map_err(|error| error.to_string())? {
+    if let Some(external) = imu_pose::read(text, axis.map(|axis| axis as usize)).map_err(|error| error.to_string())? {
         return Ok(Known::External(external));
     }
     let rows = Rows::new(text.as_bytes(), name, None).map_err(|error| error.to_string())?;
@@ -141,8 +141,8 @@ pub fn read_reference(text: &str, name: &str, axis: Option<usize>) -> Result<Kno
 fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Known, JobError> {
     let none = JobError::InsufficientData;
     let text = match given {
-        ReferenceMotion::Stored { sha256, .. } => {
-            return read_reference(&reader.reference(sha256)?, "reference", None).map_err(none);
+        ReferenceMotion::Stored { sha256, axis, .. } => {
+            return read_reference(&reader.reference(sha256)?, "reference", *axis).map_err(none);
         }
         ReferenceMotion::Named(name) => name,
     };

@@ -25,6 +25,26 @@ const REASON_CHARS: usize = 500;
 /// The time limit of that process.
 const TIME: Duration = Duration::from_secs(60);
 
+/// The sensor's axis about which an encoder turns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum ReferenceAxis {
+    X,
+    Y,
+    Z,
+}
+
+impl ReferenceAxis {
+    /// Lists all axes with their names.
+    pub const NAMED: [(&'static str, Self); 3] = [("x", Self::X), ("y", Self::Y), ("z", Self::Z)];
+
+    /// Returns the axis with that name.
+    fn from_name(name: &str) -> Option<Self> {
+        Self::NAMED.into_iter().find_map(|(own, axis)| (own == name).then_some(axis))
+    }
+}
+
 /// The motion of the sensor, as a job's parameters contain it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -35,8 +55,11 @@ pub enum ReferenceMotion {
         sha256: String,
         /// Bytes of its text.
         bytes: u64,
+        /// The axis of an encoder, which its file does not name.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        axis: Option<ReferenceAxis>,
     },
-    /// A motion that needs no file: `still`, `tumble`, `rate-table`.
+    /// A motion that needs no file: `still`, `tumble`, `poses`, `rate-table`.
     Named(String),
 }
 
@@ -65,6 +88,7 @@ struct Members<'a> {
     sim: Option<&'a RawValue>,
     #[serde(borrow)]
     reference: Option<&'a RawValue>,
+    reference_axis: Option<Value>,
 }
 
 /// Returns a refusal, which may quote a part of the body, but not all of it.
@@ -89,19 +113,31 @@ fn read(body: &[u8]) -> Result<Content<'_>, JobError> {
     }
     // Numbers beyond f64 and halves of characters are JSON by its grammar alone.
     model_of(sim)?;
+    let axis = members.reference_axis.filter(|value| !value.is_null()).map(axis_of).transpose()?;
     // A member that is null counts as absent.
     let Some(reference) = members.reference.filter(|value| value.get() != "null") else {
+        if axis.is_some() {
+            return Err(refused("`reference_axis` is that of an encoder: give its rates as `reference`"));
+        }
         return Ok(Content { sim, reference: None, text: String::new() });
     };
     let text: String = serde_json::from_str(reference.get())
-        .map_err(|_| refused("`reference` is a text: a motion's CSV, or one of still, tumble, rate-table"))?;
+        .map_err(|_| refused("`reference` is a text: a motion's CSV, or one of still, tumble, poses, rate-table"))?;
     if Kind::from_name(&text).is_some() {
+        if axis.is_some() {
+            return Err(refused(format!("`reference_axis` is that of an encoder: the motion `{text}` needs none")));
+        }
         return Ok(Content { sim, reference: Some(ReferenceMotion::Named(text)), text: String::new() });
     }
-    read_reference(&text, "reference", None).map_err(|reason| refused(format!("`reference`: {reason}")))?;
+    read_reference(&text, "reference", axis).map_err(|reason| refused(format!("`reference`: {reason}")))?;
     let sha256 = Sha256::digest(&text).iter().map(|byte| format!("{byte:02x}")).collect();
-    let reference = Some(ReferenceMotion::Stored { sha256, bytes: text.len() as u64 });
+    let reference = Some(ReferenceMotion::Stored { sha256, bytes: text.len() as u64, axis });
     Ok(Content { sim, reference, text })
+}
+
+fn axis_of(value: Value) -> Result<ReferenceAxis, JobError> {
+    let axis = value.as_str().and_then(ReferenceAxis::from_name);
+    axis.ok_or_else(|| refused(format!("`reference_axis` is {value}: allowed are \"x\", \"y\" and \"z\"")))
 }
 
 fn model_of(sim: &str) -> Result<Value, JobError> {
@@ -117,7 +153,7 @@ fn accept<'a>(
 ) -> Result<(DiagnosisParameters, Option<StoringReference<'a>>), JobError> {
     let sim = find_sim(model_of(sim)?)?;
     let storing = match &reference {
-        Some(ReferenceMotion::Stored { sha256, bytes }) => Some(StoringReference::begin(store, sha256, *bytes)?),
+        Some(ReferenceMotion::Stored { sha256, bytes, .. }) => Some(StoringReference::begin(store, sha256, *bytes)?),
         Some(ReferenceMotion::Named(_)) | None => None,
     };
     Ok((DiagnosisParameters { sim, reference }, storing))
@@ -281,7 +317,21 @@ mod tests {
         );
         let none = read(br#"{"sim": {"a": 1}, "reference": null}"#).unwrap();
         assert_eq!(none, Content { sim: "{\"a\": 1}", reference: None, text });
+        let encoder = "time_s,encoder_rpm\\n0,60\\n0.1,60\\n";
+        let turned = format!(r#"{{"sim": 7, "reference": "{encoder}", "reference_axis": "z"}}"#);
+        let axis = Some(ReferenceAxis::Z);
+        let stored = read(turned.as_bytes()).unwrap().reference.unwrap();
+        assert!(matches!(stored, ReferenceMotion::Stored { axis: own, .. } if own == axis), "{stored:?}");
+        // A row of the database names the axis, and none where there is none.
+        let text = serde_json::to_string(&stored).unwrap();
+        assert!(text.ends_with(r#","axis":"z"}"#), "{text}");
+        assert_eq!(serde_json::from_str::<ReferenceMotion>(&text).unwrap(), stored);
+        let (without, unknown) = (turned.replace(r#", "reference_axis": "z""#, ""), turned.replace("\"z\"", "\"w\""));
         for (body, part) in [
+            (without.as_str(), "`reference_axis`"),
+            (unknown.as_str(), "`reference_axis` is \"w\": allowed are"),
+            (r#"{"sim": 1, "reference": "still", "reference_axis": "x"}"#, "the motion `still` needs none"),
+            (r#"{"sim": 1, "reference_axis": "x"}"#, "give its rates as `reference`"),
             ("[1, 2]", "JSON object"),
             (r#"{"sim": 1, "motion": 1}"#, "motion"),
             (r#"{"sim": 1, "reference": 3}"#, "`reference` is a text"),

@@ -2,6 +2,7 @@
 
 use super::{JobError, Plan, SampleSource};
 use imu_core::sample::Channel;
+use imu_core::units::counted;
 use imu_diagnosis::{Diagnosis, Recording};
 
 /// Gaps longer than this end a record, s: noise cannot be determined across them.
@@ -30,10 +31,10 @@ impl Gridded {
                 "the longest part without a gap of a minute"
             };
             diagnosis.notes.push(format!(
-                "compared are {:.0} s from {:.0} s on, {why}; {} samples are outside it",
+                "compared are {:.0} s from {:.0} s on, {why}; {} outside it",
                 self.recording.length_s(),
                 self.from_s,
-                self.left_out
+                counted(self.left_out, "sample is", "samples are")
             ));
         }
         // Times in the report are the capture's, as everywhere; a model is run from its own beginning.

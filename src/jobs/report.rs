@@ -10,6 +10,7 @@ use super::raw_counts::RawCounts;
 use super::threads::side_by_side;
 use crate::store::{Reader, StoreError};
 use imu_core::sample::{Channel, Triad};
+use imu_core::units::counted;
 use imu_noise::allan::{AllanCurve, AllanReport, AllanSums, Estimator};
 use imu_noise::fit::{Flag, fit_as_sampled};
 use imu_noise::robust::All;
@@ -155,8 +156,9 @@ fn warnings(plan: &Plan, extent: &Extent) -> Vec<String> {
     let mut warnings = Vec::new();
     if plan.taken > 1 {
         warnings.push(format!(
-            "{} segments ({} samples missing): each was analysed by itself, nothing is averaged across a gap or a reset",
-            plan.taken, extent.missing
+            "{} segments ({} missing): each was analysed by itself, nothing is averaged across a gap or a reset",
+            plan.taken,
+            counted(extent.missing, "sample", "samples")
         ));
     }
     warnings.extend(Flag::other_rate(plan.rate_hz, plan.other_rate).map(|flag| flag.note));

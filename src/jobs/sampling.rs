@@ -94,7 +94,7 @@ fn agreed(stated: StatedSampling, known: &Sampling, triad: Triad) -> Result<&Sam
 }
 
 /// Returns the sampling that a capture's configuration states: register 85, or the statement at its import.
-pub(super) fn of_configuration(configuration: &CaptureConfiguration) -> BTreeMap<Triad, Sampling> {
+pub fn of_configuration(configuration: &CaptureConfiguration) -> BTreeMap<Triad, Sampling> {
     let Some(windows) = configuration.filter_windows() else { return BTreeMap::new() };
     let stated = configuration.stated_sampling().filter(|_| configuration.register_85().is_none());
     let internal_rate_hz = stated.and_then(|stated| stated.internal_rate_hz).unwrap_or(IMU_RATE_HZ);

@@ -3,6 +3,7 @@
 use crate::clock::rfc3339;
 use crate::observe::{NotifyEvent, PlannedDeletion, SensorStatus, StorageStatus};
 use imu_core::sample::Gap;
+use imu_core::units::counted;
 use serde::Serialize;
 
 /// Name and version of the JSON's form.
@@ -167,8 +168,10 @@ impl Notice {
         match self.event {
             NotifyEvent::CaptureCompleted => match &self.capture {
                 Some(facts) => format!(
-                    "{capture} is complete: {} samples, {} missing in {} gaps",
-                    facts.samples, facts.missing, facts.gaps
+                    "{capture} is complete: {}, {} missing in {}",
+                    counted(facts.samples, "sample", "samples"),
+                    facts.missing,
+                    counted(facts.gaps, "gap", "gaps")
                 ),
                 None => "a capture is complete".to_owned(),
             },

@@ -6,6 +6,7 @@ use super::{Kind, escaped, framed};
 use crate::observe::{CaptureStatus, JobsStatus, ScheduleStatus, SensorState, Status, StorageState, Trace};
 use crate::plot::spark;
 use crate::store::{CaptureRow, DiagnosisRow, JobRow, JobState};
+use imu_core::units::counted;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
@@ -127,16 +128,16 @@ fn progress<'a>(out: &mut String, of: &CaptureStatus, causes: impl Iterator<Item
         1 => format!("{} missing in one gap{causes}", of.missing),
         gaps => format!("{} missing in {gaps} gaps{causes}", of.missing),
     };
+    let samples = counted(of.samples, "sample", "samples");
     let _ = write!(
         out,
         "<progress value=\"{share:.4}\" aria-label=\"progress of the capture\">{:.0} %</progress>\
-         <p class=\"large\">{} of {}, {} to go</p><p><a href=\"/captures/{}\">{} samples</a>, {gaps}.</p>",
+         <p class=\"large\">{} of {}, {} to go</p><p><a href=\"/captures/{}\">{samples}</a>, {gaps}.</p>",
         100.0 * share,
         span(of.elapsed_s),
         span(whole),
         span(of.remaining_s),
-        of.id,
-        of.samples
+        of.id
     );
     if let Some(since) = &of.gap_open_since {
         let _ = write!(out, "<p class=\"alarm\">Nothing has come since {} UTC.</p>", escaped(&clock(since)));

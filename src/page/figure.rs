@@ -38,7 +38,7 @@ pub(super) fn second(time_s: f64) -> String {
 }
 
 /// Returns a span of time for display: 2 years, 5 h, 2 h 14 min, 90 s.
-pub(super) fn span(time_s: f64) -> String {
+pub fn span(time_s: f64) -> String {
     if !time_s.is_finite() || time_s < 0.0 {
         return "–".to_owned();
     }

@@ -29,6 +29,8 @@ struct List {
     searched: &'static str,
     /// Its columns: name and class.
     columns: &'static [(&'static str, &'static str)],
+    /// A link to another page about the same: address and text.
+    also: Option<(&'static str, &'static str)>,
 }
 
 /// Returns the page of all captures.
@@ -46,6 +48,7 @@ pub fn captures(view: &ListView<'_, CaptureRow>) -> String {
             ("note", "text"),
             ("kept", ""),
         ],
+        also: Some(("/compare", "Two captures side by side")),
     };
     page(&CAPTURES, view, |of| {
         vec![
@@ -75,6 +78,7 @@ pub fn diagnoses(view: &ListView<'_, ListedDiagnosis>) -> String {
             ("state", ""),
             ("error", "text"),
         ],
+        also: None,
     };
     page(&DIAGNOSES, view, |of| {
         let job = &of.row.job;
@@ -104,6 +108,7 @@ pub fn jobs(view: &ListView<'_, ListedJob>) -> String {
             ("ended (UTC)", "when"),
             ("error", "text"),
         ],
+        also: None,
     };
     page(&JOBS, view, |ListedJob { job, capture }| {
         let place = if job.kind == JobKind::Diagnosis { "/diagnoses/" } else { "/v1/jobs/" };
@@ -125,6 +130,7 @@ pub fn models(view: &ListView<'_, ModelEntry>) -> String {
         name: "models",
         searched: "name or id",
         columns: &[("name", ""), ("id", ""), ("rate", "number"), ("stored (UTC)", "when"), ("more", "")],
+        also: None,
     };
     page(&MODELS, view, |of| {
         vec![
@@ -156,7 +162,7 @@ fn state(state: JobState, progress: f64) -> String {
 }
 
 fn page<T>(list: &List, view: &ListView<'_, T>, cells: impl Fn(&T) -> Vec<String>) -> String {
-    let List { name, searched, columns } = list;
+    let List { name, searched, columns, also } = list;
     let title: String = name[..1].to_uppercase() + &name[1..];
     let text = view.search.text.as_deref().map(escaped);
     // The form works without scripts: a browser asks for `?q=` itself.
@@ -166,6 +172,9 @@ fn page<T>(list: &List, view: &ListView<'_, T>, cells: impl Fn(&T) -> Vec<String
         text.as_deref().unwrap_or_default()
     );
     out += &sentence(list, view, text.as_deref());
+    if let Some((address, text)) = also {
+        let _ = write!(out, "<p><a href=\"{address}\">{text}</a></p>");
+    }
     if !view.found.rows.is_empty() {
         out += &wide(name);
         out += "<table><tr>";

@@ -4,10 +4,12 @@
 //! It needs no scripts: [`SCRIPT`] only updates it. Guarantee: no text of a document becomes markup.
 
 mod capture;
+mod comparison;
 mod dashboard;
 mod diagnosis;
 mod figure;
 mod list;
+mod picture;
 mod refusal;
 #[cfg(test)]
 mod rows;
@@ -15,11 +17,13 @@ mod series;
 mod validation;
 mod waiting;
 
-pub use capture::{CaptureView, Facts, Figure, capture};
+pub use capture::{CaptureView, Facts, Served, capture};
+pub use comparison::{ComparisonView, PAIRS, Side, choice, comparison, order};
 pub use dashboard::{DashboardView, Stored, dashboard, live};
 pub use diagnosis::{Links, NATS, SURE, advice, closes, diagnosis, diagnosis_body};
-pub use figure::{digits, part};
+pub use figure::{digits, part, span};
 pub use list::{ListView, SEARCH_MAX, captures, diagnoses, jobs, models};
+pub use picture::Figure;
 pub use refusal::{RefusalView, refusal};
 pub use series::{SeriesView, series};
 pub use validation::validation;

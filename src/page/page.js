@@ -132,6 +132,12 @@ document.addEventListener(
   true,
 );
 
+// The text of a file; of one that gzip packed, what it holds.
+async function unpacked(file) {
+  const bytes = file.name.endsWith(".gz") ? file.stream().pipeThrough(new DecompressionStream("gzip")) : file.stream();
+  return new TextDecoder("utf-8", { fatal: true }).decode(await new Response(bytes).arrayBuffer());
+}
+
 // Sends a change; the daemon's answer, or why there is none.
 async function change(form) {
   const method = form.dataset.method ?? "POST";
@@ -142,9 +148,10 @@ async function change(form) {
     if (value.size === 0) continue;
     if (value instanceof File) {
       try {
-        body[name] = JSON.parse(await value.text());
+        body[name] = name === "reference" ? await unpacked(value) : JSON.parse(await value.text());
       } catch {
-        return { refused: `${value.name} is no JSON: choose a sensor model's file.` };
+        const wanted = name === "reference" ? "no text: choose a motion's CSV" : "no JSON: choose a sensor model's file";
+        return { refused: `${value.name} is ${wanted}.` };
       }
     } else {
       body[name] = name === "start_at" ? new Date(value).toISOString() : value;
@@ -187,17 +194,6 @@ for (const section of document.querySelectorAll(".controls")) {
   }
 }
 
-// The simulators that a capture can be compared with.
-for (const select of document.querySelectorAll("select[data-models]")) {
-  fetch("/v1/models").then(async (answer) => {
-    const { models = [] } = answer.ok ? await answer.json() : {};
-    for (const model of models) select.append(new Option(model.name ? `${model.id} (${model.name})` : model.id, model.id));
-    if (models.length === 0) {
-      select.disabled = true;
-      select.closest("label").hidden = true;
-    }
-  });
-}
 
 // Zoom: drag across a time series.
 for (const image of document.querySelectorAll("img.zoom")) {

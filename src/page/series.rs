@@ -1,5 +1,6 @@
 //! The page of one channel over time: the whole, or a part of it down to single samples.
 
+use super::picture::png;
 use super::{Kind, escaped, framed};
 use crate::plot::number::rounded;
 use std::fmt::Write as _;
@@ -49,7 +50,7 @@ pub fn series(view: &SeriesView<'_>) -> String {
          <nav aria-label=\"part\">{}</nav>\
          <figure><img class=\"zoom\" data-base=\"/captures/{id}/series/{channel}\" data-from=\"{from_s:.9}\" data-to=\"{to_s:.9}\" \
          src=\"/v1/captures/{id}/plots/timeseries-{channel}.svg?from={from_s:.9}&amp;to={to_s:.9}\" width=\"560\" height=\"280\" \
-         alt=\"{channel} over time, {} s to {} s\"></figure>\
+         alt=\"{channel} over time, {} s to {} s\"><figcaption>{}</figcaption></figure>\
          <p class=\"soft\">Drag across the picture to look closer. Where there are more than a thousand samples, the surface reaches \
          from the least to the greatest of each stretch.</p>",
         escaped(name),
@@ -58,6 +59,7 @@ pub fn series(view: &SeriesView<'_>) -> String {
         steps.join(" "),
         rounded(from_s, 6),
         rounded(to_s, 6),
+        png(&format!("/v1/captures/{id}/plots/timeseries-{channel}.svg?from={from_s:.9}&to={to_s:.9}")),
     );
     // Writing to a text cannot fail.
     let _ = write!(out, "<p>The same of");
@@ -93,5 +95,8 @@ mod tests {
         let page = series(&view);
         assert!(page.contains("?from=95.000&amp;to=100.000") && page.contains("?from=75.000&amp;to=100.000"), "{page}");
         assert!(page.contains("?from=0.000&amp;to=100.000") && !page.contains("<script>"), "{page}");
+        let png =
+            "<a href=\"/v1/captures/7/plots/timeseries-gyro_x.png?from=90.000000000&amp;to=100.000000000\">PNG</a>";
+        assert!(page.contains(png), "{page}");
     }
 }

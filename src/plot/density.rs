@@ -34,8 +34,10 @@ impl Density<'_> {
         let (Some(across), Some(up)) = (across, up) else { return String::new() };
         let y = format!("density in {}/√Hz", self.unit);
         let frame = Frame { title: self.title, x: "frequency in Hz", y: &y, height: 340.0 };
-        let mut drawing = Drawing::new(frame, across, up);
         let channels: Vec<Channel> = self.channels.iter().map(|(channel, _)| *channel).collect();
+        let class = |channel: &Channel| class(channel.name(), channels.len());
+        let key: Vec<(&str, &str)> = channels.iter().map(|channel| (class(channel), channel.name())).collect();
+        let mut drawing = Drawing::keyed(frame, &key, across, up);
         let mut lines = joined(self.lines, &channels, self.unit);
         lines.sort_by(|a, b| b.1.total_cmp(&a.1));
         for (place, (frequency_hz, _, what)) in lines.iter().enumerate() {
@@ -44,13 +46,9 @@ impl Density<'_> {
                 drawing.beside(*frequency_hz, &format!("{} Hz", rounded(*frequency_hz, 3)));
             }
         }
-        let mut key = Vec::new();
         for (channel, values) in &self.channels {
-            let class = class(channel.name(), self.channels.len());
-            drawing.curve(class, self.frequency_hz.iter().copied().zip(values.iter().copied()));
-            key.push((class, channel.name()));
+            drawing.curve(class(channel), self.frequency_hz.iter().copied().zip(values.iter().copied()));
         }
-        drawing.key(&key);
         drawing.done()
     }
 }

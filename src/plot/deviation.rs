@@ -18,32 +18,66 @@ pub fn deviation(title: &str, channels: &[Channel], allan: &AllanReport, noise: 
     let (Some(across), Some(up)) = (across, Axis::logarithmic(ends.copied())) else { return String::new() };
     let y = format!("Allan deviation in {}", first.unit);
     let frame = Frame { title, x: "averaging time τ in s", y: &y, height: 360.0 };
-    let mut drawing = Drawing::new(frame, across, up);
+    let fitted = |channel: &Channel| {
+        let found = noise?.channels.get(channel)?;
+        Some((found, found.fit.curve.as_ref()?))
+    };
     let mut key: Vec<(&str, String)> = Vec::new();
-    for (channel, curve) in &curves {
-        let class = class(channel.name(), curves.len());
-        let band = curve.tau_s.iter().zip(curve.ci68_low.iter().zip(&curve.ci68_high));
-        let band: Vec<(f64, f64, f64)> = band.map(|(tau, (low, high))| (*tau, *low, *high)).collect();
-        drawing.surface(class, &band);
-        drawing.curve(class, curve.tau_s.iter().copied().zip(curve.deviation.iter().copied()));
-        key.push((class, channel.name().to_owned()));
-        let Some(found) = noise.and_then(|noise| noise.channels.get(channel)) else { continue };
-        let Some(fitted) = &found.fit.curve else { continue };
-        drawing.curve("fit", fitted.tau_s.iter().copied().zip(fitted.deviation.iter().copied()));
+    let mut lines: Vec<(&str, &[f64], &[f64])> = Vec::new();
+    for (channel, _) in &curves {
+        key.push((class(channel.name(), curves.len()), channel.name().to_owned()));
+        let Some((found, fitted)) = fitted(channel) else { continue };
+        lines.push(("fit", &fitted.tau_s, &fitted.deviation));
         if curves.len() > 1 {
             continue;
         }
         key.push(("fit", "fitted".to_owned()));
         for (part, of) in [("N", &found.n), ("B", &found.b), ("K", &found.k)] {
             if let (Some(values), Some(value)) = (fitted.parts.get(part), of.value) {
-                drawing.curve(part, fitted.tau_s.iter().copied().zip(values.iter().copied()));
+                lines.push((part, &fitted.tau_s, values));
                 key.push((part, format!("{part} {} {}", rounded(value, 3), of.unit)));
             }
         }
     }
-    let key: Vec<(&str, &str)> = key.iter().map(|(class, text)| (*class, text.as_str())).collect();
-    drawing.key_below(&key);
+    let mut drawing = Drawing::keyed(frame, &borrowed(&key), across, up);
+    for (channel, curve) in &curves {
+        drawn(&mut drawing, class(channel.name(), curves.len()), curve);
+    }
+    for (class, tau_s, values) in lines {
+        drawing.curve(class, tau_s.iter().copied().zip(values.iter().copied()));
+    }
     drawing.done()
+}
+
+/// Returns one picture of a channel's curves in two captures, each with the capture's name. Empty if neither has one;
+/// a curve in another unit than the first one's is left out.
+pub fn deviation_beside(channel: Channel, of: [(&str, &AllanReport); 2]) -> String {
+    let classes = ["one", "second"].into_iter().zip(of);
+    let curves = classes.filter_map(|(class, (name, report))| Some((class, name, report.channels.get(&channel)?)));
+    let mut curves: Vec<(&str, &str, &AllanCurve)> = curves.collect();
+    let Some((.., first)) = curves.first().copied() else { return String::new() };
+    curves.retain(|(.., curve)| curve.unit == first.unit);
+    let across = Axis::logarithmic(curves.iter().flat_map(|(.., curve)| &curve.tau_s).copied());
+    let ends = curves.iter().flat_map(|(.., curve)| curve.ci68_low.iter().chain(&curve.ci68_high));
+    let (Some(across), Some(up)) = (across, Axis::logarithmic(ends.copied())) else { return String::new() };
+    let (title, y) = (format!("Allan deviation, {channel}"), format!("Allan deviation in {}", first.unit));
+    let frame = Frame { title: &title, x: "averaging time τ in s", y: &y, height: 360.0 };
+    let key: Vec<(&str, &str)> = curves.iter().map(|(class, name, _)| (*class, *name)).collect();
+    let mut drawing = Drawing::keyed(frame, &key, across, up);
+    curves.iter().for_each(|(class, _, curve)| drawn(&mut drawing, class, curve));
+    drawing.done()
+}
+
+/// Draws a curve on its band.
+fn drawn(drawing: &mut Drawing, class: &str, curve: &AllanCurve) {
+    let band = curve.tau_s.iter().zip(curve.ci68_low.iter().zip(&curve.ci68_high));
+    let band: Vec<(f64, f64, f64)> = band.map(|(tau, (low, high))| (*tau, *low, *high)).collect();
+    drawing.surface(class, &band);
+    drawing.curve(class, curve.tau_s.iter().copied().zip(curve.deviation.iter().copied()));
+}
+
+fn borrowed<'a>(key: &'a [(&'a str, String)]) -> Vec<(&'a str, &'a str)> {
+    key.iter().map(|(class, text)| (*class, text.as_str())).collect()
 }
 
 /// Returns the class of a channel's curve among others: its axis.
@@ -95,5 +129,16 @@ mod tests {
             "{one}"
         );
         assert_eq!(drawn(&[Channel::AccelX]), "");
+        let beside = |channel| deviation_beside(channel, [("<night>", &allan), ("foam", &allan)]);
+        let two = beside(Channel::GyroY);
+        let counts =
+            ["surface one", "surface second", "line one", "line second"].map(|class| two.matches(class).count());
+        assert_eq!(counts, [1, 1, 2, 2], "{two}");
+        assert!(two.contains("&lt;night&gt;") && two.contains(">foam<") && !two.contains("<night>"), "{two}");
+        assert_eq!(beside(Channel::AccelX), "");
+        let mut other = allan.clone();
+        other.channels.get_mut(&Channel::GyroY).unwrap().unit = "°/s".to_owned();
+        let one = deviation_beside(Channel::GyroY, [("night", &allan), ("foam", &other)]);
+        assert!(one.contains(">night<") && !one.contains(">foam<"), "{one}");
     }
 }

@@ -6,8 +6,12 @@ use std::fmt::Write as _;
 
 /// Width in the picture's own units. Text of 14 units is 10 pixels high if a phone shows the picture 400 wide.
 const WIDTH: f64 = 560.0;
-/// Margins at the left, right, top and bottom.
+/// Margins at the left, right, top and bottom; a key takes more room at the top.
 const MARGIN: [f64; 4] = [84.0, 14.0, 30.0, 46.0];
+/// The height of a row of a key, the length of its lines, and the distance between two entries.
+const KEY: [f64; 3] = [18.0, 22.0, 16.0];
+/// The width of a letter; most are narrower.
+const LETTER: f64 = 7.7;
 /// The distance between a tick's label and its line.
 const APART: f64 = 7.0;
 /// The maximum length of a title in characters.
@@ -31,15 +35,25 @@ pub(super) struct Drawing {
     out: String,
     x: Axis,
     y: Axis,
+    top: f64,
     bottom: f64,
+    /// The places of vertical texts.
+    texts: Vec<f64>,
 }
 
 impl Drawing {
     /// Creates a picture with title, grid and labels.
     pub(super) fn new(frame: Frame<'_>, x: Axis, y: Axis) -> Self {
+        Self::keyed(frame, &[], x, y)
+    }
+
+    /// Creates a picture with a key, which shows which curve is which. It is under the title and covers no data.
+    pub(super) fn keyed(frame: Frame<'_>, key: &[(&str, &str)], x: Axis, y: Axis) -> Self {
         let height = frame.height;
-        let (left, right, top, bottom) = (MARGIN[0], WIDTH - MARGIN[1], MARGIN[2], height - MARGIN[3]);
-        let mut own = Self { out: escaped_title(frame.title, WIDTH, height, left), x, y, bottom };
+        let (left, right, bottom) = (MARGIN[0], WIDTH - MARGIN[1], height - MARGIN[3]);
+        let mut out = escaped_title(frame.title, WIDTH, height, left);
+        let top = entries(&mut out, key);
+        let mut own = Self { out, x, y, top, bottom, texts: Vec::new() };
         let out = &mut own.out;
         for (value, label) in x.ticks() {
             let at = left + x.share(value) * (right - left);
@@ -74,7 +88,7 @@ impl Drawing {
 
     fn at(&self, x: f64, y: f64) -> (f64, f64) {
         let (left, right) = (MARGIN[0], WIDTH - MARGIN[1]);
-        (left + self.x.share(x) * (right - left), self.bottom + self.y.share(y) * (MARGIN[2] - self.bottom))
+        (left + self.x.share(x) * (right - left), self.bottom + self.y.share(y) * (self.top - self.bottom))
     }
 
     /// Draws a curve; it is interrupted at values that are not finite.
@@ -129,51 +143,54 @@ impl Drawing {
             self.out,
             "<rect class=\"{class}\" x=\"{:.1}\" y=\"{}\" width=\"{width:.1}\" height=\"{}\">{title}</rect>",
             0.5 * (left + right - width),
-            MARGIN[2],
-            self.bottom - MARGIN[2]
+            self.top,
+            self.bottom - self.top
         );
     }
 
-    /// Draws vertical text beside a place of the x axis, from the bottom up.
+    /// Draws vertical text beside a place of the x axis, below the top, where falling curves leave room, unless it would
+    /// cover another one.
     pub(super) fn beside(&mut self, x: f64, text: &str) {
-        let ((at, _), y) = (self.at(x, 0.0), self.bottom - 6.0);
+        let ((at, _), y) = (self.at(x, 0.0), self.top + 6.0);
         let at = at - 5.0;
+        if self.texts.iter().any(|other| (other - at).abs() < KEY[0]) {
+            return;
+        }
+        self.texts.push(at);
         let _ = write!(
             self.out,
-            "<text class=\"beside\" x=\"{at:.1}\" y=\"{y}\" transform=\"rotate(-90 {at:.1} {y})\">{}</text>",
+            "<text class=\"beside\" x=\"{at:.1}\" y=\"{y}\" text-anchor=\"end\" transform=\"rotate(-90 {at:.1} {y})\">{}</text>",
             escaped(text)
         );
-    }
-
-    /// Draws the key under the title's right end: it shows which curve is which.
-    pub(super) fn key(&mut self, entries: &[(&str, &str)]) {
-        let right = WIDTH - MARGIN[1];
-        let at = [right - 26.0, right - 4.0, right - 32.0];
-        self.entries(entries, MARGIN[2] + 16.0, at, " text-anchor=\"end\"");
-    }
-
-    /// Draws the key at the bottom left: falling curves leave room there.
-    pub(super) fn key_below(&mut self, entries: &[(&str, &str)]) {
-        let (left, below) = (MARGIN[0], 18.0 * entries.len().saturating_sub(1) as f64);
-        self.entries(entries, self.bottom - 14.0 - below, [left + 6.0, left + 28.0, left + 34.0], "");
-    }
-
-    /// Draws the entries of a key below each other, each a line from one x to the other, and a text.
-    fn entries(&mut self, entries: &[(&str, &str)], top: f64, [from, to, beside]: [f64; 3], anchor: &str) {
-        for (place, (class, text)) in entries.iter().enumerate() {
-            let (y, text) = (top + 18.0 * place as f64, escaped(text));
-            let _ = write!(
-                self.out,
-                "<path class=\"line {class}\" d=\"M{from} {y}L{to} {y}\"/><text x=\"{beside}\" y=\"{}\"{anchor}>{text}</text>",
-                y + 5.0
-            );
-        }
     }
 
     pub(super) fn done(mut self) -> String {
         self.out.push_str("</svg>");
         self.out
     }
+}
+
+/// Draws the entries of a key beside each other, in rows, each a line and a text; returns where they end.
+fn entries(out: &mut String, entries: &[(&str, &str)]) -> f64 {
+    let [height, line, apart] = KEY;
+    let (left, right) = (MARGIN[0], WIDTH - MARGIN[1]);
+    let (mut x, mut y) = (left, MARGIN[2] + 5.0);
+    for (class, text) in entries {
+        let text = shortened_to(text, 40);
+        let end = x + line + 6.0 + LETTER * text.chars().count() as f64;
+        if end > right && x > left {
+            (x, y) = (left, y + height);
+        }
+        let (to, beside) = (x + line, x + line + 6.0);
+        let _ = write!(
+            out,
+            "<path class=\"line {class}\" d=\"M{x:.1} {y}L{to:.1} {y}\"/><text x=\"{beside:.1}\" y=\"{}\">{}</text>",
+            y + 5.0,
+            escaped(&text)
+        );
+        x = beside + LETTER * text.chars().count() as f64 + apart;
+    }
+    if entries.is_empty() { MARGIN[2] } else { y + 0.5 * height + 4.0 }
 }
 
 /// Returns the beginning of a picture: its size, and its title from `left` on.
@@ -186,10 +203,14 @@ pub(super) fn escaped_title(title: &str, width: f64, height: f64, left: f64) -> 
 }
 
 fn shortened(text: &str) -> String {
-    if text.chars().count() <= LONGEST {
+    shortened_to(text, LONGEST)
+}
+
+fn shortened_to(text: &str, longest: usize) -> String {
+    if text.chars().count() <= longest {
         return text.to_owned();
     }
-    text.chars().take(LONGEST - 1).chain(['…']).collect()
+    text.chars().take(longest - 1).chain(['…']).collect()
 }
 
 #[cfg(test)]
@@ -212,6 +233,33 @@ mod tests {
         assert_eq!((svg.matches('M').count(), svg.matches("class=\"surface").count()), (4, 2), "{svg}");
         assert!(!svg.contains("NaN") && !svg.contains("<b>") && !svg.contains("<script>") && svg.ends_with("</svg>"));
         assert!(svg.contains("width=\"4.0\""), "{svg}");
+    }
+
+    #[test]
+    fn a_key_stands_above_the_data_and_two_texts_not_in_one_place() {
+        let frame = Frame { title: "title", x: "x", y: "y", height: 200.0 };
+        let long = "<i>".repeat(30);
+        let key = [("x", "one"), ("y", &*long), ("z", "third")];
+        let mut drawing = Drawing::keyed(frame, &key, Axis::between(0.0, 10.0), Axis::between(0.0, 1.0));
+        drawing.curve("x", [(0.0, 1.0), (10.0, 1.0)]);
+        drawing.stretch("mark", [5.0, 5.0], None);
+        [5.0, 5.1, 9.0].into_iter().for_each(|x| drawing.beside(x, "5 Hz"));
+        let svg = drawing.done();
+        // Two rows: the second entry is long, and the third does not fit beside it.
+        let rows = ["y=\"40\"", "y=\"58\""].map(|at| svg.matches(at).count());
+        assert_eq!(rows, [2, 1], "{svg}");
+        let places = |prefix: &str| -> Vec<f64> {
+            let numbers = svg.split(prefix).skip(1).filter_map(|rest| rest.split(['L', '"', ' ']).next());
+            numbers.filter_map(|number| number.parse().ok()).collect()
+        };
+        let lines =
+            svg.split("d=\"M").skip(1).map(|path| path.split([' ', 'L']).nth(1).unwrap().parse::<f64>().unwrap());
+        let lines: Vec<f64> = lines.collect();
+        // The last curve is the data, at the top of its field: below all lines of the key.
+        let (data, key) = lines.split_last().unwrap();
+        assert!(key.len() == 3 && key.iter().all(|y| y + 9.0 < *data), "{lines:?}");
+        assert!(places("y1=\"").iter().all(|y| *y >= *data - 0.1), "{svg}");
+        assert!(svg.matches(">5 Hz<").count() == 2 && svg.contains("…") && !svg.contains("<i>"), "{svg}");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::axis::Axis;
 use super::course::time_unit;
 use super::drawing::{Drawing, Frame};
 use imu_core::sample::GapCause;
+use imu_core::units::counted;
 use std::collections::BTreeMap;
 
 /// A gap in the samples.
@@ -47,10 +48,11 @@ impl Gaps {
             all if all as u64 >= self.count => String::new(),
             first => format!("; the first {first} are drawn"),
         };
+        let samples = counted(self.samples, "sample", "samples");
         let title = match (self.count, missing) {
-            (0, _) => format!("{} samples, none missing", self.samples),
-            (1, missing) => format!("{} samples, {missing} missing in one gap", self.samples),
-            (gaps, missing) => format!("{} samples, {missing} missing in {gaps} gaps{drawn}", self.samples),
+            (0, _) => format!("{samples}, none missing"),
+            (1, missing) => format!("{samples}, {missing} missing in one gap"),
+            (gaps, missing) => format!("{samples}, {missing} missing in {gaps} gaps{drawn}"),
         };
         let causes: Vec<String> = self.causes.iter().map(|(cause, missing)| format!("{cause}: {missing}")).collect();
         let (unit_s, unit) = time_unit(self.length_s);

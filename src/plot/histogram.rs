@@ -52,15 +52,14 @@ pub fn histogram(channel: &str, of: &Statistics) -> String {
         None => format!("Histogram of {channel}"),
     };
     let up = Axis::between(0.0, 1.05 * most);
-    let mut drawing =
-        Drawing::new(Frame { title: &title, x: &x, y: &y, height: 300.0 }, Axis::between(*low, *high), up);
+    let frame = Frame { title: &title, x: &x, y: &y, height: 300.0 };
+    let key: &[(&str, &str)] = if normal.is_empty() { &[] } else { &[("law", "normal distribution")] };
+    let mut drawing = Drawing::keyed(frame, key, Axis::between(*low, *high), up);
     for (from, to, height) in bars {
         drawing.bar("bar", from, to, height);
     }
     drawing.curve("law", normal);
-    if of.std.is_some_and(|std| std > 0.0) {
-        drawing.key(&[("law", "normal distribution")]);
-    }
+
     drawing.done()
 }
 

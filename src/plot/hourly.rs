@@ -30,13 +30,13 @@ pub fn hourly(channel: &str, unit: &str, of: &DynamicAllan) -> String {
     let title = format!("{channel} by the {block}{verdict}");
     let y = format!("Allan deviation in {unit}");
     let frame = Frame { title: &title, x: "averaging time τ in s", y: &y, height: 320.0 };
-    let mut drawing = Drawing::new(frame, across, up);
+    let mut drawing = Drawing::keyed(frame, &[("h0", "first"), ("h5", "last")], across, up);
     let last = curves.len().saturating_sub(1).max(1);
     for (place, curve) in curves.iter().enumerate() {
         let class = format!("h{}", (place * (SHADES - 1) + last / 2) / last);
         drawing.curve(&class, curve.iter().copied());
     }
-    drawing.key_below(&[("h0", "first"), ("h5", "last")]);
+
     drawing.done()
 }
 

@@ -26,7 +26,7 @@ mod timeline;
 pub use closing::closing;
 pub use course::Course;
 pub use density::Density;
-pub use deviation::deviation;
+pub use deviation::{deviation, deviation_beside};
 pub use gaps::{Gap, Gaps};
 pub use growth::{Growth, growth};
 pub use heat::heat;

@@ -31,6 +31,7 @@ mod lost;
 mod models;
 mod names;
 mod page;
+mod part;
 mod progress;
 mod queue;
 mod reader;

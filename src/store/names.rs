@@ -136,13 +136,13 @@ pub fn check_name(name: &str) -> Result<(), StoreError> {
         "a number means the capture with that id"
     } else if name.chars().count() > NAME_MAX {
         "it is longer than 100 characters"
-    } else if name.chars().any(|character| character == '/' || character.is_control()) {
+    } else if name.chars().any(|character| character == '/' || is_hidden(character)) {
         "it holds a `/` or a control character"
     } else {
         return Ok(());
     };
     // An error is a line of text.
-    let shown = name.chars().take(NAME_MAX).map(|one| if one.is_control() { ' ' } else { one }).collect();
+    let shown = name.chars().take(NAME_MAX).map(|one| if is_hidden(one) { ' ' } else { one }).collect();
     Err(StoreError::NameRefused { name: shown, why })
 }
 
@@ -155,19 +155,26 @@ pub fn check_note(note: &str) -> Result<Option<String>, StoreError> {
     if note.chars().count() > NOTE_MAX {
         return Err(StoreError::NoteRefused("it is longer than 1000 characters"));
     }
-    if note.chars().any(char::is_control) {
+    if note.chars().any(is_hidden) {
         return Err(StoreError::NoteRefused("it holds a line end or another control character: a note is one line"));
     }
     Ok(Some(note.to_owned()).filter(|note| !note.is_empty()))
 }
 
+/// Returns whether a character is not shown, and changes how others are: a control character, an end of a line or of a paragraph, or
+/// one that turns the direction of writing (Unicode Bidirectional Algorithm, section 2), with which a text reads as another.
+fn is_hidden(character: char) -> bool {
+    character.is_control()
+        || matches!(character, '\u{200e}' | '\u{200f}' | '\u{61c}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
+}
+
 /// Returns a text in one line without control characters, which a terminal would obey: those of a database or a daemon
 /// may be anybody's.
 pub fn printable(text: &str) -> String {
-    if !text.contains(char::is_control) {
+    if !text.contains(is_hidden) {
         return text.to_owned();
     }
-    text.split(char::is_control).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
+    text.split(is_hidden).map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
 pub(super) fn name_is_free(connection: &Connection, name: &str) -> Result<bool, StoreError> {
@@ -218,6 +225,14 @@ mod tests {
         world.store.delete_capture(second).unwrap();
         assert_eq!(liked("desk"), "desk-2");
         assert!(liked("42").ends_with('Z'), "a number is no name");
+    }
+
+    #[test]
+    fn a_character_that_turns_the_direction_of_writing_is_refused_and_not_printed() {
+        let turned = "desk\u{202e}gpj.exe";
+        assert!(check_name(turned).is_err() && check_note(turned).is_err());
+        assert_eq!(printable(turned), "desk gpj.exe");
+        assert_eq!(printable("on foam, 23 °C – مكتب"), "on foam, 23 °C – مكتب");
     }
 
     #[test]

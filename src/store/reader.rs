@@ -8,6 +8,7 @@ use super::{StoreError, schema};
 use rusqlite::{Connection, InterruptHandle};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+use tempfile::TempDir;
 
 /// Idle connections that the pool keeps.
 const IDLE_MAX: usize = 16;
@@ -17,6 +18,8 @@ const IDLE_MAX: usize = 16;
 pub struct Reader {
     pub(super) connection: Connection,
     file: FileId,
+    /// The folder of the database, if it is removed after the connection.
+    _folder: Option<TempDir>,
 }
 
 impl Reader {
@@ -28,7 +31,12 @@ impl Reader {
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         // Before the connection: a file that is replaced in between is then considered lost, never the reverse.
         let file = FileId::of(path);
-        Ok(Self { connection: schema::reader_connection(path)?, file })
+        Ok(Self { connection: schema::reader_connection(path)?, file, _folder: None })
+    }
+
+    /// Removes the folder of the database with the reader.
+    pub(super) fn within(self, folder: TempDir) -> Self {
+        Self { _folder: Some(folder), ..self }
     }
 
     /// Opens the database in a separate process, beside the one that writes `file` there ([`super::Store::file`]).

@@ -101,6 +101,13 @@ pub(super) fn make_independent(path: &Path) -> Result<(), StoreError> {
     connection.close().map_err(|(_, error)| StoreError::Sqlite(error))
 }
 
+/// Returns a connection to a new database that does not outlive its process: nothing is synced.
+pub(super) fn for_a_while(path: &Path) -> Result<Connection, StoreError> {
+    let connection = open_and_migrate(path, None)?;
+    connection.pragma_update(None, "synchronous", "OFF")?;
+    Ok(connection)
+}
+
 /// Empties the log and truncates its file, if no reader prevents it; never waits.
 pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error> {
     connection.busy_timeout(Duration::ZERO)?;

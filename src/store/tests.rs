@@ -80,7 +80,7 @@ impl World {
     fn one<T: rusqlite::types::FromSql>(&self, sql: &str) -> T {
         self.reader().connection.query_row(sql, [], |row| row.get(0)).unwrap()
     }
-    fn wait_for(&self, what: &str, condition: impl Fn(&WriterProgress) -> bool) {
+    pub(super) fn wait_for(&self, what: &str, condition: impl Fn(&WriterProgress) -> bool) {
         let begun = Instant::now();
         while !condition(&self.store.progress()) {
             assert!(begun.elapsed() < Duration::from_secs(20), "{what}: {:?}", self.store.progress());

@@ -143,7 +143,7 @@ impl TimeAxis {
     }
 
     /// Returns the time of a row, ns since the capture's first sample.
-    fn time_ns(
+    pub(super) fn time_ns(
         &mut self,
         reader: &Reader,
         segment: u32,

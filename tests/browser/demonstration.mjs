@@ -2,6 +2,7 @@
 // what the model lacks. Then a capture of a hostile name, begun, stopped and diagnosed from the pages.
 
 import { Visit } from "./browser.mjs";
+import { against, compared } from "./compared.mjs";
 import { heading, keepsFocus, literal, moves, reloads, said, samples, settled, start, stop } from "./live.mjs";
 
 /// Five hours in under a minute, on a machine that does other things as well.
@@ -30,7 +31,9 @@ export async function demonstration(browser, checks, address) {
   await checks.page(page, "diagnosis");
   await checks.page(await goTo(page, address), "first-idle");
   await listed(page, checks, plain.context);
-  await hostile(page, checks, visit, address);
+  const other = await hostile(page, checks, visit, address);
+  await compared(page, checks, plain.context, other, HOSTILE, PATIENCE);
+  await against(page, checks, visit, address, PATIENCE);
   await visit.end();
   await plain.end();
 }
@@ -163,7 +166,7 @@ async function hostile(page, checks, visit, address) {
   await page.goto(capture);
   await page.getByRole("button", { name: "keep from deletion" }).click();
   await page.getByText("kept from deletion").waitFor();
-  const models = page.getByLabel("compare with the simulator");
+  const models = page.getByLabel("compare with");
   await models.locator("option").first().waitFor({ state: "attached" });
   await page.getByRole("button", { name: "diagnose" }).click();
   await page.waitForURL(/\/diagnoses\/\d+$/);
@@ -173,4 +176,5 @@ async function hostile(page, checks, visit, address) {
   await page.goto(address);
   await literal(page, checks, HOSTILE, "the first page afterwards");
   await checks.page(page, "first-hostile");
+  return capture;
 }

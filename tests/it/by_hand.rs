@@ -301,7 +301,7 @@ fn of_several_captures_each_is_deleted_once_and_a_failure_hides_no_deletion() {
     assert_eq!(failed.status.code(), Some(1));
     let told: Value = serde_json::from_str(&stdout(&failed)).unwrap();
     assert_eq!(told, json!([{"id": 2, "name": "two", "deleted": true}]));
-    assert!(stderr(&failed).contains("1 before it are done"), "{}", stderr(&failed));
+    assert!(stderr(&failed).contains("1 before it is done"), "{}", stderr(&failed));
     assert_eq!(daemon.terminate(), Some(0));
 }
 

@@ -5,6 +5,7 @@
 mod acceptance;
 mod bad_input;
 mod by_hand;
+mod calibration;
 mod completions;
 mod cost;
 mod demo;
@@ -20,6 +21,7 @@ mod night;
 mod odd_diagnoses;
 mod output;
 mod pages;
+mod parts;
 mod plots;
 mod poses;
 mod real_recordings;

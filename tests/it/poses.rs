@@ -200,3 +200,84 @@ fn a_motors_encoder_and_a_bad_camera_are_what_the_readme_of_the_recordings_state
         "{said}"
     );
 }
+
+/// Returns the text of a recording with each row's values changed by `change(row, values)`.
+fn with_values(recording: &str, change: impl Fn(usize, &mut [f64])) -> String {
+    let mut lines = recording.lines();
+    let mut text = format!("{}\n", lines.next().unwrap());
+    for (row, line) in lines.enumerate() {
+        let (time_s, rest) = line.split_once(',').unwrap();
+        let mut values: Vec<f64> = rest.split(',').map(|value| value.parse().unwrap()).collect();
+        change(row, &mut values);
+        let values: Vec<String> = values.iter().map(f64::to_string).collect();
+        let _ = writeln!(text, "{time_s},{}", values.join(","));
+    }
+    text
+}
+
+#[test]
+fn a_range_that_cut_off_comes_first_and_makes_no_scale_factor_smaller() {
+    let folder = tempfile::tempdir().unwrap();
+    let [recording, poses] = made(0.0, |rate, force| [rate * 1.01, force]);
+    let clipped = with_values(&recording, |_, values| values[0] = values[0].clamp(-1.8, 1.8));
+    let (real, sim) = (write(folder.path(), "real.csv", &clipped), write(folder.path(), "sim.json", &model()));
+    let reference = write(folder.path(), "poses.csv", &poses);
+    let found = diagnosed(&["--real", &real, "--sim", &sim, "--reference", &reference]);
+    let first = found["summary"].as_str().unwrap();
+    assert!(first.starts_with("gyro_x is cut off at -1.8000 and 1.8000 rad/s"), "{first}");
+    assert_eq!(found["hints"][0]["kind"], "range");
+    let [low, high] = interval(&found, "scale_factor", "gyro", "x");
+    let width = high - low;
+    assert!(low - 0.3 * width < 0.01 && 0.01 < high + 0.3 * width && width < 4e-3, "{low} {high}");
+}
+
+#[test]
+fn rows_that_repeat_come_first_and_are_no_latency() {
+    let folder = tempfile::tempdir().unwrap();
+    let [recording, poses] = made(0.0, |rate, force| [rate * 1.01, force]);
+    let rows: Vec<Vec<f64>> = recording
+        .lines()
+        .skip(1)
+        .map(|line| line.split(',').skip(1).map(|value| value.parse().unwrap()).collect())
+        .collect();
+    let held = with_values(&recording, |row, values| values.copy_from_slice(&rows[row - row % 3]));
+    let (real, sim) = (write(folder.path(), "real.csv", &held), write(folder.path(), "sim.json", &model()));
+    let reference = write(folder.path(), "poses.csv", &poses);
+    let found = diagnosed(&["--real", &real, "--sim", &sim, "--reference", &reference]);
+    let first = found["summary"].as_str().unwrap();
+    assert!(first.starts_with("67 % of the gyroscope's rows repeat the row before"), "{first}");
+    assert_eq!(found["hints"][0]["kind"], "repeats");
+    let causes = found["causes"].as_array().unwrap();
+    assert!(causes.iter().all(|cause| cause["effect"] != "latency"), "{found:#}");
+    assert!(!found["notes"].to_string().contains("later than the reference"), "{found:#}");
+    let [low, high] = interval(&found, "scale_factor", "gyro", "x");
+    let width = high - low;
+    assert!(low - 0.5 * width < 0.01 && 0.01 < high + 0.5 * width, "{low} {high}");
+}
+
+#[test]
+fn effects_on_top_of_a_real_motion_are_found_and_nothing_else_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let bias = Vector3::new(0.0, 0.01, 0.0);
+    let [recording, poses] = made(0.0, |rate, force| [rate * 1.01 + bias, force * 0.99]);
+    let (real, reference) = (write(folder.path(), "real.csv", &recording), write(folder.path(), "poses.csv", &poses));
+    let asked = ["--json", "trial", "--motion", "--on", &real, "--reference", &reference, "--seed", "5"];
+    let ended = vn100d(&[&asked[..], &["--cases", "20"]].concat());
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    let score: Value = serde_json::from_slice(&ended.stdout).unwrap();
+    let rate = |name: &str| ["count", "of"].map(|key| score["rates"][name][key].as_u64().unwrap());
+    let [right, of] = rate("right_first_clear");
+    assert!(of >= 4 && right == of, "{score:#}");
+    let [nothing, of] = rate("none_named");
+    assert!(of == 6 && nothing == 0, "{score:#}");
+    let [held, of] = rate("held");
+    assert!(of > 10 && 10 * held >= 8 * of, "{score:#}");
+    assert!(rate("spurious")[0] <= 1 && rate("held_alone")[1] > 10, "{score:#}");
+    // The same seed seals the same keys.
+    let again = vn100d(&[&asked[..], &["--cases", "20"]].concat());
+    assert_eq!(serde_json::from_slice::<Value>(&again.stdout).unwrap()["manifest_sha256"], score["manifest_sha256"]);
+    let without = vn100d(&["trial", "--motion", "--on", &real]);
+    assert!(String::from_utf8_lossy(&without.stderr).contains("give --reference POSE"), "{without:?}");
+    let foreign = vn100d(&[&asked[1..], &["--kinds", "g_sensitivity"]].concat());
+    assert!(String::from_utf8_lossy(&foreign.stderr).contains("expected none, single, pair"), "{foreign:?}");
+}

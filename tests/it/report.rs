@@ -207,8 +207,8 @@ fn what_is_not_there_is_refused_and_no_file_is_made() {
     refused(
         &place,
         2,
-        &["plot", "latest", "gaps", "--from", "1", "--out", "a.svg"],
-        "timeseries-<channel>, not for gaps",
+        &["plot", "latest", "gaps", "--channels", "gyro_x", "--out", "a.svg"],
+        "--channels is not for a plot",
     );
     refused(&place, 2, &["plot", "latest", "gaps", "--out", "-", "--json"], "both want standard output");
     refused(&place, 2, &["plot", "latest", "timeseries-gyro_x", "--from", "noon", "--out", "a.svg"], "RFC 3339");

@@ -274,7 +274,7 @@ fn what_cannot_be_simulated_is_refused_with_file_place_and_what_is_allowed() {
     for (model, motion, words) in [
         (&twice, "still", "twice.json: channels.gyro_x.N: found `N` a second time"),
         (&file, folder.path().to_str().unwrap(), "cannot be read"),
-        (&file, "tumbl", "still, tumble, rate-table"),
+        (&file, "tumbl", "still, tumble, poses, rate-table"),
     ] {
         let simulate = ["simulate", "--model", model, "--duration", "1min", "--motion", motion, "--out", &out];
         let (_, stderr) = refused(&simulate);

@@ -92,8 +92,8 @@ const MAY_NOT_USE: [(&str, &[&str]); 11] = [
     ("imu-core/ros_messages", &["crate::"]),
     ("imu-model/effects", &["crate::simulator", "crate::motion"]),
     ("imu-model/simulator", &["crate::motion"]),
-    ("imu-files/recording", &["crate::export", "imu_noise", "imu_model"]),
-    ("imu-files/export", &["crate::recording", "vn100_proto"]),
+    ("imu-files/recording", &["crate::export", "imu_noise", "imu_model", "imu_pose"]),
+    ("imu-files/export", &["crate::recording"]),
     // The trial has other parametrisations than the fitted ones.
     ("imu-trial", &["imu_model::effects", "imu_model::motion", ".spec()"]),
     // Pages take rows and results, and do not read the database.
@@ -160,6 +160,7 @@ const PURE_FILES: &[&str] = &[
     "imu-files/recording/table/mat5.rs",
     "imu-files/recording/table/npy.rs",
     "imu-files/recording/pairs.rs",
+    "imu-files/recording/part.rs",
     "imu-files/recording/placing.rs",
     "imu-files/recording/quantum.rs",
     "imu-files/recording/turning.rs",
@@ -181,7 +182,47 @@ const IMPURE: [&str; 11] = [
     "Utc::now",
     "rand::rng(",
 ];
-const LINES_MAX: usize = 700;
+/// Maximum number of lines of code in a file.
+const LINES_MAX: usize = 500;
+/// Longer files, with the reason.
+const LONG_FILES: [(&str, &str); 8] = [
+    ("imu-diagnosis/law.rs", "one type: the law of a spectrum with its parameters, derivatives and fit"),
+    ("imu-diagnosis/prepare.rs", "one pass over a record, whose parts are used nowhere else"),
+    ("imu-diagnosis/search.rs", "one search: its turns and what each adapts"),
+    ("imu-diagnosis/series.rs", "one type: a series as it is explained so far, with all that is derived from it"),
+    ("imu-diagnosis/translate.rs", "one translation: a method for each kind of finding"),
+    ("imu-model/effects/spec.rs", "a table: the keys of each effect with their ranges"),
+    ("imu-noise/whittle/likelihood.rs", "one likelihood with its gradient and information"),
+    ("store/writer.rs", "one thread: the only one that writes to the database"),
+];
+/// Maximum number of lines of code in a function.
+const FUNCTION_LINES_MAX: usize = 80;
+/// Longer functions, with the reason.
+const LONG_FUNCTIONS: [(&str, &str, &str); 23] = [
+    ("imu-cost/sheet/mod.rs", "sheet", "assembles one document from all that was computed"),
+    ("imu-diagnosis/diagnose.rs", "explain", "the steps of one explanation share a dozen values"),
+    ("imu-diagnosis/law.rs", "fit_for", "one iteration with its damping"),
+    ("imu-diagnosis/motion/compose.rs", "outcome", "assembles one report"),
+    ("imu-diagnosis/motion/poses.rs", "tumbled", "one fit with its choice of groups, whose steps share its matrices"),
+    ("imu-diagnosis/motion/settle.rs", "settle", "one iteration, whose steps share its state"),
+    ("imu-diagnosis/motion/tumble.rs", "complete", "assembles one report"),
+    ("imu-diagnosis/motion/posed.rs", "notes", "a list of sentences"),
+    ("imu-diagnosis/prepare.rs", "channel_of", "one pass over a channel, whose steps share its values"),
+    ("imu-model/simulator/model/schema.rs", "schema", "a table"),
+    ("imu-trial/impose/outside/chain.rs", "draw", "a table of kinds"),
+    ("imu-trial/impose/outside/wander.rs", "draw", "a table of kinds"),
+    ("imu-trial/motion/score.rs", "of", "a table of rates"),
+    ("imu-trial/rates.rs", "of", "a table of rates"),
+    ("vn100-proto/decoder.rs", "advance", "one state machine"),
+    ("capture/task.rs", "run", "one loop over the events of the port"),
+    ("cli/show.rs", "run", "a table of lines"),
+    ("cli/status.rs", "rows", "a table of lines"),
+    ("daemon/mod.rs", "run", "where all rooms meet: the order of their start and end"),
+    ("emulator/terminal.rs", "run", "one loop over the events of the terminal"),
+    ("jobs/cost.rs", "add_cost", "assembles one document"),
+    ("jobs/examine.rs", "examine", "the steps of one job in order, each with its progress"),
+    ("store/insert.rs", "insert", "one transaction"),
+];
 
 /// Returns the sources of the root package as `module/file.rs`, and those of the crates as `crate/file.rs`, without
 /// files of tests.
@@ -353,9 +394,45 @@ fn every_file_states_what_it_is_and_stays_readable() {
             wrong.push(format!("{file} has no module comment"));
         }
         let lines = code(&text).lines().count();
-        if lines > LINES_MAX {
+        if lines > LINES_MAX && !LONG_FILES.iter().any(|(own, _)| *own == file) {
             wrong.push(format!("{file} has {lines} lines of code (at most {LINES_MAX})"));
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Returns the name and the number of lines of code of each function, as the formatter lays them out.
+fn functions(text: &str) -> Vec<(String, usize)> {
+    let code = code(text);
+    let lines: Vec<&str> = code.lines().filter(|line| !line.trim().is_empty()).collect();
+    let name = |line: &str| {
+        let rest = line.trim_start().trim_start_matches("pub ").trim_start_matches("pub(super) ");
+        let rest = rest.trim_start_matches("pub(crate) ").trim_start_matches("const ").trim_start_matches("async ");
+        let rest = rest.strip_prefix("fn ")?;
+        Some(rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>())
+    };
+    let from = |at: usize| {
+        let own = name(lines[at]).filter(|_| !lines[at].ends_with(';'))?;
+        let indent = lines[at].len() - lines[at].trim_start().len();
+        let end = format!("{}}}", " ".repeat(indent));
+        let length = lines[at..].iter().position(|line| *line == end)?;
+        Some((own, length + 1))
+    };
+    (0..lines.len()).filter_map(from).collect()
+}
+
+#[test]
+fn long_functions_have_a_reason() {
+    let mut wrong = Vec::new();
+    let mut known = LONG_FUNCTIONS.to_vec();
+    for (file, text) in sources() {
+        for (name, lines) in functions(&text).into_iter().filter(|(_, lines)| *lines > FUNCTION_LINES_MAX) {
+            match known.iter().position(|(own, function, _)| *own == file && *function == name) {
+                Some(place) => drop(known.remove(place)),
+                None => wrong.push(format!("{file}: {name} has {lines} lines (at most {FUNCTION_LINES_MAX})")),
+            }
+        }
+    }
+    wrong.extend(known.iter().map(|(file, name, _)| format!("{file}: {name} is short: take it off the list")));
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

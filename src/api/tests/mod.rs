@@ -2,6 +2,7 @@
 
 mod analysis;
 mod captures;
+mod comparison;
 mod daemon;
 mod diagnoses;
 mod limits;

@@ -1,6 +1,6 @@
 //! Arguments of `cost`.
 
-use super::complete;
+use super::{PartArgs, complete};
 use clap::Args;
 use imu_core::units::parse_duration;
 use imu_cost::{CostError, Tolerance};
@@ -23,7 +23,10 @@ pub struct CostArgs {
     /// Sampling rate of that recording in Hz, if the file has no times
     #[arg(long, value_name = "HZ", requires = "real")]
     pub rate: Option<f64>,
-    /// A motion after the alignment, as simulate reads it: a file, or still, tumble, rate-table as long as the last horizon
+    /// The part of that recording
+    #[command(flatten)]
+    pub part: PartArgs,
+    /// A motion after the alignment, as simulate reads it: a file, or still, tumble, poses, rate-table as long as the last horizon
     #[arg(long, value_name = "FILE|KIND", conflicts_with = "real")]
     pub motion: Option<String>,
     /// Times of unaided integration, increasing, separated by commas

@@ -1,20 +1,11 @@
 //! Arguments of `diagnose`.
 
 use super::complete;
-use super::{SamplingArgs, rate, share};
+use super::{PartArgs, SamplingArgs, one_of, rate, share};
+use crate::jobs::ReferenceAxis;
 use clap::Args;
+use clap::builder::TypedValueParser;
 use std::path::PathBuf;
-
-/// The axis about which an encoder turns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum ReferenceAxis {
-    /// The sensor's x axis.
-    X,
-    /// The sensor's y axis.
-    Y,
-    /// The sensor's z axis.
-    Z,
-}
 
 /// Arguments of `diagnose`.
 #[derive(Debug, Args)]
@@ -27,16 +18,19 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "MODEL.json|CAPTURE|FILE", add = complete::simulators())]
     pub sim: String,
     /// The sensor's motion as another instrument measured it: a CSV with time_s, ref_gyro_x_rad_s … ref_accel_z_m_s2,
-    /// or with poses (time_s, q_w … q_z, p_x_m …, also EuRoC, TUM, OptiTrack), or with rates about one axis; the effects
+    /// or with poses (time_s, q_w … q_z, p_x_m …, also EuRoC, TUM, OptiTrack, Vicon), or with rates about one axis; the effects
     /// that a motion drives are diagnosed too
     #[arg(long, value_name = "MOTION.csv")]
     pub reference: Option<PathBuf>,
     /// The axis of a reference with `encoder_rpm`
-    #[arg(long, value_name = "AXIS", value_enum, requires = "reference")]
+    #[arg(long, value_name = "AXIS", value_parser = reference_axis(), requires = "reference")]
     pub reference_axis: Option<ReferenceAxis>,
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// The part of the recording (--real)
+    #[command(flatten)]
+    pub part: PartArgs,
     /// The sampling of the recording
     #[command(flatten)]
     pub sampling: SamplingArgs,
@@ -69,4 +63,8 @@ pub struct DiagnoseArgs {
     /// Replace existing files
     #[arg(long)]
     pub force: bool,
+}
+
+fn reference_axis() -> impl TypedValueParser<Value = ReferenceAxis> {
+    one_of(ReferenceAxis::NAMED.map(|(name, axis)| (name.into(), axis)).to_vec())
 }

@@ -1,7 +1,7 @@
 //! Arguments of `noise`.
 
 use super::complete;
-use super::{NoiseFormat, SamplingArgs, noise_format, rate};
+use super::{NoiseFormat, PartArgs, SamplingArgs, noise_format, rate};
 use clap::{Args, ValueEnum};
 use imu_core::units::parse_duration;
 use imu_cost::Over;
@@ -18,6 +18,9 @@ pub struct NoiseArgs {
     /// Rate of recordings without stamps in Hz
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// The part of each capture
+    #[command(flatten)]
+    pub part: PartArgs,
     /// Form of the output
     #[arg(long, value_parser = noise_format(), default_value = "table")]
     pub format: NoiseFormat,
@@ -59,7 +62,7 @@ pub struct NoiseArgs {
         long,
         value_name = "FILE",
         requires = "consistent",
-        conflicts_with_all = ["captures", "rate", "filter_window"],
+        conflicts_with_all = ["captures", "rate", "filter_window", "from", "to", "channels"],
         add = complete::models()
     )]
     pub model: Option<PathBuf>,

@@ -1,10 +1,8 @@
 //! Arguments of commands that draw a capture: `plot`, `report`.
 
 use super::complete;
-use super::recordings::moment;
-use super::{SamplingArgs, ValidationArgs, rate};
+use super::{PartArgs, SamplingArgs, ValidationArgs, rate};
 use crate::gallery::Picture;
-use crate::store::Moment;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -21,12 +19,9 @@ pub struct PlotArgs {
     /// The file, with the ending .svg or .png; `-` is SVG on standard output
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// Of a time series: from this time on, RFC 3339 or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub from: Option<Moment>,
-    /// Of a time series: before this time, RFC 3339 or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub to: Option<Moment>,
+    /// The part that is drawn
+    #[command(flatten)]
+    pub part: PartArgs,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
@@ -50,6 +45,9 @@ pub struct ReportArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// The part of each recording
+    #[command(flatten)]
+    pub part: PartArgs,
     /// The sampling of the sensor
     #[command(flatten)]
     pub sampling: SamplingArgs,

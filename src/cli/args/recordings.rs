@@ -1,11 +1,9 @@
 //! Arguments of commands that read and write recordings: `import`, `export`.
 
 use super::complete;
-use super::{SamplingArgs, one_of, rate};
-use crate::store::Moment;
+use super::{PartArgs, SamplingArgs, one_of, rate};
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::{Args, ValueEnum};
-use imu_core::sample::Channel;
 use imu_files::export::samples::SampleFormat;
 use std::path::PathBuf;
 
@@ -18,12 +16,18 @@ pub struct ImportArgs {
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
+    /// The part of each recording that becomes a capture
+    #[command(flatten)]
+    pub part: PartArgs,
     /// The sampling of the sensor: kept with the capture, for its jobs
     #[command(flatten)]
     pub sampling: SamplingArgs,
     /// Name of the capture (default: the file's name)
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// A note about each capture, such as "on foam, 23 °C"
+    #[arg(long, value_name = "TEXT")]
+    pub note: Option<String>,
     /// Send the recordings to the daemon at this address (default: to the one that has the database, if one runs)
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<String>,
@@ -38,15 +42,9 @@ pub struct ExportArgs {
     /// Form of the file (default: by the ending of --out; csv on standard output)
     #[arg(long, value_parser = sample_format())]
     pub format: Option<SampleFormat>,
-    /// From this time on: RFC 3339, or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub from: Option<Moment>,
-    /// Before this time: RFC 3339, or seconds since the first sample
-    #[arg(long, value_name = "T", value_parser = moment)]
-    pub to: Option<Moment>,
-    /// Only these, separated by commas, such as gyro_x,gyro_y (default: all that the capture has)
-    #[arg(long, value_name = "NAMES", value_parser = channel_list, add = complete::channels())]
-    pub channels: Option<ChannelList>,
+    /// The part that is written
+    #[command(flatten)]
+    pub part: PartArgs,
     /// Rate of a recording in Hz: for one without stamps, or to override its stamps
     #[arg(long, value_name = "HZ", value_parser = rate)]
     pub rate: Option<f64>,
@@ -86,17 +84,4 @@ pub enum TimeOrigin {
     First,
     /// 1970-01-01T00:00:00Z
     Utc,
-}
-
-/// Channels by name.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ChannelList(pub Vec<Channel>);
-
-fn channel_list(text: &str) -> Result<ChannelList, String> {
-    Channel::list(text).map(ChannelList).map_err(|error| error.to_string())
-}
-
-pub(super) fn moment(text: &str) -> Result<Moment, String> {
-    Moment::parse(text)
-        .ok_or_else(|| "expected RFC 3339 such as 2026-11-21T20:00:00Z, or seconds since the first sample".to_owned())
 }

@@ -2,12 +2,16 @@
 //! do it.
 
 use super::ImportError;
+use crate::clock::rfc3339;
 use crate::control::{ConversionReport, ImportReport, ImportRequest, RejectedReport};
 use crate::jobs;
+use crate::store::Moment;
 use imu_core::sample::{CaptureConfiguration, Channel, Record, StatedSampling, Timebase};
+use imu_core::units::NANOS_PER_SECOND;
 use imu_files::recording::{
-    ColumnMap, Conversion, Findings, Input, KeepOn, Kind, MessageDefinition, Options, Recording, RecordingAccountant,
-    RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular, recording_files, unmerged_log,
+    ColumnMap, Conversion, Findings, Input, KeepOn, Kind, MessageDefinition, Options, Part, PartEnd, Recording,
+    RecordingAccountant, RecordingError, RecordingInfo, Rejected, StampChoice, Stamps, detect, open_regular,
+    recording_files, unmerged_log,
 };
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -36,6 +40,10 @@ pub struct Source<'a> {
     pub columns: ColumnMap,
     /// Definitions of messages that a bag lacks.
     pub definitions: Vec<MessageDefinition>,
+    /// The wanted part.
+    pub part: Part,
+    /// A note about the capture.
+    pub note: Option<String>,
     /// Reports whether the import is still wanted.
     pub keep_on: KeepOn,
 }
@@ -50,6 +58,8 @@ impl<'a> Source<'a> {
             sampling: None,
             columns: ColumnMap::default(),
             definitions: Vec::new(),
+            part: Part::default(),
+            note: None,
             keep_on: KeepOn::default(),
         }
     }
@@ -62,7 +72,26 @@ impl<'a> Source<'a> {
         let internal_rate_hz = request.internal_rate_hz;
         let sampling = request.filter_window.map(|filter_window| StatedSampling { filter_window, internal_rate_hz });
         let (file, called, rate_hz) = (request.file.as_path(), Path::new(&request.called), request.rate_hz);
-        Ok(Self { file, called, rate_hz, sampling, columns, definitions, keep_on })
+        let refused = |what: &str| ImportError::Refused(format!("the import's part has no {what} that can be read"));
+        let end = |text: &Option<String>, what| {
+            text.as_deref().map(|text| Moment::parse(text).map(PartEnd::from).ok_or_else(|| refused(what))).transpose()
+        };
+        let channels = request.channels.as_deref().map(Channel::list).transpose();
+        let part = Part {
+            from: end(&request.from, "begin")?,
+            to: end(&request.to, "end")?,
+            channels: channels.map_err(|error| ImportError::Refused(error.to_string()))?,
+        };
+        Ok(Self { file, called, rate_hz, sampling, columns, definitions, part, note: None, keep_on })
+    }
+}
+
+impl From<Moment> for PartEnd {
+    fn from(moment: Moment) -> Self {
+        match moment {
+            Moment::Utc(utc_ns) => Self::Utc(utc_ns),
+            Moment::Since(ns) => Self::Since(ns),
+        }
     }
 }
 
@@ -110,12 +139,13 @@ pub(super) fn read(
     started_utc_ns: i64,
     take: &mut dyn FnMut(Step) -> Result<bool, ImportError>,
 ) -> Result<(), ImportError> {
-    let Source { file, called, rate_hz, sampling, columns, definitions, keep_on } = source;
+    let Source { file, called, rate_hz, sampling, columns, definitions, part, keep_on, .. } = source;
     let sampling = sampling.map(StatedSampling::kept);
     // A file that is no recording is refused before all of it is read.
     let input = Input::file(file).while_wanted(keep_on.clone()).with_columns(columns.clone());
     detect(&input)?;
-    let fingerprint = fingerprint(file, (rate_hz, sampling, &columns, &definitions), &keep_on)?;
+    let mut fingerprint = fingerprint(file, (rate_hz, sampling, &columns, &definitions), &keep_on)?;
+    fingerprint += &of_part(&part);
     if !take(Step::Identified(fingerprint))? {
         return Ok(());
     }
@@ -123,8 +153,9 @@ pub(super) fn read(
         sampling,
         columns: columns.pairs().collect(),
         definitions: definitions.iter().map(|definition| definition.name().to_owned()).collect(),
+        part: Some(of_part(&part).trim().to_owned()).filter(|part| !part.is_empty()),
     };
-    let recording = Recording::read(input, Options { rate_hz, started_utc_ns, definitions })?;
+    let recording = Recording::read(input, Options { rate_hz, started_utc_ns, definitions, part })?;
     let mut info = recording.info().clone();
     info.file = called.to_owned();
     if let Some(stated) = sampling {
@@ -225,6 +256,18 @@ fn fingerprint(
     Ok(format!("sha256:{digest}{rate}{sampling}{columns}{definitions}"))
 }
 
+/// Identifies a part: another part of the same file is another recording. Empty for all of it.
+fn of_part(part: &Part) -> String {
+    let end = |name: &str, end: Option<PartEnd>| match end {
+        None => String::new(),
+        Some(PartEnd::Utc(utc_ns)) => format!(" {name} {}", rfc3339(utc_ns)),
+        Some(PartEnd::Since(ns)) => format!(" {name} {} s", ns as f64 / NANOS_PER_SECOND as f64),
+    };
+    let names = |channels: &Vec<Channel>| channels.iter().map(|channel| channel.name()).collect::<Vec<_>>().join(",");
+    let channels = part.channels.as_ref().map(|of| format!(" channels {}", names(of))).unwrap_or_default();
+    format!("{}{}{channels}", end("from", part.from), end("to", part.to))
+}
+
 /// Adds a file's bytes to a digest.
 fn update(hash: &mut Sha256, file: &Path, keep_on: &KeepOn) -> Result<(), ImportError> {
     let (mut bytes, mut buffer) = (open_regular(file)?, vec![0; HASH_BYTES]);
@@ -248,6 +291,9 @@ struct Statements {
     columns: Vec<String>,
     #[serde(rename = "message_definitions")]
     definitions: Vec<String>,
+    /// The part of the file, if not all of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    part: Option<String>,
 }
 
 /// The configuration of an imported capture, as the database holds it.

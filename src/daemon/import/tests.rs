@@ -29,6 +29,10 @@ fn an_import_that_fails_because_the_daemon_ends_reports_this_reason() {
             internal_rate_hz: None,
             columns: None,
             definitions: Vec::new(),
+            from: None,
+            to: None,
+            channels: None,
+            note: None,
             abandoned: CancellationToken::new(),
         };
         importer.import(request).unwrap_err()

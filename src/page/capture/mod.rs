@@ -1,35 +1,24 @@
 //! The page of a capture: its contents, the numbers, the pictures, the events, and its origin.
 
 mod about;
+mod actions;
 mod cost;
 mod noise;
 mod statistics;
 
+pub use actions::Served;
+pub(super) use actions::options;
+
 use super::figure::{clock, percent, span};
+use super::picture::{self, Figure};
 use super::{Kind, escaped, framed, wide};
 use crate::jobs::Documents;
 use crate::store::{CaptureRow, DiagnosisRow, EventRow, GapRow};
 use imu_core::sample::audit::Report;
 use imu_core::sample::{Channel, Triad};
+use imu_core::units::counted;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-
-/// A picture on the page.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Figure {
-    /// A picture that is fetched from its address when it scrolls into view; `alt` describes it for users who cannot
-    /// see it.
-    Linked {
-        /// Its description.
-        alt: String,
-        /// Its address.
-        address: String,
-        /// Its height in units in which its width is 560.
-        height: u32,
-    },
-    /// A picture that is part of the file: `<svg>…</svg>`.
-    Drawn(String),
-}
 
 /// The facts about a capture in the database, apart from its analyses.
 #[derive(Debug, Clone)]
@@ -72,8 +61,8 @@ pub struct CaptureView<'a> {
     pub diagnoses: &'a [DiagnosisRow],
     /// Pictures by name, such as `allan-gyro`; missing ones are not shown.
     pub figures: &'a BTreeMap<String, Figure>,
-    /// Whether it is a page of the daemon, with links to the rest, and if so whether requests need a token.
-    pub served: Option<bool>,
+    /// If it is a page of the daemon, with links to the rest: what that needs.
+    pub served: Option<Served<'a>>,
     /// Its diagnoses, for a file that includes them: the contents of the bodies of their pages
     /// ([`super::diagnosis_body`]).
     pub enclosed: &'a [String],
@@ -135,34 +124,39 @@ fn opened(view: &CaptureView<'_>) -> &'static str {
 
 /// Writes the picture with that name, if it exists; returns whether it does.
 fn figure(out: &mut String, view: &CaptureView<'_>, name: &str) -> bool {
-    // Writing to a text cannot fail.
-    match view.figures.get(name) {
-        None => return false,
-        Some(Figure::Drawn(svg)) => {
-            let _ = write!(out, "<figure>{svg}</figure>");
-        }
-        Some(Figure::Linked { alt, address, height }) => {
-            let (alt, address) = (escaped(alt), escaped(address));
-            let _ = write!(
-                out,
-                "<figure><img src=\"{address}\" alt=\"{alt}\" width=\"560\" height=\"{height}\" loading=\"lazy\"></figure>"
-            );
+    let Some(figure) = view.figures.get(name) else { return false };
+    picture::write(out, figure, None);
+    true
+}
+
+/// Returns the sensor's model and serial number, if one is known.
+pub(super) fn sensor(of: &CaptureRow) -> Option<String> {
+    let sensor = [of.sensor.model(), of.sensor.serial_number()].map(Option::unwrap_or_default);
+    Some(sensor.join(" ").trim().to_owned()).filter(|sensor| !sensor.is_empty())
+}
+
+/// Returns how many samples are missing.
+pub(super) fn missing(of: &CaptureRow) -> String {
+    match (of.missing, of.gaps) {
+        (0, _) => "none missing".to_owned(),
+        (missing, gaps) => {
+            let share = missing as f64 / (missing + of.samples).max(1) as f64;
+            let share = if share < 0.005 { "less than 1 %".to_owned() } else { percent(share) };
+            format!("{missing} missing ({share}) in {}", counted(gaps, "gap", "gaps"))
         }
     }
-    true
 }
 
 fn head(out: &mut String, view: &CaptureView<'_>) {
     let of = &view.facts.row;
     let begun = of.started_at.map_or_else(|| "not begun".to_owned(), |at| clock(&at.to_string()));
-    let sensor = [of.sensor.model(), of.sensor.serial_number()].map(Option::unwrap_or_default);
-    let sensor = sensor.join(" ").trim().to_owned();
+    // Writing to a text cannot fail.
     let _ = write!(
         out,
         "<p class=\"soft\">{}{}, from {}{}</p><h1>{}</h1><p class=\"large\">{}</p>",
         if view.is_kept { format!("capture {}, ", of.id) } else { String::new() },
         of.state.name(),
-        escaped(if sensor.is_empty() { &of.source } else { &sensor }),
+        escaped(sensor(of).as_deref().unwrap_or(&of.source)),
         if of.pinned { ", kept from deletion" } else { "" },
         escaped(&of.name),
         escaped(&sentence(of))
@@ -187,8 +181,8 @@ fn head(out: &mut String, view: &CaptureView<'_>) {
     for remark in view.remarks {
         let _ = write!(out, "<p class=\"remark\">{}</p>", escaped(remark));
     }
-    if let Some(token) = view.served {
-        controls(out, of, token);
+    if let Some(served) = &view.served {
+        actions::section(out, of, served);
     }
 }
 
@@ -200,48 +194,7 @@ fn sentence(of: &CaptureRow) -> String {
         Some(planned) if planned - of.duration_s > 1.0 => format!(" of {} wanted", span(planned)),
         _ => String::new(),
     };
-    let missing = match (of.missing, of.gaps) {
-        (0, _) => "none missing".to_owned(),
-        (missing, gaps) => {
-            let share = missing as f64 / (missing + of.samples).max(1) as f64;
-            let share = if share < 0.005 { "less than 1 %".to_owned() } else { percent(share) };
-            format!("{missing} missing ({share}) in {gaps} {}", if gaps == 1 { "gap" } else { "gaps" })
-        }
-    };
-    format!("{}{planned}{rate}: {} samples, {missing}", span(of.duration_s), of.samples)
-}
-
-/// Writes the requests that the page offers; users without scripts have curl.
-fn controls(out: &mut String, of: &CaptureRow, token: bool) {
-    let id = of.id;
-    let _ = write!(out, "<section class=\"controls\" aria-label=\"actions\" hidden>");
-    if of.state.is_open() {
-        let _ = write!(
-            out,
-            "<form data-post=\"/v1/captures/{id}/stop\" data-ask=\"Stop this capture?\"><button>stop</button></form>"
-        );
-    } else {
-        let _ = write!(
-            out,
-            "<form data-post=\"/v1/captures/{id}/pin\" data-json=\"{{&quot;pinned&quot;:{}}}\"><button>{}</button></form>\
-             <form data-post=\"/v1/captures/{id}/diagnoses\" data-then=\"/diagnoses/\" class=\"models\">\
-             <label>compare with the simulator <select name=\"sim\" data-models></select></label>\
-             <label>or with a model's file <input name=\"sim\" type=\"file\" accept=\".json\"></label><button>diagnose</button></form>",
-            !of.pinned,
-            if of.pinned { "keep no longer" } else { "keep from deletion" }
-        );
-    }
-    let _ = write!(
-        out,
-        "<form data-post=\"/v1/captures/{id}\" data-method=\"PATCH\" autocomplete=\"off\">\
-         <label>name <input name=\"name\" maxlength=\"100\" value=\"{}\" required></label>\
-         <label>note <input name=\"note\" maxlength=\"1000\" size=\"40\" value=\"{}\" placeholder=\"on foam, 23 °C\"></label>\
-         <button>save</button></form>",
-        escaped(&of.name),
-        escaped(of.note.as_deref().unwrap_or_default())
-    );
-    *out += &super::dashboard::token(token);
-    *out += "<p class=\"said\" role=\"status\"></p></section>";
+    format!("{}{planned}{rate}: {}, {}", span(of.duration_s), counted(of.samples, "sample", "samples"), missing(of))
 }
 
 fn gaps(out: &mut String, view: &CaptureView<'_>) {

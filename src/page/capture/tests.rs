@@ -1,7 +1,7 @@
 use super::*;
 use crate::jobs::StatisticsReport;
 use crate::page::rows::{self, BEGUN_NS};
-use crate::store::UtcNs;
+use crate::store::{ModelEntry, UtcNs};
 use imu_core::sample::GapCause;
 use imu_core::sample::audit::{CountFacts, audit};
 use imu_noise::NoiseReport;
@@ -71,6 +71,10 @@ fn shown(served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
 }
 
 fn page_of(noise: NoiseReport, served: Option<bool>, figures: &BTreeMap<String, Figure>) -> String {
+    let created_at = UtcNs(BEGUN_NS);
+    let models = [ModelEntry { id: "model-1".to_owned(), name: "<unit>".to_owned(), rate_hz: 40.0, created_at }];
+    let captures = [CaptureRow { id: 3, name: "<before>".to_owned(), ..rows::capture() }];
+    let served = served.map(|token| Served { token, models: &models, captures: &captures });
     capture(&CaptureView {
         facts: &facts(),
         is_kept: true,
@@ -122,11 +126,17 @@ fn everything_that_is_known_is_shown_and_nothing_is_markup() {
         "VN-100T &lt;42&gt;",
         "href=\"/captures/7/series/gyro_x\"",
         "class=\"token\"",
+        "<option value=\"model-1\">model-1 (&lt;unit&gt;)</option>",
+        "<optgroup label=\"captures that a simulator made\"><option value=\"3\">&lt;before&gt;</option></optgroup>",
+        "action=\"/compare\"><input type=\"hidden\" name=\"a\" value=\"7\">",
+        "<input name=\"reference\" type=\"file\"",
+        "<select name=\"reference_axis\"",
+        "<figcaption><a href=\"/v1/captures/7/plots/allan-gyro.png\">PNG</a></figcaption>",
     ] {
         assert!(page.contains(expected), "{expected}: {page}");
     }
     assert_eq!(page.matches("<img ").count(), 6, "{page}");
-    for markup in ["<script>", "<told>", "<tone>", "<b>", "<note>", "<foam>", "<42>", "<being>"] {
+    for markup in ["<unit>", "<before>", "<script>", "<told>", "<tone>", "<b>", "<note>", "<foam>", "<42>", "<being>"] {
         assert!(!page.contains(markup), "{markup}");
     }
 }

@@ -442,8 +442,8 @@ impl<'a> Rebuilt<'a> {
         self.write()?;
         self.trail()?;
         if lost > 0 || self.row.is_empty() {
-            let message =
-                format!("recovered from a damaged database: {} samples taken, {lost} lost", self.report.samples);
+            let samples = imu_core::units::counted(self.report.samples, "sample", "samples");
+            let message = format!("recovered from a damaged database: {samples} taken, {lost} lost");
             let event = EventRecord { utc_ns: SystemClock.utc_ns(), kind: EventKind::Warning, message, detail: None };
             self.push(Record::Event(event))?;
             self.write()?;
