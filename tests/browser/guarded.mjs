@@ -1,7 +1,7 @@
 // A daemon that wants a token: what is told without it, and with it a capture that is scheduled, and one that is stopped.
 
 import { Visit } from "./browser.mjs";
-import { heading, moves, said, start, stop } from "./live.mjs";
+import { heading, moves, said, settled, start, stop } from "./live.mjs";
 
 /// Where the person is: begin at is the time of the person's clock, whatever the daemon's.
 const ZONE = "America/St_Johns";
@@ -61,6 +61,8 @@ async function recorded(page, checks, visit) {
   await moves(page, checks);
   await page.locator("#state a[href^='/captures/']").click();
   await page.waitForURL(/\/captures\/\d+$/);
+  await settled(page);
+  await checks.page(page, "capture-running");
   await stop(page, visit, "Stop this capture?");
   await page.getByRole("button", { name: "keep from deletion" }).waitFor();
   const [desk] = await captures(page);
