@@ -30,7 +30,10 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let reference = args.reference.as_deref().map(|path| reference(path, args.reference_axis)).transpose()?;
     let mut together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     together.sampled(args.sampling.stated())?;
-    let (sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
+    let (mut sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
+    if let Some(channels) = &context.part.channels {
+        sim = sim.only(channels);
+    }
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let real_name = together.name();
     let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;

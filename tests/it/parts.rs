@@ -84,6 +84,21 @@ fn a_part_is_analysed_as_a_file_that_has_no_more_whether_of_a_file_or_a_capture(
 }
 
 #[test]
+fn channels_that_are_left_out_are_left_out_of_the_model_too() {
+    let world = World::new();
+    let [night, sim] = ["night.csv", "sim.json"].map(|name| world.path(name));
+    std::fs::write(&night, table(0, 2000)).unwrap();
+    let channels = r#"{"gyro_x": {"N": 6.5e-5}, "accel_z": {"N": 6.5e-4}}"#;
+    let model = r#"{"format": "vn100d-sensor-model-1", "name": "both", "rate_hz": 40, "channels": CHANNELS}"#;
+    std::fs::write(&sim, model.replace("CHANNELS", channels)).unwrap();
+    let command = ["--json", "diagnose", "--real", text(&night), "--sim", text(&sim), "--channels", "gyro_x"];
+    let report: Value = serde_json::from_str(&done(&command)).unwrap();
+    let named = report["channels"].as_object().unwrap().keys().collect::<Vec<_>>();
+    let compared = report["per_channel"].as_object().unwrap();
+    assert!(compared.len() == 1 && compared.contains_key("gyro_x"), "{report}");
+}
+
+#[test]
 fn what_a_part_cannot_be_is_refused_with_what_to_do() {
     let world = World::new();
     let night = world.path("night.csv");

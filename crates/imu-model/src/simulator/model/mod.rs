@@ -141,6 +141,14 @@ impl SensorModel {
     pub fn internal_rate_hz(&self, rate_hz: f64) -> f64 {
         self.sampling.map_or(rate_hz, |sampling| sampling.internal_rate_hz)
     }
+
+    /// Returns the model of a sensor that sends only some of its channels. Effects on a triad stay if all its channels do.
+    #[must_use]
+    pub fn only(mut self, wanted: &[Channel]) -> Self {
+        self.channels.retain(|channel, _| wanted.contains(channel));
+        self.triads.retain(|triad, _| triad.channels().iter().all(|channel| wanted.contains(channel)));
+        self
+    }
 }
 
 #[cfg(test)]
