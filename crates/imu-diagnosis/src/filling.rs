@@ -155,6 +155,8 @@ pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64, owner: u
     let n = values.len();
     let mut at = 0;
     let mut stream = stream(n, owner, SIMPLE);
+    let mut is_out = vec![false; if places.is_empty() { 0 } else { n }];
+    places.iter().for_each(|place| is_out[*place] = true);
     while at < places.len() {
         let mut end = at + 1;
         // A run, together with the good samples inside it, which are too few to determine a level.
@@ -163,7 +165,7 @@ pub(super) fn fill_in(values: &mut [f64], places: &[usize], white: f64, owner: u
         }
         let (from, to) = (places[at], places[end - 1] + 1);
         let level = |range: std::ops::Range<usize>| {
-            let inside = range.clone().filter(|t| places.binary_search(t).is_err());
+            let inside = range.clone().filter(|t| !is_out[*t]);
             let (sum, count) = inside.fold((0.0, 0), |(sum, count), t| (sum + values[t], count + 1));
             (count > 0).then(|| sum / f64::from(count))
         };
