@@ -52,8 +52,10 @@ pub(super) fn run(context: &Context, args: &CostArgs) -> anyhow::Result<Outcome>
         let sensor = model::load(path)?;
         let motion = args.motion.as_deref().map(|named| along(named, &sensor, request)).transpose()?;
         let request = &Request { motion, ..request.clone() };
+        let cost = cost_of(&sensor, path, request)?;
+        let sensor = context.part.of_model(sensor, path)?;
         let measured = real.as_ref().map(|real| real.measured(&sensor, path, request)).transpose()?;
-        Ok::<Shown, anyhow::Error>(Shown { cost: cost_of(&sensor, path, request)?, measured })
+        Ok::<Shown, anyhow::Error>(Shown { cost, measured })
     };
     let own = shown(&args.model, &request)?;
     // Limits are those of the model itself.

@@ -30,10 +30,7 @@ pub(super) fn run(context: &Context, args: &DiagnoseArgs) -> anyhow::Result<Outc
     let reference = args.reference.as_deref().map(|path| reference(path, args.reference_axis)).transpose()?;
     let mut together = analysis::open(context, std::slice::from_ref(&args.real), args.rate)?;
     together.sampled(args.sampling.stated())?;
-    let (mut sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
-    if let Some(channels) = &context.part.channels {
-        sim = sim.only(channels);
-    }
+    let (sim, doubt) = simulator(context, args, together.plan.rate_hz)?;
     let gridded = gridded(&together.source, &together.plan, u64::MAX)?;
     let real_name = together.name();
     let tails = args.calibrate.then(|| super::calibration::tails(&gridded.recording, &sim)).transpose()?;
@@ -134,9 +131,9 @@ fn simulator(context: &Context, args: &DiagnoseArgs, real_hz: f64) -> anyhow::Re
     if is_model {
         let sim = model::load(path)?;
         same_rate(sim.rate_hz)?;
-        return Ok((sim, None));
+        return Ok((context.part.of_model(sim, path)?, None));
     }
-    let together = analysis::open(&context.whole(), std::slice::from_ref(&args.sim), args.rate)?;
+    let together = analysis::open(&context.at_any_time(), std::slice::from_ref(&args.sim), args.rate)?;
     same_rate(together.plan.rate_hz)?;
     Ok(model::fitted(together, &imu_diagnosis::effects(), None)?.fitted.as_law()?)
 }

@@ -154,9 +154,9 @@ pub struct Context {
 }
 
 impl Context {
-    /// Returns the same without a part: for another recording than the one of which a part is wanted.
-    fn whole(&self) -> Self {
-        Self { part: part::Part::default(), ..self.clone() }
+    /// Returns the same at any time: for another recording than the one of which a part is wanted.
+    fn at_any_time(&self) -> Self {
+        Self { part: part::Part { channels: self.part.channels.clone(), ..part::Part::default() }, ..self.clone() }
     }
 
     /// Returns the effective configuration.

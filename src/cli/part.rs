@@ -7,6 +7,8 @@ use crate::store::{CaptureRow, Moment, Reader, SampleRange};
 use imu_core::sample::Channel;
 use imu_core::units::NANOS_PER_SECOND;
 use imu_files::recording::{self, KeepOn};
+use imu_model::simulator::SensorModel;
+use std::path::Path;
 
 /// The wanted part; the default is all of it.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -56,6 +58,22 @@ impl Part {
             .into_iter()
             .filter_map(|(key, value)| Some((key, value?)))
             .collect()
+    }
+
+    /// Returns the model without the channels that are left out of the recording.
+    ///
+    /// # Errors
+    /// If no channel with noise is left.
+    pub(super) fn of_model(&self, sensor: SensorModel, path: &Path) -> anyhow::Result<SensorModel> {
+        let Some(wanted) = &self.channels else { return Ok(sensor) };
+        let has = |sensor: &SensorModel| sensor.channels.keys().map(|of| of.name()).collect::<Vec<_>>().join(", ");
+        let own = has(&sensor);
+        let sensor = sensor.only(wanted);
+        if sensor.channels.keys().all(|channel| channel.triad().is_none()) {
+            let path = path.display();
+            return Err(failed(format!("the model {path} has none of the wanted channels: choose from {own}")));
+        }
+        Ok(sensor)
     }
 
     /// Returns the part for a reader of recordings.

@@ -27,7 +27,7 @@ pub(super) fn run(context: &Context, args: &ReportArgs, path: &Path) -> anyhow::
     let mut read: Vec<&Path> = args.captures.iter().filter_map(|named| file(named)).collect();
     read.push(path);
     let output = out.map(|out| Output::create(out, args.force, &read)).transpose()?;
-    let model = model::load(path)?;
+    let model = context.part.of_model(model::load(path)?, path)?;
     let reals: Vec<Real> =
         args.captures.iter().map(|named| Real::open(context, named, args.rate)).collect::<Result<_, _>>()?;
     for (number, real) in reals.iter().enumerate() {

@@ -87,15 +87,29 @@ fn a_part_is_analysed_as_a_file_that_has_no_more_whether_of_a_file_or_a_capture(
 fn channels_that_are_left_out_are_left_out_of_the_model_too() {
     let world = World::new();
     let [night, sim] = ["night.csv", "sim.json"].map(|name| world.path(name));
-    std::fs::write(&night, table(0, 2000)).unwrap();
+    std::fs::write(&night, table(0, 6000)).unwrap();
     let channels = r#"{"gyro_x": {"N": 6.5e-5}, "accel_z": {"N": 6.5e-4}}"#;
     let model = r#"{"format": "vn100d-sensor-model-1", "name": "both", "rate_hz": 40, "channels": CHANNELS}"#;
     std::fs::write(&sim, model.replace("CHANNELS", channels)).unwrap();
     let command = ["--json", "diagnose", "--real", text(&night), "--sim", text(&sim), "--channels", "gyro_x"];
     let report: Value = serde_json::from_str(&done(&command)).unwrap();
-    let named = report["channels"].as_object().unwrap().keys().collect::<Vec<_>>();
     let compared = report["per_channel"].as_object().unwrap();
     assert!(compared.len() == 1 && compared.contains_key("gyro_x"), "{report}");
+    // Of a simulator's recording as of a model.
+    let of_recording = ["diagnose", "--real", text(&night), "--sim", text(&night), "--channels", "gyro_x", "--json"];
+    let report: Value = serde_json::from_str(&done(&of_recording)).unwrap();
+    assert_eq!(report["per_channel"].as_object().unwrap().len(), 1, "{report}");
+    std::fs::write(&sim, model.replace("CHANNELS", r#"{"accel_z": {"N": 6.5e-4}}"#)).unwrap();
+    let (code, error) = refused(&command);
+    assert!(code == Some(1) && error.contains("has none of the wanted channels: choose from accel_z"), "{error}");
+    // A velocity needs the accelerometer, and of the gyroscope what the model has of it.
+    std::fs::write(&night, table(0, 6000).replace("gyro_x", "gyro_y").replace("accel_z", "accel_x")).unwrap();
+    let channels = r#"{"gyro_y": {"N": 6.5e-5}, "accel_x": {"N": 6.5e-4}}"#;
+    std::fs::write(&sim, model.replace("CHANNELS", channels)).unwrap();
+    let align = ["--align", "10s", "--channels", "accel_x"];
+    let command = [&["--json", "cost", "--model", text(&sim), "--real", text(&night)][..], &align].concat();
+    let cost: Value = serde_json::from_str(&done(&command)).unwrap();
+    assert!(cost["measured"]["quantities"].as_object().is_some_and(|of| !of.is_empty()), "{cost}");
 }
 
 #[test]

@@ -142,11 +142,11 @@ impl SensorModel {
         self.sampling.map_or(rate_hz, |sampling| sampling.internal_rate_hz)
     }
 
-    /// Returns the model of a sensor that sends only some of its channels. Effects on a triad stay if all its channels do.
+    /// Returns the model of a sensor that sends only some of its channels. Effects on a triad stay if one of its channels does.
     #[must_use]
     pub fn only(mut self, wanted: &[Channel]) -> Self {
         self.channels.retain(|channel, _| wanted.contains(channel));
-        self.triads.retain(|triad, _| triad.channels().iter().all(|channel| wanted.contains(channel)));
+        self.triads.retain(|triad, _| triad.channels().iter().any(|channel| self.channels.contains_key(channel)));
         self
     }
 }
@@ -160,6 +160,16 @@ mod tests {
     }
     fn with_gyro_x(body: &str) -> String {
         format!(r#"{{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,"channels":{{"gyro_x":{body}}}}}"#)
+    }
+
+    #[test]
+    fn a_triads_effects_stay_with_one_of_its_channels() {
+        let text = r#"{"format":"vn100d-sensor-model-1","name":"t","rate_hz":40,
+            "channels":{"gyro_x":{},"gyro_y":{},"accel_z":{}},
+            "triads":{"gyro":{"effects":[{"effect":"latency","seconds":0.1}]},"accel":{"effects":[{"effect":"latency","seconds":0.1}]}}}"#;
+        let model = SensorModel::from_json(text, "m.json").unwrap().only(&[Channel::GyroX, Channel::MagX]);
+        assert_eq!(model.channels.keys().copied().collect::<Vec<_>>(), [Channel::GyroX]);
+        assert_eq!(model.triads.keys().copied().collect::<Vec<_>>(), [Triad::Gyro]);
     }
 
     #[test]
