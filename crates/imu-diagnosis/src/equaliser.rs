@@ -265,7 +265,7 @@ impl Series<'_> {
         let variance = self.variances();
         let (least, most) = variance.iter().fold((f64::MAX, 0.0f64), |(l, m), v| (l.min(*v), m.max(*v)));
         let is_uneven = most > UNEVEN * least && least > 0.0 && most.is_finite();
-        if !is_uneven || self.spectrum.len() != n || !self.censored.is_empty() {
+        if !is_uneven || self.is_unsolved || self.spectrum.len() != n || !self.censored.is_empty() {
             return;
         }
         let mut squares = self.filters().unwrap_or_default();
@@ -312,7 +312,10 @@ impl Series<'_> {
         let mut difference: Vec<f64> = self.rest.iter().zip(drawn).map(|(x, drawn)| x - drawn).collect();
         phase::undo(&mut difference, &equaliser.squares);
         let near = before.as_ref().map(|before| before.solution.as_slice());
-        let Some(solution) = equaliser.solve(&mut self.transform, &difference, near) else { return };
+        let Some(solution) = equaliser.solve(&mut self.transform, &difference, near) else {
+            self.is_unsolved = true;
+            return;
+        };
         let known = equaliser.even(&mut self.transform, &difference, &solution);
         let fast = equaliser.behind(&mut self.transform, fast.iter().map(|fast| white * fast).collect());
         self.rest = known.iter().zip(&slow).zip(&fast).map(|((known, slow), fast)| known + slow + fast).collect();

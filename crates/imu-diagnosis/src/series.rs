@@ -91,6 +91,8 @@ pub struct Series<'a> {
     pub(super) varied: RefCell<Option<Varied>>,
     /// The equaliser of the white noise, if there is one.
     pub(super) equaliser: Option<Equaliser>,
+    /// Whether the solver of the equaliser failed in the present rebuild. It would fail again, in as many rounds.
+    pub(super) is_unsolved: bool,
 }
 
 impl<'a> Series<'a> {
@@ -134,6 +136,7 @@ impl<'a> Series<'a> {
             variance: Vec::new(),
             varied: RefCell::new(None),
             equaliser: None,
+            is_unsolved: false,
         }
     }
 
@@ -168,6 +171,7 @@ impl<'a> Series<'a> {
         const MANY: usize = 50;
         /// Maximum remaining change of ln N².
         const AGREE: f64 = 1e-3;
+        self.is_unsolved = false;
         self.resolve_lines();
         self.fit_means();
         self.refit(several);
