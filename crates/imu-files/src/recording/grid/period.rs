@@ -28,6 +28,8 @@ const FIRST_WITHIN: f64 = 0.01;
 const PHASES_AGREE: f64 = 14.0;
 /// Errors below this share of the mean step count as equal.
 const ERROR_LEAST: f64 = 1e-3;
+/// Errors below this share of the rounding count as equal: two grids of which one explains regular long steps by losses differ less.
+const ROUNDED_LEAST: f64 = 0.01;
 /// Stamps are coarse from this share of the mean step on: several samples share one stamp.
 const COARSE_FROM: f64 = 0.95;
 /// A period that is this close to a whole number of the stamps' steps is taken as that number.
@@ -38,6 +40,8 @@ const RECEIVED_LEAST: f64 = 0.45;
 const LATE_OFTEN: f64 = 0.05;
 /// The median step is at least this share of the mean step: in bursts most steps are short.
 const MEDIAN_LEAST: f64 = 0.25;
+/// Rounding below this part of the period counts as jitter.
+const FINE: f64 = 0.1;
 /// Above this number of samples per stamp their mean is used instead of a count.
 const CELL_MOST: f64 = 16.0;
 /// The cost of a period that is no whole number of the steps in which its stamps come, over the logarithm of their
@@ -121,7 +125,9 @@ fn find_in(stamps: &[i64]) -> Option<StampGrid> {
             }
             looked.push(proposal);
             // Few stamps have too few phases.
-            tried.extend(if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) });
+            let sharp = if stamps.len() < STRETCHES[0] { Some(proposal) } else { sharpened(&at_ns, proposal) };
+            tried.extend(sharp);
+            tried.extend(sharp.and_then(|period_ns| mirrored(period_ns, rounding_ns)));
         }
     }
     // If most samples share their stamp, there is no usable most frequent length.
@@ -245,7 +251,7 @@ fn tried_with(
         let late = errors.iter().filter(|error| **error - center > 0.75 * grid.period_ns + half_ns).count();
         grid.late_often = late as f64 > LATE_OFTEN * count;
         // A late stamp costs the logarithm of its delay.
-        let scale = grid.jitter_ns + ERROR_LEAST * mean_ns;
+        let scale = grid.jitter_ns + ERROR_LEAST * mean_ns + ROUNDED_LEAST * rounding_ns as f64;
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
@@ -269,19 +275,25 @@ fn tried_with(
 /// Returns the position of the errors that no delay caused: their mode, or the middle of the densest stretch as long as
 /// the rounding.
 fn center(errors: &mut [f64], half_ns: f64, period_ns: f64) -> Option<f64> {
-    errors.sort_unstable_by(f64::total_cmp);
-    if 2.0 * half_ns < 0.1 * period_ns {
+    if 2.0 * half_ns < FINE * period_ns {
+        errors.sort_unstable_by(f64::total_cmp);
         // Half of them may be late by the same time, as in pairs.
         let lower = errors.len().div_ceil(2);
         return mode(&mut errors[..lower]);
     }
+    densest(errors, 2.02 * half_ns)
+}
+
+/// Returns the middle of the densest stretch of this length.
+fn densest(values: &mut [f64], length: f64) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
     let (mut to, mut best) = (0, (0, 0.0));
-    for (from, first) in errors.iter().enumerate() {
-        while errors.get(to).is_some_and(|last| last - first <= 2.02 * half_ns) {
+    for (from, first) in values.iter().enumerate() {
+        while values.get(to).is_some_and(|last| last - first <= length) {
             to += 1;
         }
         if to - from > best.0 {
-            best = (to - from, 0.5 * (first + errors[to - 1]));
+            best = (to - from, 0.5 * (first + values[to - 1]));
         }
     }
     (best.0 > 0).then_some(best.1)
@@ -336,7 +348,11 @@ fn start(at_ns: &[f64], period_ns: f64, half_ns: f64) -> Option<(f64, i64)> {
     // The phases are repeated around the circle: a mode may lie at its seam.
     let around: Vec<f64> = phases.iter().map(|phase| phase + 1.0).collect();
     phases.extend(around);
-    let phase = mode(&mut phases)?;
+    // Phases of rounded stamps are spread over the rounding: their densest part may be at an end of it.
+    let phase = match 2.0 * half_ns < FINE * period_ns {
+        true => mode(&mut phases)?,
+        false => densest(&mut phases, 2.02 * half_ns / period_ns)?,
+    };
     let phase = phase - phase.round();
     let offset = |(index, at_ns): (usize, &f64)| (at_ns / period_ns - phase - index as f64).round() as i64;
     let lowest = at_ns.iter().take(1024).enumerate().map(offset).min()?;
@@ -387,6 +403,16 @@ fn sharpened(at_ns: &[f64], proposal_ns: f64) -> Option<f64> {
         }
     }
     sharp.then_some(period_ns)
+}
+
+/// Returns the other period near this one under which rounded stamps have the same phases, in the opposite sense: stamps that are
+/// multiples of R cannot distinguish the rates f and m/R − f.
+fn mirrored(period_ns: f64, rounding_ns: u64) -> Option<f64> {
+    let rounding = rounding_ns as f64 / period_ns;
+    let multiple = (2.0 * rounding).round();
+    let other_ns = period_ns / (multiple / rounding - 1.0);
+    let is_near = multiple > 0.0 && (other_ns / period_ns - 1.0).abs() < 2.0 * FIRST_WITHIN;
+    is_near.then_some(other_ns)
 }
 
 fn median(values: &mut [f64]) -> Option<f64> {

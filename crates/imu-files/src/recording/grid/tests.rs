@@ -198,6 +198,22 @@ fn jittering_stamps_determine_rate_duration_and_losses_while_jitter_is_below_a_t
     }
 }
 
+/// Of 49.628 Hz in two decimals 599 of 40,000 samples were counted as missing, of 50.372 Hz, in sealed case 333 of seed 20320101:
+/// steps of three hundredths are as regular as losses.
+#[test]
+fn stamps_rounded_to_about_half_a_period_have_no_losses() {
+    for rate_hz in [45.1, 47.3, 48.9, 49.2, 49.628, 49.81, 49.97, 50.03, 50.372, 51.1, 52.7, 55.3, 24.9, 66.1, 74.9] {
+        for seed in 0..12 {
+            let (stamps, _) = stamps(Kind::Rounded(10_000_000), rate_hz, 0.0, 300.0, seed);
+            let (grid, missing, found_hz) = tracked(&stamps);
+            assert!(
+                missing == 0 && (found_hz / rate_hz - 1.0).abs() < 1e-4,
+                "{rate_hz} {seed}: {missing} {found_hz} {grid:?}"
+            );
+        }
+    }
+}
+
 #[test]
 fn a_wandering_clock_is_followed() {
     // 300 ppm with a period of ten minutes, and a steady drift.
