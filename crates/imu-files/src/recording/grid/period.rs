@@ -251,7 +251,10 @@ fn tried_with(
         let late = errors.iter().filter(|error| **error - center > 0.75 * grid.period_ns + half_ns).count();
         grid.late_often = late as f64 > LATE_OFTEN * count;
         // A late stamp costs the logarithm of its delay.
-        let scale = grid.jitter_ns + ERROR_LEAST * mean_ns + ROUNDED_LEAST * rounding_ns as f64;
+        // Of coarse stamps the errors are all that distinguishes the periods.
+        let is_coarse = rounding_ns as f64 > COARSE_FROM * mean_ns;
+        let least_ns = if is_coarse { 0.0 } else { ROUNDED_LEAST * rounding_ns as f64 };
+        let scale = grid.jitter_ns + ERROR_LEAST * mean_ns + least_ns;
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
@@ -263,7 +266,7 @@ fn tried_with(
         }
         let entropy = if lost > 0.0 { -(lost * lost.ln() + (1.0 - lost) * (1.0 - lost).ln()) } else { 0.0 };
         // Rounding that hides the period explains any steps: the period must then explain many losses.
-        let guess = if rounding_ns as f64 > COARSE_FROM * mean_ns { GUESS * count.ln() / count } else { 0.0 };
+        let guess = if is_coarse { GUESS * count.ln() / count } else { 0.0 };
         nats = Some(guess + scale.ln() + errors / count + entropy * points / count + 0.05 * tracker.slips as f64);
         let mean = tracker.mean_period_ns().filter(|mean| (mean / grid.period_ns - 1.0).abs() < 0.01);
         grid.period_ns = mean.unwrap_or(grid.period_ns);
