@@ -156,7 +156,7 @@ async function hostile(page, checks, visit, address) {
   await page.waitForURL(/\/captures\/\d+$/);
   const capture = page.url();
   await literal(page, checks, HOSTILE, "the page of a capture that runs");
-  // Soon: each second is ten minutes of samples that are diagnosed afterwards.
+  // The capture stops soon, because each second of it is ten minutes of samples that are diagnosed afterwards.
   await stop(page, visit, "Stop this capture?");
   await page.getByRole("button", { name: "diagnose" }).waitFor(PATIENCE);
   await settled(page, PATIENCE);

@@ -28,7 +28,8 @@ const FIRST_WITHIN: f64 = 0.01;
 const PHASES_AGREE: f64 = 14.0;
 /// Errors below this share of the mean step count as equal.
 const ERROR_LEAST: f64 = 1e-3;
-/// Errors below this share of the rounding count as equal: two grids of which one explains regular long steps by losses differ less.
+/// Errors below this share of the rounding count as equal. Otherwise errors of microseconds would weigh more than losses that are
+/// as regular as rounding.
 const ROUNDED_LEAST: f64 = 0.01;
 /// Stamps are coarse from this share of the mean step on: several samples share one stamp.
 const COARSE_FROM: f64 = 0.95;
@@ -250,11 +251,11 @@ fn tried_with(
         grid.jitter_ns = (squares / early.len() as f64).sqrt();
         let late = errors.iter().filter(|error| **error - center > 0.75 * grid.period_ns + half_ns).count();
         grid.late_often = late as f64 > LATE_OFTEN * count;
-        // A late stamp costs the logarithm of its delay.
         // Of coarse stamps the errors are all that distinguishes the periods.
         let is_coarse = rounding_ns as f64 > COARSE_FROM * mean_ns;
         let least_ns = if is_coarse { 0.0 } else { ROUNDED_LEAST * rounding_ns as f64 };
         let scale = grid.jitter_ns + ERROR_LEAST * mean_ns + least_ns;
+        // A late stamp costs the logarithm of its delay.
         let errors: f64 = errors.iter().map(|error| (beyond(error) / scale).ln_1p()).sum();
         let points = count + missing as f64;
         let lost = missing as f64 / points;
