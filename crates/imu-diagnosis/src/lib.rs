@@ -35,6 +35,7 @@
 //! ```
 
 mod augmented;
+mod autoregressive;
 mod averages;
 mod bands;
 #[cfg(test)]
