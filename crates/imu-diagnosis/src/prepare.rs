@@ -7,6 +7,7 @@ use super::dither;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
+use super::filling;
 use super::gated;
 use super::grid::Grid;
 use super::law::{Base, Law, Priors, Term, reach};
@@ -39,6 +40,8 @@ const MOVES_S: f64 = 10.0;
 /// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
 /// Larger differences are lines, or white noise in another unit.
 const LOUDER: f64 = 20.0;
+/// Random stream of the repeats that are left out.
+const HELD: u16 = 8;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
@@ -157,8 +160,8 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let mut channels = Vec::new();
     for channel in wanted {
         let Some(model) = sim.channels.get(&channel) else { continue };
-        let held =
-            repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
+        let held = repeats.iter().filter(|(own, _)| own.contains(&channel));
+        let held = held.flat_map(|(own, of)| beyond_chance(of, n, own[0]));
         let outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
         channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
     }
@@ -309,6 +312,14 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
         }
     }
     found
+}
+
+/// Returns as many of the repeats as there are beyond chance, at random. If all were left out, neighbours that are equal by chance
+/// would be missing from the rest, which would look bluer than it is.
+fn beyond_chance(repeats: &Repeats, samples: usize, channel: Channel) -> Vec<usize> {
+    let share = 1.0 - repeats.expected / repeats.places.len().max(1) as f64;
+    let mut stream = filling::stream(samples, channel as u32, HELD);
+    repeats.places.iter().copied().filter(|_| stream.uniform() < share).collect()
 }
 
 fn channel_of(
