@@ -5,18 +5,18 @@ use std::f64::consts::PI;
 /// The order of the process.
 const ORDER: usize = 8;
 
-/// Solves the equations of the matrix R + V: R is the covariance of the autoregressive process that is nearest to a spectrum, and V
-/// the diagonal of the white noise's variances.
+/// Solves the equations of the matrix R + V: V is the diagonal of the white noise's variances less half the least one, and R the
+/// covariance of the autoregressive process that has the same covariances up to [`ORDER`] as the spectrum plus that half.
 ///
 /// R⁻¹ has [`ORDER`] diagonals on either side of the main one (Siddiqui 1958, Ann. Math. Stat. 29), so that R⁻¹ + V⁻¹ is factored
-/// and solved in a time proportional to the length, and (R + V)⁻¹ = V⁻¹ − V⁻¹(R⁻¹ + V⁻¹)⁻¹V⁻¹. If C is the covariance of the spectrum
-/// itself, the eigenvalues of (R + V)⁻¹(C + V) lie between the least and the largest ratio of the two spectra, and 1, whatever the
-/// variances are.
+/// and solved in a time proportional to the length, and (R + V)⁻¹ = V⁻¹ − V⁻¹(R⁻¹ + V⁻¹)⁻¹V⁻¹. Whatever the variances are, the
+/// eigenvalues of (R + V)⁻¹ times the true covariance lie between 1 and the least and the largest ratio of the spectrum to that of R,
+/// except for a few that the ends cause.
 #[derive(Debug, Clone)]
 pub(super) struct Autoregressive {
     /// The Cholesky factor of R⁻¹ + V⁻¹ by rows: the entry on the diagonal, then those before it.
     rows: Vec<[f64; ORDER + 1]>,
-    /// The variances.
+    /// The diagonal of V.
     variance: Vec<f64>,
 }
 
@@ -28,7 +28,7 @@ impl Autoregressive {
         if n <= 2 * ORDER || spectrum.len() != n {
             return None;
         }
-        // A part of the white noise that is always there belongs to the process: it cannot be followed where the spectrum is lower.
+        // A process of a few taps cannot follow a spectrum far below the white noise, so it has a part of that noise, too.
         let always = 0.5 * variance.iter().copied().fold(f64::INFINITY, f64::min);
         let variance: Vec<f64> = variance.iter().map(|v| v - always).collect();
         let (taps, power) = levinson(&covariances(spectrum, always))?;
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_of_its_order_is_solved_exactly_but_for_the_reflection_at_the_ends() {
+    fn the_taps_of_a_process_follow_from_its_spectrum() {
         // x_t = 0.8 x_(t−1) + e, of variance 1 / (1 − 0.64) and correlation 0.8 a sample.
         let power = |k: usize| 1.0 / (1.64 - 1.6 * (PI * k as f64 / 50_000.0).cos());
         let covariances = covariances(&(0..50_000).map(power).collect::<Vec<f64>>(), 0.0);

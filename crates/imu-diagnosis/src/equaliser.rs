@@ -112,7 +112,7 @@ impl Equaliser {
     /// Returns (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
     /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1 if either the spectrum or the
-    /// variance is nearly even. If a few rounds do not suffice, [`Autoregressive`] brings it near to 1.
+    /// variance is nearly even. If a few rounds do not suffice, [`Autoregressive`] is used.
     fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
         let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / values.len() as f64).exp();
         if !self.gain.is_empty() {
@@ -127,13 +127,16 @@ impl Equaliser {
             |transform: &mut Cosines, values: &[f64]| self.filtered(transform, values, &|s| 1.0 / (1.0 + s / usual));
         let near = near.map(|near| self.scaled(near));
         let values = self.whitened(values);
-        let first = conjugate_gradients(transform, &values, near, &image, &evenly, FEW);
-        if first.is_solved {
-            return Some(self.whitened(&first.solution));
+        let mut found = conjugate_gradients(transform, &values, near, &image, &evenly, FEW);
+        if !found.is_solved
+            && let Some(process) = Autoregressive::of(&self.rest, &self.variances())
+        {
+            let nearly = |_: &mut Cosines, values: &[f64]| self.scaled(&process.solve(&self.scaled(values)));
+            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &nearly, PRECISE);
         }
-        let process = Autoregressive::of(&self.rest, &self.variances())?;
-        let nearly = |_: &mut Cosines, values: &[f64]| self.scaled(&process.solve(&self.scaled(values)));
-        let found = conjugate_gradients(transform, &values, Some(first.solution), &image, &nearly, PRECISE);
+        if !found.is_solved {
+            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &evenly, PRECISE);
+        }
         found.is_solved.then(|| self.whitened(&found.solution))
     }
 
@@ -150,7 +153,8 @@ impl Equaliser {
     /// Returns the result of [`Self::solve`] behind filters. `usual` is v̄.
     ///
     /// Uses conjugate gradients on the coefficients' matrix S + |F|·V·|F|, which the inverse of S + v̄·|F|² brings near to 1. If a few
-    /// rounds do not suffice, that of |F|·(R + V)·|F| does, in which R is an autoregressive process of about the spectrum S/|F|².
+    /// rounds do not suffice, that of |F|·(R + V)·|F| is used, in which R is an autoregressive process of about the spectrum S/|F|².
+    /// Where |F| is nearly 0, a larger value takes its place in the latter.
     fn solve_behind(
         &self,
         transform: &mut Cosines,
@@ -180,12 +184,13 @@ impl Equaliser {
         let near = near.map(|near| coefficients(transform, near));
         let values = coefficients(transform, values);
         let mut found = conjugate_gradients(transform, &values, near, &image, &evenly, FEW_BEHIND);
-        if !found.is_solved {
-            let places = self.rest.iter().zip(&self.squares);
-            let gain: Vec<f64> =
-                places.map(|(s, passed)| passed.max(s / (LOUDEST * usual)).max(f64::MIN_POSITIVE).sqrt()).collect();
-            let before: Vec<f64> = self.rest.iter().zip(&gain).map(|(s, gain)| s / (gain * gain)).collect();
-            let process = Autoregressive::of(&before, &self.variances())?;
+        let places = self.rest.iter().zip(&self.squares);
+        let gain: Vec<f64> =
+            places.map(|(s, passed)| passed.max(s / (LOUDEST * usual)).max(f64::MIN_POSITIVE).sqrt()).collect();
+        let before: Vec<f64> = self.rest.iter().zip(&gain).map(|(s, gain)| s / (gain * gain)).collect();
+        if !found.is_solved
+            && let Some(process) = Autoregressive::of(&before, &self.variances())
+        {
             let nearly = |transform: &mut Cosines, c: &[f64]| -> Vec<f64> {
                 let mut before: Vec<f64> = c.iter().zip(&gain).map(|(c, gain)| c / gain).collect();
                 transform.backward(&mut before);
@@ -195,6 +200,9 @@ impl Equaliser {
                 before
             };
             found = conjugate_gradients(transform, &values, Some(found.solution), &image, &nearly, PRECISE_BEHIND);
+        }
+        if !found.is_solved {
+            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &evenly, PRECISE_BEHIND);
         }
         transform.backward(&mut found.solution);
         found.is_solved.then_some(found.solution)
@@ -247,7 +255,7 @@ fn conjugate_gradients(
     nearly: Linear<'_>,
     precision: Precision,
 ) -> Solution {
-    /// The number of samples that all rounds together may transform.
+    /// The number of samples that these rounds together may transform.
     const WORK: usize = 60_000_000;
     let n = values.len();
     let mut residual = values.to_vec();
@@ -261,7 +269,7 @@ fn conjugate_gradients(
     let mut direction = nearly(transform, &residual);
     let mut square = dot(&residual, &direction);
     for _ in 0..precision.rounds.min(WORK / n.max(1)) {
-        if square <= precision.enough * all || square.is_nan() {
+        if square <= precision.enough * all || square.is_nan() || square < 0.0 {
             break;
         }
         let there = image(transform, &direction);
@@ -274,7 +282,7 @@ fn conjugate_gradients(
         direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
         square = next;
     }
-    Solution { solution, is_solved: square <= precision.most * all }
+    Solution { solution, is_solved: (0.0..=precision.most * all).contains(&square) }
 }
 
 impl Series<'_> {
@@ -307,8 +315,8 @@ impl Series<'_> {
     pub(super) fn equalise(&mut self) {
         /// Variances that differ by at least this ratio are uneven.
         const UNEVEN: f64 = 2.0;
-        /// The largest ratio behind filters: the residual is relative to the usual noise.
-        const UNEVEN_BEHIND: f64 = 1e6;
+        /// The largest ratio behind filters, where the residual is relative to the usual noise.
+        const UNEVEN_BEHIND: f64 = 1000.0;
         let n = self.len();
         let before = self.equaliser.take();
         let variance = self.variances();
@@ -392,34 +400,44 @@ mod tests {
         Equaliser { deviation, white: 1.0, rest: (0..N).map(power).collect(), gain, squares, solution: Vec::new() }
     }
 
-    /// Returns the relative error of (C + F·V·F)·x for the solution x of some values.
-    fn error(of: &Equaliser) -> f64 {
+    /// Returns the relative error of (C + F·V·F)·x for the solution x of a record of that covariance: over all samples, and over
+    /// those at quiet times.
+    fn errors(of: &Equaliser) -> [f64; 2] {
         let mut transform = Cosines::new(N);
         let mut stream = stream(N, 0, DRAWN);
-        let values: Vec<f64> = (0..N).map(|_| stream.normal()).collect();
+        let own = of.deviation.iter().map(|own| own * stream.normal()).collect();
+        let mut values: Vec<f64> = of.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
+        transform.backward(&mut values);
+        values.iter_mut().zip(of.behind(&mut transform, own)).for_each(|(value, own)| *value += own);
         let solution = of.solve(&mut transform, &values, None).unwrap();
-        let mut white = of.behind(&mut transform, solution.clone());
-        white.iter_mut().zip(of.variances()).for_each(|(x, v)| *x *= v);
+        let white = of.scaled(&of.scaled(&of.behind(&mut transform, solution.clone())));
         let white = of.behind(&mut transform, white);
         let there = of.filtered(&mut transform, &solution, &|s| s);
-        let difference: Vec<f64> = values.iter().zip(white.iter().zip(&there)).map(|(x, (w, s))| x - w - s).collect();
-        (dot(&difference, &difference) / dot(&values, &values)).sqrt()
+        let least = of.deviation.iter().copied().fold(f64::INFINITY, f64::min);
+        [f64::INFINITY, 1.5 * least].map(|limit| {
+            let (mut missed, mut all) = (0.0, 0.0);
+            for t in (0..N).filter(|t| of.deviation[*t] < limit) {
+                missed += (values[t] - white[t] - there[t]).powi(2);
+                all += values[t].powi(2);
+            }
+            f64::sqrt(missed / all)
+        })
     }
 
     #[test]
     fn noise_that_is_far_louder_at_times_beside_loud_bands_is_solved() {
         for ratio in [3.0, 1e2, 1e4, 1e6] {
-            let error = error(&uneven(ratio, Vec::new()));
-            assert!(error < 1e-2, "{ratio}: {error}");
+            let errors = errors(&uneven(ratio, Vec::new()));
+            assert!(errors.iter().all(|error| *error < 1e-2), "{ratio}: {errors:?}");
         }
     }
 
     #[test]
     fn noise_that_is_far_louder_at_times_behind_a_filter_is_solved() {
-        for ratio in [3.0, 1e2, 1e4] {
+        for ratio in [3.0, 1e2, 1e3] {
             let gain = (0..N).map(|k| 1.0 / (1.0 + (k as f64 / (0.2 * N as f64)).powi(4))).collect();
-            let error = error(&uneven(ratio, gain));
-            assert!(error < 1e-2, "{ratio}: {error}");
+            let errors = errors(&uneven(ratio, gain));
+            assert!(errors.iter().all(|error| *error < 1e-2), "{ratio}: {errors:?}");
         }
     }
 }

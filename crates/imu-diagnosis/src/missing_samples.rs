@@ -112,3 +112,20 @@ fn samples_that_are_held_in_coarse_steps_leave_no_other_noise() {
         assert_eq!(found, ["held_samples", "resolution"], "{step}, {held}");
     }
 }
+
+/// Values of many digits are equal by chance nowhere, also if one value is sent three times.
+#[test]
+fn samples_that_are_held_often_are_all_left_out() {
+    let mut sim = model(None);
+    let mut real = recording(&sim, 81, SAMPLES);
+    real.channels.truncate(1);
+    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+    let mut stream = Stream::new(81, StreamId { owner: 95, effect: 0, instance: 0 });
+    let values = &mut real.channels[0].1;
+    for t in 1..values.len() {
+        if stream.uniform() < 0.3 {
+            values[t] = values[t - 1];
+        }
+    }
+    assert_eq!(names(&diagnosed(&real, &sim)), ["held_samples"]);
+}

@@ -314,12 +314,20 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
     found
 }
 
-/// Returns as many of the repeats as there are beyond chance, at random. If all were left out, neighbours that are equal by chance
-/// would be missing from the rest, which would look bluer than it is.
+/// Returns as many of the repeats as there are beyond chance: runs that are too long for chance, and others at random. If all were
+/// left out, neighbours that are equal by chance would be missing from the rest, which would look bluer than it is.
 fn beyond_chance(repeats: &Repeats, samples: usize, channel: Channel) -> Vec<usize> {
-    let share = 1.0 - repeats.expected / repeats.places.len().max(1) as f64;
+    /// A run is too long if fewer than this many are expected in the record.
+    const RARE: f64 = 0.01;
+    let chance = (repeats.expected / samples as f64).clamp(0.0, 1.0);
+    let is_long = |run: &&[usize]| samples as f64 * chance.powi(run.len().min(1000) as i32) < RARE;
+    let runs = || repeats.places.chunk_by(|one, next| next - one == 1);
+    let mut out: Vec<usize> = runs().filter(is_long).flatten().copied().collect();
+    let short: Vec<usize> = runs().filter(|run| !is_long(run)).flatten().copied().collect();
+    let share = 1.0 - repeats.expected / short.len().max(1) as f64;
     let mut stream = filling::stream(samples, channel as u32, HELD);
-    repeats.places.iter().copied().filter(|_| stream.uniform() < share).collect()
+    out.extend(short.into_iter().filter(|_| stream.uniform() < share));
+    out
 }
 
 fn channel_of(
