@@ -1,6 +1,5 @@
 //! Equaliser: turns a record whose white noise changes with time into one whose white noise is even.
 
-use super::autoregressive::Autoregressive;
 use super::dot::dot;
 use super::filling::stream;
 use super::phase;
@@ -111,50 +110,27 @@ impl Equaliser {
 
     /// Returns (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
-    /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1 if either the spectrum or the
-    /// variance is nearly even. If a few rounds do not suffice, [`Autoregressive`] is used.
+    /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
     fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
         let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / values.len() as f64).exp();
         if !self.gain.is_empty() {
             return self.solve_behind(transform, values, near, usual);
         }
+        let nearly =
+            |transform: &mut Cosines, values: &[f64]| self.filtered(transform, values, &|s| 1.0 / (1.0 + s / usual));
         let image = |transform: &mut Cosines, values: &[f64]| {
             let mut image = self.whitened(&self.filtered(transform, &self.whitened(values), &|s| s));
             image.iter_mut().zip(values).for_each(|(i, x)| *i += x);
             image
         };
-        let evenly =
-            |transform: &mut Cosines, values: &[f64]| self.filtered(transform, values, &|s| 1.0 / (1.0 + s / usual));
-        let near = near.map(|near| self.scaled(near));
-        let values = self.whitened(values);
-        let mut found = conjugate_gradients(transform, &values, near, &image, &evenly, FEW);
-        if !found.is_solved
-            && let Some(process) = Autoregressive::of(&self.rest, &self.variances())
-        {
-            let nearly = |_: &mut Cosines, values: &[f64]| self.scaled(&process.solve(&self.scaled(values)));
-            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &nearly, PRECISE);
-        }
-        if !found.is_solved {
-            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &evenly, PRECISE);
-        }
-        found.is_solved.then(|| self.whitened(&found.solution))
-    }
-
-    /// Returns values times the white noise's deviation.
-    fn scaled(&self, values: &[f64]) -> Vec<f64> {
-        values.iter().zip(&self.deviation).map(|(x, own)| x * own).collect()
-    }
-
-    /// Returns the white noise's variance at each sample.
-    fn variances(&self) -> Vec<f64> {
-        self.scaled(&self.deviation)
+        let near = near.map(|near| near.iter().zip(&self.deviation).map(|(x, own)| x * own).collect());
+        let solution = conjugate_gradients(transform, self.whitened(values), near, &image, &nearly, PRECISE)?;
+        Some(self.whitened(&solution))
     }
 
     /// Returns the result of [`Self::solve`] behind filters. `usual` is v̄.
     ///
-    /// Uses conjugate gradients on the coefficients' matrix S + |F|·V·|F|, which the inverse of S + v̄·|F|² brings near to 1. If a few
-    /// rounds do not suffice, that of |F|·(R + V)·|F| is used, in which R is an autoregressive process of about the spectrum S/|F|².
-    /// Where |F| is nearly 0, a larger value takes its place in the latter.
+    /// Uses conjugate gradients on the coefficients' matrix S + |F|·V·|F|, which the inverse of S + v̄·|F|² brings near to 1.
     fn solve_behind(
         &self,
         transform: &mut Cosines,
@@ -162,11 +138,9 @@ impl Equaliser {
         near: Option<&[f64]>,
         usual: f64,
     ) -> Option<Vec<f64>> {
-        /// The rest of the noise counts as up to this many times as loud as the usual noise before the filters.
-        const LOUDEST: f64 = 1e4;
         let places = self.rest.iter().zip(&self.squares);
         let about: Vec<f64> = places.map(|(s, passed)| (s + usual * passed).max(f64::MIN_POSITIVE)).collect();
-        let evenly =
+        let nearly =
             |_: &mut Cosines, c: &[f64]| -> Vec<f64> { c.iter().zip(&about).map(|(c, about)| c / about).collect() };
         let image = |transform: &mut Cosines, c: &[f64]| -> Vec<f64> {
             let mut white: Vec<f64> = c.iter().zip(&self.gain).map(|(c, gain)| c * gain).collect();
@@ -183,29 +157,9 @@ impl Equaliser {
         };
         let near = near.map(|near| coefficients(transform, near));
         let values = coefficients(transform, values);
-        let mut found = conjugate_gradients(transform, &values, near, &image, &evenly, FEW_BEHIND);
-        let places = self.rest.iter().zip(&self.squares);
-        let gain: Vec<f64> =
-            places.map(|(s, passed)| passed.max(s / (LOUDEST * usual)).max(f64::MIN_POSITIVE).sqrt()).collect();
-        let before: Vec<f64> = self.rest.iter().zip(&gain).map(|(s, gain)| s / (gain * gain)).collect();
-        if !found.is_solved
-            && let Some(process) = Autoregressive::of(&before, &self.variances())
-        {
-            let nearly = |transform: &mut Cosines, c: &[f64]| -> Vec<f64> {
-                let mut before: Vec<f64> = c.iter().zip(&gain).map(|(c, gain)| c / gain).collect();
-                transform.backward(&mut before);
-                let mut before = process.solve(&before);
-                transform.forward(&mut before);
-                before.iter_mut().zip(&gain).for_each(|(c, gain)| *c /= gain);
-                before
-            };
-            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &nearly, PRECISE_BEHIND);
-        }
-        if !found.is_solved {
-            found = conjugate_gradients(transform, &values, Some(found.solution), &image, &evenly, PRECISE_BEHIND);
-        }
-        transform.backward(&mut found.solution);
-        found.is_solved.then_some(found.solution)
+        let mut solution = conjugate_gradients(transform, values, near, &image, &nearly, PRECISE_BEHIND)?;
+        transform.backward(&mut solution);
+        Some(solution)
     }
 
     /// Returns the factor by which a slow change of a sine's amplitude is multiplied at each sample, for a sine at the
@@ -219,7 +173,6 @@ impl Equaliser {
 }
 
 /// When conjugate gradients end.
-#[derive(Clone, Copy)]
 struct Precision {
     rounds: usize,
     /// Squares of the residual, relative to the values' own square: the one that counts as 0, and the largest
@@ -231,34 +184,24 @@ struct Precision {
 const PRECISE: Precision = Precision { rounds: 100, enough: 1e-8, most: 1e-4 };
 /// Behind filters the residual is relative to the usual noise, and at quiet times the noise is much smaller.
 const PRECISE_BEHIND: Precision = Precision { rounds: 200, enough: 1e-10, most: 1e-6 };
-/// Rounds after which a better inverse is worth its work.
-const FEW: Precision = Precision { rounds: 24, most: PRECISE.enough, ..PRECISE };
-const FEW_BEHIND: Precision = Precision { rounds: 48, most: PRECISE_BEHIND.enough, ..PRECISE_BEHIND };
 
 /// A linear function of a record or of its coefficients.
 type Linear<'a> = &'a dyn Fn(&mut Cosines, &[f64]) -> Vec<f64>;
 
-/// What conjugate gradients found.
-struct Solution {
-    solution: Vec<f64>,
-    /// Whether it is near enough to the solution.
-    is_solved: bool,
-}
-
 /// Solves a symmetric positive equation by conjugate gradients, from a starting point near the solution if one is known.
-/// `image` multiplies by the matrix, and `nearly` about by its inverse.
+/// `image` multiplies by the matrix, and `nearly` about by its inverse. `None` if the rounds end far from the solution.
 fn conjugate_gradients(
     transform: &mut Cosines,
-    values: &[f64],
+    values: Vec<f64>,
     near: Option<Vec<f64>>,
     image: Linear<'_>,
     nearly: Linear<'_>,
     precision: Precision,
-) -> Solution {
-    /// The number of samples that these rounds together may transform.
+) -> Option<Vec<f64>> {
+    /// The number of samples that all rounds together may transform.
     const WORK: usize = 60_000_000;
     let n = values.len();
-    let mut residual = values.to_vec();
+    let mut residual = values;
     let all = dot(&residual, &nearly(transform, &residual));
     let mut solution = vec![0.0; n];
     if let Some(near) = near {
@@ -269,7 +212,7 @@ fn conjugate_gradients(
     let mut direction = nearly(transform, &residual);
     let mut square = dot(&residual, &direction);
     for _ in 0..precision.rounds.min(WORK / n.max(1)) {
-        if square <= precision.enough * all || square.is_nan() || square < 0.0 {
+        if square <= precision.enough * all || square.is_nan() {
             break;
         }
         let there = image(transform, &direction);
@@ -282,7 +225,7 @@ fn conjugate_gradients(
         direction.iter_mut().zip(&nearer).for_each(|(d, r)| *d = r + ratio * *d);
         square = next;
     }
-    Solution { solution, is_solved: (0.0..=precision.most * all).contains(&square) }
+    (square <= precision.most * all).then_some(solution)
 }
 
 impl Series<'_> {
@@ -315,7 +258,7 @@ impl Series<'_> {
     pub(super) fn equalise(&mut self) {
         /// Variances that differ by at least this ratio are uneven.
         const UNEVEN: f64 = 2.0;
-        /// The largest ratio behind filters, where the residual is relative to the usual noise.
+        /// The largest ratio behind filters, where conjugate gradients take about its root as many rounds.
         const UNEVEN_BEHIND: f64 = 1000.0;
         let n = self.len();
         let before = self.equaliser.take();
@@ -379,65 +322,5 @@ impl Series<'_> {
         phase::redo(&mut self.rest, &equaliser.squares);
         equaliser.solution = solution;
         self.equaliser = Some(equaliser);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const N: usize = 6000;
-
-    /// Returns an equaliser of noise with stretches that are `ratio` times louder in variance, beside a loud band and a random walk.
-    fn uneven(ratio: f64, gain: Vec<f64>) -> Equaliser {
-        let deviation =
-            (0..N).map(|t| if t % 1500 < 400 { ratio.sqrt() } else { 1.0 + 0.2 * (t % 3) as f64 }).collect();
-        let power = |k: usize| {
-            let f = k.max(1) as f64 / N as f64;
-            1e-3 / (f * f) + 1e5 / (1.0 + ((f - 0.4) / 2e-3).powi(2))
-        };
-        let squares: Vec<f64> = gain.iter().map(|gain| gain * gain).collect();
-        Equaliser { deviation, white: 1.0, rest: (0..N).map(power).collect(), gain, squares, solution: Vec::new() }
-    }
-
-    /// Returns the relative error of (C + F·V·F)·x for the solution x of a record of that covariance: over all samples, and over
-    /// those at quiet times.
-    fn errors(of: &Equaliser) -> [f64; 2] {
-        let mut transform = Cosines::new(N);
-        let mut stream = stream(N, 0, DRAWN);
-        let own = of.deviation.iter().map(|own| own * stream.normal()).collect();
-        let mut values: Vec<f64> = of.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
-        transform.backward(&mut values);
-        values.iter_mut().zip(of.behind(&mut transform, own)).for_each(|(value, own)| *value += own);
-        let solution = of.solve(&mut transform, &values, None).unwrap();
-        let white = of.scaled(&of.scaled(&of.behind(&mut transform, solution.clone())));
-        let white = of.behind(&mut transform, white);
-        let there = of.filtered(&mut transform, &solution, &|s| s);
-        let least = of.deviation.iter().copied().fold(f64::INFINITY, f64::min);
-        [f64::INFINITY, 1.5 * least].map(|limit| {
-            let (mut missed, mut all) = (0.0, 0.0);
-            for t in (0..N).filter(|t| of.deviation[*t] < limit) {
-                missed += (values[t] - white[t] - there[t]).powi(2);
-                all += values[t].powi(2);
-            }
-            f64::sqrt(missed / all)
-        })
-    }
-
-    #[test]
-    fn noise_that_is_far_louder_at_times_beside_loud_bands_is_solved() {
-        for ratio in [3.0, 1e2, 1e4, 1e6] {
-            let errors = errors(&uneven(ratio, Vec::new()));
-            assert!(errors.iter().all(|error| *error < 1e-2), "{ratio}: {errors:?}");
-        }
-    }
-
-    #[test]
-    fn noise_that_is_far_louder_at_times_behind_a_filter_is_solved() {
-        for ratio in [3.0, 1e2, 1e3] {
-            let gain = (0..N).map(|k| 1.0 / (1.0 + (k as f64 / (0.2 * N as f64)).powi(4))).collect();
-            let errors = errors(&uneven(ratio, gain));
-            assert!(errors.iter().all(|error| *error < 1e-2), "{ratio}: {errors:?}");
-        }
     }
 }

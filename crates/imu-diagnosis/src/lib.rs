@@ -35,7 +35,6 @@
 //! ```
 
 mod augmented;
-mod autoregressive;
 mod averages;
 mod bands;
 #[cfg(test)]
