@@ -238,9 +238,7 @@ fn chance(column: &[f64]) -> f64 {
     if equal == 0.0 {
         return 0.0;
     }
-    // A sample that is held twice is no chance.
-    let by_chance = |three: &&[f64]| three[0] == three[2] && three[1] != three[0];
-    let two_apart = || column.windows(3).filter(by_chance).count() as f64 / column.len() as f64;
+    let two_apart = || column.windows(3).filter(|three| three[0] == three[2]).count() as f64 / column.len() as f64;
     let Some(step) = of(column).step else {
         // Values of many digits are never equal by chance. Values of coarse floats sometimes are, also two samples
         // apart.

@@ -7,7 +7,6 @@ use super::dither;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
-use super::filling;
 use super::gated;
 use super::grid::Grid;
 use super::law::{Base, Law, Priors, Term, reach};
@@ -40,8 +39,6 @@ const MOVES_S: f64 = 10.0;
 /// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
 /// Larger differences are lines, or white noise in another unit.
 const LOUDER: f64 = 20.0;
-/// Random stream of the repeats that are left out.
-const HELD: u16 = 8;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
@@ -160,8 +157,8 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let mut channels = Vec::new();
     for channel in wanted {
         let Some(model) = sim.channels.get(&channel) else { continue };
-        let held = repeats.iter().filter(|(own, _)| own.contains(&channel));
-        let held = held.flat_map(|(own, of)| beyond_chance(of, n, own[0]));
+        let held =
+            repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
         let outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
         channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
     }
@@ -312,22 +309,6 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
         }
     }
     found
-}
-
-/// Returns as many of the repeats as there are beyond chance: runs that are too long for chance, and others at random. If all were
-/// left out, neighbours that are equal by chance would be missing from the rest, which would look bluer than it is.
-fn beyond_chance(repeats: &Repeats, samples: usize, channel: Channel) -> Vec<usize> {
-    /// A run is too long if fewer than this many are expected in the record.
-    const RARE: f64 = 0.01;
-    let chance = (repeats.expected / samples as f64).clamp(0.0, 1.0);
-    let is_long = |run: &&[usize]| samples as f64 * chance.powi(run.len().min(1000) as i32) < RARE;
-    let runs = || repeats.places.chunk_by(|one, next| next - one == 1);
-    let mut out: Vec<usize> = runs().filter(is_long).flatten().copied().collect();
-    let short: Vec<usize> = runs().filter(|run| !is_long(run)).flatten().copied().collect();
-    let share = 1.0 - repeats.expected / short.len().max(1) as f64;
-    let mut stream = filling::stream(samples, channel as u32, HELD);
-    out.extend(short.into_iter().filter(|_| stream.uniform() < share));
-    out
 }
 
 fn channel_of(
