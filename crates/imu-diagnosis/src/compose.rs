@@ -139,9 +139,15 @@ fn without_minor(
         own.map(|place| place.nats).collect()
     };
     let most = |of: Of, channel: &str| nats(of, channel).into_iter().fold(0.0, f64::max);
-    // What the values show by themselves has no form.
+    // What the values show by themselves has no form. Spikes are left out with the samples that they reach, so that an error in their
+    // form does not change the spectrum that shows a filter.
+    let is_filter = |of: &Cause| matches!(of.effect, EffectKind::LowPass | EffectKind::MovingAverage);
+    let has_form = |other: &Cause, cause: &Cause| match other.effect {
+        EffectKind::Spikes => !is_filter(cause),
+        kind => !kind.spec().is_fact(),
+    };
     let beside = |index: usize, channel: &str| {
-        let others = (0..causes.len()).filter(|other| *other != index && !causes[*other].effect.spec().is_fact());
+        let others = (0..causes.len()).filter(|at| *at != index && has_form(&causes[*at], &causes[index]));
         let named = others.map(|other| (most(Of::Cause(other), channel), causes[other].effect.name()));
         let all = named.chain([(most(Of::Remainder, channel), "what remains")]);
         all.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()

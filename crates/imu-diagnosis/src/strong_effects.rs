@@ -208,6 +208,20 @@ fn large_spikes_beside_loud_stretches_and_behind_a_filter_are_spikes() {
     wrong.none();
 }
 
+/// A spike behind a boxcar is as many samples wide, and spikes that are near each other look like bursts.
+#[test]
+fn spikes_of_a_thousand_deviations_in_front_of_a_boxcar_are_no_bursts() {
+    let mut wrong = Wrong::default();
+    for (window, rate_hz, size, seed) in
+        [(3, 0.06, 1_200.0, 1), (3, 0.06, 1_200.0, 2), (4, 0.1, 300.0, 3), (2, 0.1, 2_000.0, 4)]
+    {
+        let filter = json!({"effect": "moving_average", "window": window, "white_behind": 6e-5});
+        let spikes = json!({"effect": "spikes", "rate_hz": rate_hz, "amplitude": size * WHITE});
+        expect_both(&mut wrong, [&spikes, &filter], seed);
+    }
+    wrong.none();
+}
+
 /// Shorter loud stretches beside a long one make as much of the apparent tails as the long one.
 #[test]
 fn loud_stretches_of_all_lengths_are_no_tails() {
