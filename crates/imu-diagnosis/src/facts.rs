@@ -2,6 +2,7 @@
 //! and stamps.
 
 use super::oddities::{self, Oddity};
+use std::collections::HashMap;
 
 /// The facts that one channel's values show.
 #[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
@@ -149,10 +150,38 @@ fn step(counted: &[(f64, usize)], samples: usize) -> Option<f64> {
 pub struct Repeats {
     /// The places of the repeats.
     pub places: Vec<usize>,
-    /// The number of repeats expected by chance.
-    pub expected: f64,
+    /// The probability of each of them to be due to chance.
+    pub by_chance: Vec<f64>,
+    /// The number of pairs of neighbours.
+    pub pairs: usize,
     /// Nats that repeats explain; 0 if the repeats are due to chance.
     pub gain: f64,
+}
+
+impl Repeats {
+    /// Returns the number of repeats expected by chance.
+    pub fn expected(&self) -> f64 {
+        self.by_chance.iter().sum()
+    }
+
+    /// Returns the number of samples that were sent again.
+    pub fn sent_again(&self) -> f64 {
+        self.places.len() as f64 - self.expected()
+    }
+
+    /// Returns the share of samples that were sent again, and its 95 % interval.
+    ///
+    /// If each sample is sent again with probability h, and otherwise equals the last one with probability p, the share of repeats is
+    /// h + (1 − h)·p. The variance of the number of repeats is taken as that of a Poisson distribution, and that of the number expected
+    /// by chance, which was estimated from as many pairs, is added.
+    pub fn probability(&self) -> (f64, [f64; 2]) {
+        let pairs = self.pairs.max(1) as f64;
+        let (found, expected) = (self.places.len() as f64, self.expected());
+        let again = (found - expected).max(1.0) / pairs;
+        let apart = (1.0 - again - expected / pairs).max(1.0 / pairs) / (1.0 - again).max(1.0 / pairs);
+        let half = 1.96 * (found + expected).max(1.0).sqrt() / pairs / apart;
+        (again, [(again - half).max(0.0), (again + half).min(1.0)])
+    }
 }
 
 /// Returns the repeats of channels that repeat together. `columns` have one length and belong to one triad.
@@ -172,7 +201,10 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
     let found = places.len() as f64;
     // The number of repeats by chance, and the number if chance alone made every repeat of each channel.
     let [expected, alone] = match columns {
-        [one] => [chance(&one[..n]) * (n - 1) as f64; 2],
+        [one] => {
+            let (equal, chance) = chance(&one[..n]);
+            [(1.0 - sent_again(equal, chance)) * chance, chance].map(|chance| chance * (n - 1) as f64)
+        }
         several => {
             let equal = several.iter().map(|column| (1..n).filter(|t| column[*t] == column[t - 1]).count() as f64);
             let equal: Vec<f64> = equal.map(|count| count / (n - 1) as f64).collect();
@@ -187,7 +219,37 @@ pub fn repeats(columns: &[&[f64]]) -> Repeats {
         if found > expected { found * (found / floor).ln() - (found - expected) } else { 0.0 }
     };
     let gain = gain_over(expected).min(gain_over(alone));
-    Repeats { places, expected, gain }
+    let by_chance = by_chance(columns, &places, expected);
+    Repeats { places, by_chance, pairs: n - 1, gain }
+}
+
+/// Returns the probability of each repeat to be due to chance, if so many are expected in all. By chance, a value is repeated in
+/// proportion to the square of its frequency; a value that is sent again, in proportion to its frequency.
+fn by_chance(columns: &[&[f64]], places: &[usize], expected: f64) -> Vec<f64> {
+    const ROUNDS: usize = 60;
+    if places.is_empty() || expected >= places.len() as f64 {
+        return vec![1.0; places.len()];
+    }
+    let mut frequency = vec![1.0; places.len()];
+    for column in columns {
+        let mut counts = HashMap::new();
+        column.iter().for_each(|value| *counts.entry(key(*value)).or_insert(0.0) += 1.0 / column.len() as f64);
+        let own = places.iter().map(|place| counts.get(&key(column[*place])).copied().unwrap_or_default());
+        frequency.iter_mut().zip(own).for_each(|(all, own)| *all *= own);
+    }
+    let at = |ln: f64| frequency.iter().map(move |own| 1.0 / (1.0 + (-ln).exp() / own));
+    // Bisects for the logarithm of the odds at frequency 1.
+    let (mut low, mut high) = (-100.0, 100.0);
+    for _ in 0..ROUNDS {
+        let middle = 0.5 * (low + high);
+        if at(middle).sum::<f64>() < expected { low = middle } else { high = middle }
+    }
+    at(0.5 * (low + high)).collect()
+}
+
+/// Returns the key of a value in a table of values; 0 and −0 are one value.
+fn key(value: f64) -> u64 {
+    (value + 0.0).to_bits()
 }
 
 /// Returns how often all channels equal their last samples by chance, given how often they are equal (`all`, `each`). A
@@ -230,35 +292,68 @@ fn together(columns: &[&[f64]], n: usize) -> f64 {
     if both < LEAST { 1.0 } else { (both / alone).max(1.0) }
 }
 
-/// Returns the chance that a rounded value repeats the one before it. It follows from how often neighbours differ by
-/// one step and by two, for normally distributed differences.
-fn chance(column: &[f64]) -> f64 {
+/// Returns the share of samples that are sent again, from the share of neighbours that are equal and the chance of that.
+fn sent_again(equal: f64, chance: f64) -> f64 {
+    ((equal - chance) / (1.0 - chance).max(1e-9)).max(0.0)
+}
+
+/// Returns the share of neighbours that are equal, and the chance that a rounded value repeats the one before it. The chance follows
+/// from how often neighbours differ by one step and by two, for normally distributed differences, and from how often values farther
+/// apart are equal.
+fn chance(column: &[f64]) -> (f64, f64) {
     let distances: Vec<f64> = column.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
-    let equal = distances.iter().filter(|d| **d == 0.0).count() as f64;
+    let length = distances.len().max(1) as f64;
+    let equal = distances.iter().filter(|d| **d == 0.0).count() as f64 / length;
     if equal == 0.0 {
-        return 0.0;
+        return (0.0, 0.0);
     }
-    let two_apart = || column.windows(3).filter(|three| three[0] == three[2]).count() as f64 / column.len() as f64;
     let Some(step) = of(column).step else {
-        // Values of many digits are never equal by chance. Values of coarse floats sometimes are, also two samples
-        // apart.
-        return two_apart().min(equal / column.len() as f64);
+        // Values of many digits are never equal by chance. Values of coarse floats sometimes are, also farther apart.
+        return (equal, from_farther(column, equal).min(equal));
     };
     let count = |multiple: f64| distances.iter().filter(|d| (*d / step - multiple).abs() < 0.2).count() as f64 / 2.0;
     let (one, two) = (count(1.0), count(2.0));
     if one < 20.0 || two < 1.0 {
-        return two_apart();
+        return (equal, from_farther(column, equal));
     }
     // ln of the counts is a − b·multiple². This does not hold for coarse values, which equal their values some samples
-    // ago equally often.
-    let at_zero = one * ((one / two).ln() / 3.0).max(0.0).exp();
+    // ago equally often. Samples that are sent again are not among those that differ.
+    let at_zero = (one / length * ((one / two).ln() / 3.0).max(0.0).exp()).min(equal);
+    let at_zero = at_zero / (1.0 - (equal - at_zero));
     let apart = APART.filter(|apart| *apart < column.len());
     let again = |apart: usize| {
         let pairs = column.iter().zip(&column[apart..]);
         pairs.filter(|(a, b)| a == b).count() as f64 / (column.len() - apart) as f64
     };
     let (sum, count) = apart.fold((0.0, 0.0), |(sum, count), apart| (sum + again(apart), count + 1.0));
-    (at_zero / distances.len() as f64).max(sum / f64::max(count, 1.0)).min(1.0)
+    (equal, at_zero.max(sum / f64::max(count, 1.0)).min(1.0))
+}
+
+/// Returns the chance of equal neighbours, from the shares of samples two and three apart that are equal. The share of slow noise that
+/// crosses a step within a short time grows as the root of the time. If a share h is sent again, h² and h³ of these samples are. A value
+/// that a record has in one place alone was sent again there, and does not count.
+fn from_farther(column: &[f64], equal: f64) -> f64 {
+    const ROUNDS: usize = 200;
+    let mut runs = HashMap::new();
+    for run in column.chunk_by(|one, next| one == next) {
+        *runs.entry(key(run[0])).or_insert(0_usize) += 1;
+    }
+    let is_elsewhere = |value: f64| runs.get(&key(value)).is_some_and(|count| *count > 1);
+    let share = |apart: usize| {
+        let pairs = column.iter().zip(column.get(apart..).unwrap_or_default());
+        pairs.filter(|(a, b)| a == b && is_elsewhere(**a)).count() as f64 / column.len() as f64
+    };
+    let (two, three) = (share(2), share(3));
+    let mut again = 0.0_f64;
+    let mut chance = 0.0;
+    // Settles from below, at the least share that agrees with itself.
+    for _ in 0..ROUNDS {
+        let unequal = |share: f64, sent: f64| 1.0 - ((share - sent) / (1.0 - sent).max(1e-9)).max(0.0);
+        let (two, three) = (unequal(two, again.powi(2)), unequal(three, again.powi(3)));
+        chance = 1.0 - (2.0 * two * two - three * three).clamp(0.0, two * two).sqrt();
+        again = sent_again(equal, chance);
+    }
+    chance
 }
 
 /// The facts that stamps show.
@@ -410,6 +505,46 @@ mod tests {
         assert_eq!(of_all(&few).places, [70, 71, 90]);
         assert!(of_all(&few).gain > 12.0);
         assert!(of_all(&held).gain > by_chance.gain);
+    }
+
+    #[test]
+    fn the_share_of_held_samples_is_inside_its_interval_at_any_step_and_share() {
+        let mut uniform = Stream::new(3, StreamId { owner: 3, effect: 0, instance: 0 });
+        for (step, seed) in [(0.0, 21), (0.4, 22), (1.0, 23), (2.0, 24), (5.0, 25)] {
+            for share in [0.02, 0.1, 0.3, 0.6] {
+                let mut values = noise(seed, 40_000);
+                if step > 0.0 {
+                    values.iter_mut().for_each(|value| *value = (*value / step).round() * step);
+                }
+                for t in 1..values.len() {
+                    if uniform.uniform() < share {
+                        values[t] = values[t - 1];
+                    }
+                }
+                let found = repeats(&[&values]);
+                let (at, [low, high]) = found.probability();
+                assert!(low <= share && share <= high, "{step} {share}: {at} in {low} to {high}");
+                assert!(high - low < 0.1 || step > 3.0, "{step} {share}: {low} to {high}");
+                assert!(found.gain > 14.0 || share < 0.1 || step > 3.0, "{step} {share}: {}", found.gain);
+            }
+        }
+    }
+
+    /// Slow noise in coarse steps stays for long at a value.
+    #[test]
+    fn slow_noise_in_coarse_steps_is_not_held() {
+        for (memory, step, seed) in
+            [(0.5, 3.0, 31), (0.9, 3.0, 32), (0.9, 6.0, 33), (0.98, 8.0, 34), (0.0, 4.0, 35), (0.0, 6.0, 36)]
+        {
+            let mut level = 0.0;
+            let slow = noise(seed, 20_000).into_iter().map(|value| {
+                level = memory * level + (value + 9.8);
+                (0.3 + level / step).round() * step
+            });
+            let values: Vec<f64> = slow.collect();
+            let found = repeats(&[&values]);
+            assert!(found.gain < 14.0, "{memory} {step}: {} of {}", found.gain, found.places.len());
+        }
     }
 
     #[test]

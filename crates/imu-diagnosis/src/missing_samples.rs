@@ -88,3 +88,58 @@ fn a_model_of_stamps_that_scatter_by_more_than_its_own_stays_a_model() {
     assert_eq!(names(&found), ["timing"], "{}", found.diagnosis.summary);
     assert_eq!(found.augmented.check(RATE_HZ), Ok(()));
 }
+
+/// Neighbours that are equal by chance are not left out: what is left would look bluer than it is.
+#[test]
+fn samples_that_are_held_in_coarse_steps_leave_no_other_noise() {
+    for (step, held, seed) in [(0.25, 0.01, 71), (0.4, 0.02, 72), (1.0, 0.03, 73), (0.4, 0.1, 74), (1.0, 0.2, 75)] {
+        let mut sim = model(None);
+        let mut real = recording(&sim, seed, SAMPLES);
+        // Three axes that repeat together are hardly equal by chance.
+        real.channels.truncate(1);
+        sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+        let step = step * 2e-3 * f64::sqrt(RATE_HZ);
+        let mut stream = Stream::new(seed, StreamId { owner: 94, effect: 0, instance: 0 });
+        let values = &mut real.channels[0].1;
+        values.iter_mut().for_each(|value| *value = step * (*value / step).round());
+        for t in 1..values.len() {
+            if stream.uniform() < held {
+                values[t] = values[t - 1];
+            }
+        }
+        let mut found = names(&diagnosed(&real, &sim));
+        found.sort_unstable();
+        assert_eq!(found, ["held_samples", "resolution"], "{step}, {held}");
+    }
+}
+
+/// Values of many digits are equal by chance nowhere, also if one value is sent three times.
+#[test]
+fn samples_that_are_held_often_are_all_left_out() {
+    let mut sim = model(None);
+    let mut real = recording(&sim, 81, SAMPLES);
+    real.channels.truncate(1);
+    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+    let mut stream = Stream::new(81, StreamId { owner: 95, effect: 0, instance: 0 });
+    let values = &mut real.channels[0].1;
+    for t in 1..values.len() {
+        if stream.uniform() < 0.3 {
+            values[t] = values[t - 1];
+        }
+    }
+    assert_eq!(names(&diagnosed(&real, &sim)), ["held_samples"]);
+}
+
+/// Values of two or three steps stay for long and come back: that is chance, although a value that has changed seldom returns at once.
+#[test]
+fn values_of_a_few_steps_are_not_held() {
+    for (steps, seed) in [(5.0, 91), (6.0, 92), (9.0, 93)] {
+        let resolution = json!({"effect": "resolution", "step": steps * 2e-3 * f64::sqrt(RATE_HZ)});
+        let mut sim = model(Some(&resolution));
+        let mut real = recording(&sim, seed, SAMPLES);
+        real.channels.truncate(1);
+        sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+        let found = diagnosed(&real, &sim);
+        assert!(names(&found).is_empty(), "{steps}: {}", found.diagnosis.summary);
+    }
+}

@@ -188,18 +188,18 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
         if channels.iter().filter_map(|channel| sim.channels.get(channel)).any(|of| has(of, EffectKind::HeldSamples)) {
             continue;
         }
-        let probability = (repeats.places.len() as f64 - repeats.expected).max(1.0) / found.samples as f64;
+        let (probability, ci95) = repeats.probability();
         for channel in channels {
             let evidence = format!(
                 "{channel}: {} samples are the one before them again on all channels of the triad; chance makes {:.1}",
                 repeats.places.len(),
-                repeats.expected
+                repeats.expected()
             );
             let gain = repeats.gain / channels.len() as f64;
             named.push(Named {
                 confidence: 0.999,
                 evidence: vec![evidence],
-                ci95: vec![("probability", poisson(probability, found.samples))],
+                ci95: vec![("probability", ci95)],
                 ..Named::missing(*channel, Arc::new(HeldSamples { probability }), gain)
             });
         }

@@ -7,6 +7,7 @@ use super::dither;
 use super::error::DiagnosisError;
 use super::explanation::{Loud, Scedasticity, Sine};
 use super::facts::{self, Facts, Repeats};
+use super::filling;
 use super::gated;
 use super::grid::Grid;
 use super::law::{Base, Law, Priors, Term, reach};
@@ -39,6 +40,8 @@ const MOVES_S: f64 = 10.0;
 /// The factor by which the differences from sample to sample may exceed the declared white noise and still count as white noise.
 /// Larger differences are lines, or white noise in another unit.
 const LOUDER: f64 = 20.0;
+/// Random stream of the repeats that are left out.
+const HELD: u16 = 8;
 
 /// One channel, ready to be explained.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
@@ -157,8 +160,8 @@ pub fn prepare(real: &Recording, sim: &SensorModel) -> Result<Ready, DiagnosisEr
     let mut channels = Vec::new();
     for channel in wanted {
         let Some(model) = sim.channels.get(&channel) else { continue };
-        let held =
-            repeats.iter().filter(|(own, _)| own.contains(&channel)).flat_map(|(_, of)| of.places.iter().copied());
+        let held = repeats.iter().filter(|(own, _)| own.contains(&channel));
+        let held = held.flat_map(|(own, of)| beyond_chance(of, n, own[0]));
         let outliers: Vec<usize> = missing.iter().copied().chain(held).collect();
         channels.push(channel_of(real, sim, channel, model, outliers, temperature.as_deref())?);
     }
@@ -295,6 +298,7 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
     const PROOF: f64 = 14.0;
     let mut groups: BTreeMap<Option<Triad>, Vec<Channel>> = BTreeMap::new();
     let mut found = Vec::new();
+    let there: Vec<usize> = (0..real.len()).filter(|t| !real.is_missing(*t)).collect();
     for channel in wanted {
         groups.entry(channel.triad()).or_default().push(*channel);
     }
@@ -302,13 +306,30 @@ fn repeats(real: &Recording, wanted: &[Channel]) -> Vec<(Vec<Channel>, Repeats)>
     for group in groups.into_values().chain(singles) {
         let sent = |channel: &Channel| real.sent(*channel).or_else(|| real.values(*channel));
         let columns: Vec<&[f64]> = group.iter().filter_map(sent).collect();
-        let mut of = facts::repeats(&columns);
-        of.places.retain(|t| !real.is_missing(*t) && !real.is_missing(t - 1));
+        let of = if there.len() == real.len() { facts::repeats(&columns) } else { among(&columns, &there) };
         if of.gain > PROOF && of.places.len() >= 3 {
             found.push((group, of));
         }
     }
     found
+}
+
+/// Returns the repeats among the samples that are there; those after a missing sample do not count.
+fn among(columns: &[&[f64]], there: &[usize]) -> Repeats {
+    let present: Vec<Vec<f64>> = columns.iter().map(|column| there.iter().map(|t| column[*t]).collect()).collect();
+    let of = facts::repeats(&present.iter().map(Vec::as_slice).collect::<Vec<_>>());
+    let is_near = |at: usize| there[at] == there[at - 1] + 1;
+    let near = of.places.iter().zip(&of.by_chance).filter(|(at, _)| is_near(**at));
+    let (places, by_chance) = near.map(|(at, chance)| (there[*at], *chance)).unzip();
+    Repeats { places, by_chance, pairs: (1..there.len()).filter(|at| is_near(*at)).count(), gain: of.gain }
+}
+
+/// Returns the repeats, at random, without those that are likely to be due to chance. If all were left out, neighbours that are equal
+/// by chance would be missing from the rest, which would look bluer than it is.
+fn beyond_chance(repeats: &Repeats, samples: usize, channel: Channel) -> Vec<usize> {
+    let mut stream = filling::stream(samples, channel as u32, HELD);
+    let all = repeats.places.iter().zip(&repeats.by_chance);
+    all.filter(|(_, chance)| stream.uniform() >= **chance).map(|(place, _)| *place).collect()
 }
 
 fn channel_of(

@@ -140,7 +140,8 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
         let Some((place, effect)) = own else { continue };
         let declared = effect.number("probability").unwrap_or_default();
         let repeats = found.repeats.iter().find(|(channels, _)| channels.contains(&channel));
-        let count = repeats.map_or(0.0, |(_, of)| (of.places.len() as f64 - of.expected).max(0.0));
+        let count = repeats.map_or(0.0, |(_, of)| of.sent_again().max(0.0));
+        let samples = repeats.map_or(samples, |(_, of)| of.pairs as f64);
         let nats = poisson(count, declared * samples);
         if nats > OFF {
             let there =

@@ -185,7 +185,7 @@ fn repeated(triad: Triad, columns: &[(Channel, Vec<f64>)], there: &[usize]) -> O
     }
     let values: Vec<&[f64]> = columns.iter().map(|(_, values)| values.as_slice()).collect();
     let found = facts::repeats(&values);
-    let share = (found.places.len() as f64 - found.expected) / there.len().max(1) as f64;
+    let share = found.sent_again() / there.len().max(1) as f64;
     let places = found.places.into_iter().filter_map(|at| there.get(at).copied()).collect();
     (share > REPEATED_MOST && found.gain > REPEATED_NATS).then_some(Repeated { triad, share, places })
 }
