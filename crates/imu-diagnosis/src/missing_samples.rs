@@ -42,6 +42,25 @@ fn zeros_now_and_then_are_rows_that_were_lost() {
     assert!(found.diagnosis.notes.iter().any(|note| note.contains("0 on every")), "{:?}", found.diagnosis.notes);
 }
 
+/// A walk that passes 0 holds it for a while, although it spends most of its time far from there.
+#[test]
+fn a_walk_in_coarse_steps_passes_zero_and_has_no_missing_rows() {
+    let mut sim = model(None);
+    let mut real = recording(&sim, 15, SAMPLES);
+    real.channels.truncate(1);
+    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+    let step = 3.0 * 2e-3 * f64::sqrt(RATE_HZ);
+    let count = SAMPLES as f64;
+    for (t, value) in real.channels[0].1.iter_mut().enumerate() {
+        // From −20 to 10 steps and back.
+        let course = -5.0 + 15.0 * (9.0 * t as f64 / count).sin();
+        *value = step * ((*value - 0.3) / step + course).round();
+    }
+    let found = diagnosed(&real, &sim);
+    assert!(!names(&found).contains(&"timing"), "{}", found.diagnosis.summary);
+    assert!(!found.diagnosis.notes.iter().any(|note| note.contains("0 on every")), "{:?}", found.diagnosis.notes);
+}
+
 /// Sharp filters hide how much is behind them if samples are lost.
 #[test]
 fn samples_that_are_lost_behind_a_filter_are_no_other_filter() {

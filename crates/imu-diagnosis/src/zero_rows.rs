@@ -1,28 +1,38 @@
 //! Zero rows: rows that are not measurements, because the writer of the recording filled them with zeros.
 
 use super::averages::median;
+use super::facts;
 use super::prepare::scale_of;
 use super::recording::Recording;
 use std::borrow::Cow;
 
-/// Finds rows that hold exactly 0 on every channel, if a channel's level is so far from 0 that no noise leads there.
+/// Finds rows that hold exactly 0 on every channel, if a channel's values beside them are so far from 0 that neither noise nor a slow
+/// course leads there.
 pub(super) fn rows(real: &Recording) -> Vec<usize> {
-    /// Minimum distance of the level from 0, in standard deviations of the white noise.
+    /// Minimum distance of the neighbours from 0, in standard deviations of the white noise and in steps.
     const FAR: f64 = 8.0;
     let is_blank =
         |t: &usize| !real.is_missing(*t) && real.channels.iter().all(|(_, values)| values.get(*t) == Some(&0.0));
     let rows: Vec<usize> = (0..real.len()).filter(is_blank).collect();
+    if rows.is_empty() || rows.len() * 2 >= real.len() {
+        return Vec::new();
+    }
     let is_far = |values: &[f64]| {
-        let others = values.iter().enumerate().filter(|(t, value)| value.is_finite() && rows.binary_search(t).is_err());
-        let mut there: Vec<f64> = others.map(|(_, value)| *value).collect();
-        if there.len() < 3 {
+        let is_there = |t: &usize| values[*t].is_finite() && rows.binary_search(t).is_err();
+        let places: Vec<usize> = (0..values.len()).filter(is_there).collect();
+        if places.len() < 3 {
             return false;
         }
-        let deviation = scale_of(&there);
-        median(&mut there).abs() > FAR * deviation
+        let there: Vec<f64> = places.iter().map(|t| values[*t]).collect();
+        let nearest = |row: &usize| {
+            let after = places.partition_point(|t| t < row);
+            let beside = there[after.saturating_sub(1)..(after + 1).min(there.len())].iter();
+            beside.fold(f64::INFINITY, |least, value| least.min(value.abs()))
+        };
+        let mut nearest: Vec<f64> = rows.iter().map(nearest).collect();
+        median(&mut nearest) > FAR * scale_of(&there).max(facts::of(&there).step.unwrap_or_default())
     };
-    let is_known = !rows.is_empty() && rows.len() * 2 < real.len();
-    if is_known && real.channels.iter().any(|(_, values)| is_far(values)) { rows } else { Vec::new() }
+    if real.channels.iter().any(|(_, values)| is_far(values)) { rows } else { Vec::new() }
 }
 
 /// Marks these rows as missing.
