@@ -1,15 +1,35 @@
 //! Missing samples: rows that a driver filled with zeros, samples lost or cut off behind a filter, stamps of arrival.
 
+use super::cliffs::WHITE;
 use super::round_trip::{RATE_HZ, model, recording};
 use super::{Options, Outcome, Recording, Verdict, diagnose};
 use imu_model::effects::{Stream, StreamId};
 use imu_model::simulator::SensorModel;
-use serde_json::json;
+use serde_json::{Value, json};
 
 const SAMPLES: usize = 40_000;
 
 fn diagnosed(real: &Recording, sim: &SensorModel) -> Outcome {
     diagnose(real, sim, &Options::default()).unwrap()
+}
+
+/// Returns a model of one axis and a recording of it: three axes that repeat together are hardly equal by chance.
+fn one_axis(effect: Option<&Value>, seed: u64) -> (SensorModel, Recording) {
+    let mut sim = model(effect);
+    let mut real = recording(&sim, seed, SAMPLES);
+    real.channels.truncate(1);
+    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+    (sim, real)
+}
+
+/// Sends a share of the samples again.
+fn hold(values: &mut [f64], share: f64, seed: u64) {
+    let mut stream = Stream::new(seed, StreamId { owner: 94, effect: 0, instance: 0 });
+    for t in 1..values.len() {
+        if stream.uniform() < share {
+            values[t] = values[t - 1];
+        }
+    }
 }
 
 fn names(outcome: &Outcome) -> Vec<&'static str> {
@@ -45,11 +65,8 @@ fn zeros_now_and_then_are_rows_that_were_lost() {
 /// A walk that passes 0 holds it for a while, although it spends most of its time far from there.
 #[test]
 fn a_walk_in_coarse_steps_passes_zero_and_has_no_missing_rows() {
-    let mut sim = model(None);
-    let mut real = recording(&sim, 15, SAMPLES);
-    real.channels.truncate(1);
-    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
-    let step = 3.0 * 2e-3 * f64::sqrt(RATE_HZ);
+    let (sim, mut real) = one_axis(None, 15);
+    let step = 3.0 * WHITE;
     let count = SAMPLES as f64;
     for (t, value) in real.channels[0].1.iter_mut().enumerate() {
         // From −20 to 10 steps and back.
@@ -112,20 +129,10 @@ fn a_model_of_stamps_that_scatter_by_more_than_its_own_stays_a_model() {
 #[test]
 fn samples_that_are_held_in_coarse_steps_leave_no_other_noise() {
     for (step, held, seed) in [(0.25, 0.01, 71), (0.4, 0.02, 72), (1.0, 0.03, 73), (0.4, 0.1, 74), (1.0, 0.2, 75)] {
-        let mut sim = model(None);
-        let mut real = recording(&sim, seed, SAMPLES);
-        // Three axes that repeat together are hardly equal by chance.
-        real.channels.truncate(1);
-        sim.channels.retain(|channel, _| *channel == real.channels[0].0);
-        let step = step * 2e-3 * f64::sqrt(RATE_HZ);
-        let mut stream = Stream::new(seed, StreamId { owner: 94, effect: 0, instance: 0 });
+        let (sim, mut real) = one_axis(None, seed);
         let values = &mut real.channels[0].1;
-        values.iter_mut().for_each(|value| *value = step * (*value / step).round());
-        for t in 1..values.len() {
-            if stream.uniform() < held {
-                values[t] = values[t - 1];
-            }
-        }
+        values.iter_mut().for_each(|value| *value = step * WHITE * (*value / (step * WHITE)).round());
+        hold(values, held, seed);
         let mut found = names(&diagnosed(&real, &sim));
         found.sort_unstable();
         assert_eq!(found, ["held_samples", "resolution"], "{step}, {held}");
@@ -135,17 +142,8 @@ fn samples_that_are_held_in_coarse_steps_leave_no_other_noise() {
 /// Values of many digits are equal by chance nowhere, also if one value is sent three times.
 #[test]
 fn samples_that_are_held_often_are_all_left_out() {
-    let mut sim = model(None);
-    let mut real = recording(&sim, 81, SAMPLES);
-    real.channels.truncate(1);
-    sim.channels.retain(|channel, _| *channel == real.channels[0].0);
-    let mut stream = Stream::new(81, StreamId { owner: 95, effect: 0, instance: 0 });
-    let values = &mut real.channels[0].1;
-    for t in 1..values.len() {
-        if stream.uniform() < 0.3 {
-            values[t] = values[t - 1];
-        }
-    }
+    let (sim, mut real) = one_axis(None, 81);
+    hold(&mut real.channels[0].1, 0.3, 81);
     assert_eq!(names(&diagnosed(&real, &sim)), ["held_samples"]);
 }
 
@@ -153,11 +151,7 @@ fn samples_that_are_held_often_are_all_left_out() {
 #[test]
 fn values_of_a_few_steps_are_not_held() {
     for (steps, seed) in [(5.0, 91), (6.0, 92), (9.0, 93)] {
-        let resolution = json!({"effect": "resolution", "step": steps * 2e-3 * f64::sqrt(RATE_HZ)});
-        let mut sim = model(Some(&resolution));
-        let mut real = recording(&sim, seed, SAMPLES);
-        real.channels.truncate(1);
-        sim.channels.retain(|channel, _| *channel == real.channels[0].0);
+        let (sim, real) = one_axis(Some(&json!({"effect": "resolution", "step": steps * WHITE})), seed);
         let found = diagnosed(&real, &sim);
         assert!(names(&found).is_empty(), "{steps}: {}", found.diagnosis.summary);
     }
