@@ -6,7 +6,7 @@
 //! without gravity). A time in a unit that its name does not state is taken if the program that wrote the file is known by
 //! its other columns, if it is a date, or if its values are times since 1970 in one unit only. Pure.
 
-use super::error::RecordingError;
+use super::error::{RecordingError, short};
 use super::header::{Column, Target, clean, known_column, shown, target};
 use super::info::Conversion;
 use super::mapping::{ColumnMap, Foreign};
@@ -89,7 +89,7 @@ impl Columns {
         if let Some((_, foreign)) = missing {
             let column = match foreign {
                 Foreign::Position(position) => format!("#{position} (it has {} columns)", names.len()),
-                Foreign::Name(name) => format!("{name:?}"),
+                Foreign::Name(name) => format!("{:?}", short(name)),
             };
             return Err(RecordingError::NoColumn { file: file.to_owned(), column, found: shown(names) });
         }
@@ -122,7 +122,7 @@ impl Columns {
                 continue;
             };
             if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
-                let (first, second) = (called(*first), called(index));
+                let (first, second) = (short(&called(*first)), short(&called(index)));
                 return Err(RecordingError::DuplicateColumn { file: file.to_owned(), first, second, channel });
             }
             seen.push((channel, index));
@@ -153,7 +153,7 @@ impl Columns {
             .collect();
         let is_pair = matches!(parts[..], [(one, _), (other, _)] if one.max(other) == 9 && one.min(other) == 0);
         if by_user && !parts.is_empty() && !is_pair {
-            let columns = parts.iter().map(|(_, index)| called(*index)).collect::<Vec<_>>().join(", ");
+            let columns = short(&parts.iter().map(|(_, index)| called(*index)).collect::<Vec<_>>().join(", "));
             return Err(RecordingError::Parts { file: file.to_owned(), columns });
         }
         let mut part_slot = None;
@@ -173,7 +173,7 @@ impl Columns {
                 Use::Time { places: Some(places), stated } => {
                     let first = if stated || known_time(name) { first_stated.replace(index) } else { None };
                     if let Some(first) = first {
-                        let (first, second) = (called(first), called(index));
+                        let (first, second) = (short(&called(first)), short(&called(index)));
                         return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second });
                     }
                     Some(places)

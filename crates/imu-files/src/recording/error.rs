@@ -8,6 +8,17 @@ use std::path::PathBuf;
 const READ: &str = "raw `$VN…` lines or raw bytes of a VN-100, a table with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 \
                     (CSV, Parquet, .npy, .npz, .mat, HDF5), a ROS bag (.bag, .db3), an MCAP file, a ULog or an ArduPilot .BIN";
 
+/// Characters of a name or a pair that an error shows.
+const SHOWN_CHARS: usize = 80;
+
+/// Returns the beginning of a text that the user or a file gives, which may be as long as a command line or a row.
+pub(super) fn short(text: &str) -> String {
+    match text.char_indices().nth(SHOWN_CHARS) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
 /// The reasons why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {

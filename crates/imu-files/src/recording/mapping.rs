@@ -5,6 +5,7 @@
 //! commas. The last `=` of a pair separates its sides, and a comma that no `=` precedes belongs to the name. A name
 //! with a comma behind an `=` must be given by its position. Pure.
 
+use super::error::short;
 use super::header::{allowed_names, known_column, target};
 use imu_core::sample::Channel;
 use std::fmt;
@@ -94,13 +95,13 @@ impl ColumnMap {
             // A trailing comma is allowed.
             let rest = begun.trim_matches(|c: char| c == ',' || c.is_whitespace());
             if !rest.is_empty() {
-                return Err(ColumnsError::NoPair { pair: rest.to_owned() });
+                return Err(ColumnsError::NoPair { pair: short(rest) });
             }
         }
         pairs.sort();
         pairs.dedup();
         if let Some(twice) = pairs.windows(2).find(|two| two[0].0 == two[1].0) {
-            let (foreign, first, second) = (twice[0].0.to_string(), twice[0].1.clone(), twice[1].1.clone());
+            let (foreign, first, second) = (short(&twice[0].0.to_string()), twice[0].1.clone(), twice[1].1.clone());
             return Err(ColumnsError::Twice { foreign, first, second });
         }
         Ok(Self { pairs })
@@ -172,20 +173,20 @@ impl fmt::Display for ColumnMap {
 }
 
 fn pair(text: &str) -> Result<(Foreign, String), ColumnsError> {
-    let no_pair = || ColumnsError::NoPair { pair: text.to_owned() };
+    let no_pair = || ColumnsError::NoPair { pair: short(text) };
     let (foreign, name) = text.rsplit_once('=').ok_or_else(no_pair)?;
     let (foreign, name) = (super::header::clean(foreign), name.trim());
     if foreign.is_empty() || name.is_empty() {
         return Err(no_pair());
     }
     if target(name).is_none() {
-        return Err(ColumnsError::UnknownName { pair: text.to_owned(), name: name.to_owned() });
+        return Err(ColumnsError::UnknownName { pair: short(text), name: short(name) });
     }
     let digits = foreign.strip_prefix('#').filter(|digits| !digits.is_empty());
     let foreign = match digits.filter(|digits| digits.bytes().all(|byte| byte.is_ascii_digit())) {
         Some(digits) => match digits.parse() {
             Ok(position) if position > 0 => Foreign::Position(position),
-            _ => return Err(ColumnsError::NoPosition { pair: text.to_owned() }),
+            _ => return Err(ColumnsError::NoPosition { pair: short(text) }),
         },
         None => Foreign::Name(foreign.to_owned()),
     };
@@ -233,6 +234,21 @@ mod tests {
         ] {
             let error = ColumnMap::parse(&[text]).unwrap_err().to_string();
             assert!(words.iter().all(|word| error.contains(word)), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn an_error_shows_the_beginning_of_a_pair_that_is_long() {
+        let long = "é\0".repeat(20_000);
+        for text in [
+            long.clone(),
+            format!("{long}="),
+            format!("ax={long}"),
+            format!("#{}=time_s", "9".repeat(40_000)),
+            format!("{long}=accel_x_g,{long}=accel_y_g"),
+        ] {
+            let error = ColumnMap::parse(&[text.as_str()]).unwrap_err().to_string();
+            assert!(error.contains('…') && error.len() < 2_000, "{} bytes", error.len());
         }
     }
 

@@ -3,6 +3,7 @@
 //! Names give quantities and axes; units and what has no name follow from the first rows: a steady |a| is gravity, |m| is the
 //! Earth's field, times increase. A proposal is printed, never applied: nothing but the user can know a unit. Pure.
 
+use super::error::short;
 use super::header::{clean, suffixes};
 use super::siblings::Siblings;
 use super::vocabulary::{Meaning, meaning};
@@ -59,11 +60,8 @@ impl<'a> Table<'a> {
     fn foreign(&self, index: usize) -> String {
         let name = clean(&self.names[index]);
         let same = self.names.iter().filter(|other| clean(other) == name).count();
-        if self.numbered || name.is_empty() || name.contains([',', '=', '\'', '#']) || same > 1 {
-            format!("#{}", index + 1)
-        } else {
-            name.to_owned()
-        }
+        let is_pair = !name.is_empty() && !name.contains([',', '=', '\'', '#']) && short(name) == name;
+        if self.numbered || !is_pair || same > 1 { format!("#{}", index + 1) } else { name.to_owned() }
     }
 
     /// Returns the pair for a column of times; `None` if it does not increase.

@@ -508,6 +508,26 @@ fn what_is_no_recording_is_refused_with_how_it_begins() {
 }
 
 #[test]
+fn an_error_shows_the_beginnings_of_names_that_are_long() {
+    let long = "é\0".repeat(20_000);
+    let table = |name: &str, map: &str| {
+        let input = Input::memory("other", format!("{name},gyro_x_rad_s\n1,2\n3,4\n").as_bytes());
+        let columns = ColumnMap::parse(&[map]).unwrap();
+        Recording::read(input.with_columns(columns), at_rate(1.0)).unwrap_err().to_string()
+    };
+    for (name, map) in [
+        ("a", format!("{long}=accel_x_g")),
+        (&long, "#1=accel_x_g,#2=accel_x_g".to_owned()),
+        (&long, "#1=time_s,#2=time_s".to_owned()),
+    ] {
+        let error = table(name, &map);
+        assert!(error.contains('…') && error.len() < 4_000, "{} bytes", error.len());
+    }
+    let error = table(&long, "#2=accel_x_counts");
+    assert!(error.len() < 4_000, "{} bytes", error.len());
+}
+
+#[test]
 fn a_recording_without_any_sample_is_refused_with_its_first_bad_line() {
     let folder = Folder::new();
     let error = folder.load("$VNYMR,1,2,3*00\n$VNYMR\n", Options::default()).unwrap_err().to_string();

@@ -10,7 +10,7 @@ use super::given::MessageDefinition;
 use super::layout::{Layout, MessageError};
 use super::{Connection, Entry};
 use crate::recording::detect::Kind;
-use crate::recording::error::RecordingError;
+use crate::recording::error::{RecordingError, short};
 use crate::recording::info::Conversion;
 use crate::recording::input::Input;
 use crate::recording::mapping::ColumnMap;
@@ -283,12 +283,17 @@ fn check_map(input: &Input, main: &Candidate) -> Result<(), RecordingError> {
     let map = input.columns();
     let file = || input.path().to_owned();
     if let Some((first, second, channel)) = map.twice() {
+        let (first, second) = (short(&first), short(&second));
         return Err(RecordingError::DuplicateColumn { file: file(), first, second, channel });
     }
     match map.foreign().enumerate().find(|(pair, _)| !main.mapped.contains(pair)) {
         Some((_, foreign)) => Err(RecordingError::NoColumn {
             file: file(),
-            column: format!("{:?} with numbers of a channel in {}", foreign.to_string(), main.topic.name),
+            column: format!(
+                "{:?} with numbers of a channel in {}",
+                short(&foreign.to_string()),
+                short(&main.topic.name)
+            ),
             found: if main.paths.is_empty() { "none".to_owned() } else { main.paths.join(" | ") },
         }),
         None => Ok(()),
