@@ -1,8 +1,7 @@
 //! Augments a model: corrects its parameters and adds the effects that were found.
 
 use super::course::Course;
-use super::diagnose::{Findings, Found};
-use super::named::Named;
+use super::found::{Findings, Found, Named};
 use super::report::Sense;
 use super::shared::Shared;
 use imu_core::sample::Channel;

@@ -2,14 +2,16 @@
 
 use super::augmented::augmented;
 use super::confidence::Surroundings;
-use super::diagnose::{Findings, Found, Options, Outcome};
 use super::discrepancy::discrepancy;
 use super::evidence::Kind;
+use super::found::{Findings, Found, Named};
 use super::hints;
 use super::law::{Law, Shape, Term};
-use super::named::{self, Named, stamps};
+use super::named::{self, stamps};
 use super::oddities::{self, Oddity};
 use super::omnibus::Statistic;
+use super::options::Options;
+use super::outcome::Outcome;
 use super::owned::{Known, Owned};
 use super::pairs;
 use super::places::{Remnant, places};

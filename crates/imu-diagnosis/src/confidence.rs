@@ -59,6 +59,11 @@ impl Surroundings<'_> {
     }
 }
 
+/// Returns the confidence that is stated for a lead of this many nats over the next best reading.
+pub(super) fn confidence(margin: f64) -> f64 {
+    1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,172 +2,37 @@
 //! and the remainder.
 
 use super::bands::Bands;
-use super::declared::courses::{self, Off};
-use super::declared::{self, MeasuredLine};
+use super::declared::courses;
+use super::declared::measured::{self, MeasuredLine};
 use super::error::DiagnosisError;
 use super::evidence::{Kind, heavy_tails};
 use super::explanation::{Explanation, Scedasticity};
-use super::gated::{self, Stays};
+use super::found::{Findings, Found};
+use super::gated;
 use super::grid::Grid;
-use super::holdout::{self, BLOCKS, Halves, Scores, Whole};
+use super::holdout::{self, BLOCKS, Halves, Whole};
 use super::law::{Data, Fitted};
-use super::modulated::{self, Levels};
-use super::motion::Residuals;
+use super::modulated;
 use super::nameless;
 use super::omnibus::{self, Statistic};
+use super::options::{BANDS, Options};
+use super::outcome::Outcome;
 use super::prepare::{self, Prepared, Ready};
 use super::prices::{Prices, Tails};
 use super::recording::Recording;
-use super::remainder::MATERIAL;
-use super::report::Diagnosis;
-use super::search::{self, FREE, Step};
+use super::search::{self, FREE};
 use super::searched_again::{Without, budget, with_fewer, with_one_filter};
 use super::series::{Series, Setting};
 use super::shared::{self, Shared, Whitened};
 use super::spread::Spread;
 use super::tiles::Tiles;
-use super::variances::Ratio;
-use super::wandering::{self, Wander};
-use super::work::{Alone, Parts, Workers, gathered};
+use super::wandering;
+use super::work::{Parts, gathered};
 use super::zero_rows;
-use imu_core::sample::Channel;
 use imu_model::effects::EffectKind;
 use imu_model::effects::temperature_bias::RATE_LAG_S;
 use imu_model::simulator::{ChannelModel, SensorModel};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-
-/// The inputs of a diagnosis besides record and model.
-#[derive(Clone, Copy)]
-pub struct Options<'a> {
-    /// The program and its version.
-    pub software: &'a str,
-    /// The name of the recording.
-    pub real: &'a str,
-    /// The name of the model.
-    pub sim: &'a str,
-    /// The chance with which an effect may be named in a record of noise alone.
-    pub level: f64,
-    /// The scheduler of the work.
-    pub workers: &'a dyn Workers,
-    /// Part of the gap above which the remainder makes the verdict `unknown_effect`.
-    pub unknown_above: f64,
-    /// The effects to look for; `None` looks for all.
-    pub effects: Option<&'a [EffectKind]>,
-    /// Whether the model's B and K are expected to be about right. Otherwise they are fitted without prior knowledge.
-    pub believed: bool,
-    /// The distribution of chance gains in records of this length ([`super::calibration`]); without it, that of the
-    /// shipped table.
-    pub tails: Option<&'a Tails>,
-}
-
-/// Effects with the spectrum of a band.
-const BANDS: [EffectKind; 4] =
-    [EffectKind::Resonance, EffectKind::ModulatedBand, EffectKind::WanderingLine, EffectKind::Intermittent];
-
-impl Options<'_> {
-    /// Returns whether an effect is looked for.
-    pub fn wants(&self, effect: EffectKind) -> bool {
-        // Lines at multiples of one another are found as tones. Bands whose level changes, lines that wander and bands that come and go are found as bands.
-        let alike: &[EffectKind] = match effect {
-            EffectKind::Tone | EffectKind::Comb => &[EffectKind::Tone, EffectKind::Comb],
-            band if BANDS.contains(&band) => &BANDS,
-            _ => &[],
-        };
-        self.effects.is_none_or(|kinds| kinds.contains(&effect) || alike.iter().any(|kind| kinds.contains(kind)))
-    }
-}
-
-impl std::fmt::Debug for Options<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Options").field("real", &self.real).field("sim", &self.sim).finish_non_exhaustive()
-    }
-}
-
-impl Default for Options<'_> {
-    fn default() -> Self {
-        Self {
-            software: "vn100d",
-            real: "",
-            sim: "",
-            level: 0.005,
-            workers: &Alone,
-            unknown_above: MATERIAL,
-            effects: None,
-            believed: true,
-            tails: None,
-        }
-    }
-}
-
-/// The result of a diagnosis.
-#[derive(Debug, Clone)]
-pub struct Outcome {
-    /// The report.
-    pub diagnosis: Diagnosis,
-    /// The model with its parameters corrected and the missing effects added.
-    pub augmented: SensorModel,
-    /// The part of a record of a known motion beyond the model, for pictures; empty for a record at rest.
-    pub residuals: Vec<Residuals>,
-    /// The places of the rest to which pictures of noise are limited, in a record of a motion; empty if there is none.
-    pub rest: Option<std::ops::Range<usize>>,
-}
-
-/// The findings on a channel.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Findings {
-    pub(super) prepared: Prepared,
-    pub(super) explanation: Explanation,
-    pub(super) steps: Vec<Step>,
-    /// The law with effects, without a prior on its levels.
-    pub(super) fitted: Fitted,
-    /// Nats lost if N, B or K is held at the model's value and all other numbers are fitted again.
-    pub(super) held: [f64; 3],
-    /// The frequencies at which the effects gain likelihood.
-    pub(super) bands: Bands,
-    /// The density that exceeds everything found: points in Hz and the series' scale squared per Hz.
-    pub(super) nameless: Vec<(f64, f64)>,
-    /// Bands whose level changes.
-    pub(super) levels: Vec<Levels>,
-    /// Bands that come and go.
-    pub(super) stays: Vec<Stays>,
-    /// Bands that are lines whose frequency wanders.
-    pub(super) wanders: Vec<Wander>,
-    /// The tiles of time and frequency in which the residual still differs from the law.
-    pub(super) after: Tiles,
-    pub(super) statistics: Vec<(Statistic, f64)>,
-    pub(super) scores: Scores,
-    /// ln of the density of all samples under the explanation, nats.
-    pub(super) nats: f64,
-    /// Standard deviation of the white part, U per sample.
-    pub(super) white: f64,
-    /// The record's mean without the explained part, U.
-    pub(super) level: f64,
-    /// The white part's variance in each of the explanation's stretches.
-    pub(super) ratios: Vec<Ratio>,
-    /// The white part's mean variance over its variance at times when nothing changes it.
-    pub(super) average_variance: f64,
-    /// The previous ratio over the ratio that the model states.
-    pub(super) louder: f64,
-    /// Standard errors of the explanation.
-    pub(super) spread: Spread,
-    /// The model's lines as the channel has them.
-    pub(super) lines: Vec<MeasuredLine>,
-    /// The model's drifts, steps and changes of variance that the channel has with other numbers.
-    pub(super) off: Vec<Off>,
-}
-
-/// The findings in a record.
-#[derive(Debug)]
-pub(super) struct Found {
-    pub(super) channels: Vec<Findings>,
-    pub(super) shared: Vec<Shared>,
-    pub(super) repeats: Vec<(Vec<Channel>, super::facts::Repeats)>,
-    pub(super) further: Vec<Channel>,
-    pub(super) samples: usize,
-    pub(super) tails: Tails,
-    pub(super) temperature_c: f64,
-}
 
 /// Compares a record with a model.
 ///
@@ -380,7 +245,7 @@ fn explain(
     parts.retain(|part| wanders.iter().all(|wander| wander.term != part.place));
     let evened = series.whitened_by_time();
     let after = Tiles::of(evened.as_ref().unwrap_or(&series));
-    let lines = model.map(|model| declared::lines(&series, &prepared, model, prices));
+    let lines = model.map(|model| measured::lines(&series, &prepared, model, prices));
     let lines = lines.unwrap_or_default();
     let statistics = match evened {
         Some(mut evened) => omnibus::statistics(&mut evened, prepared.facts.atom, &parts),

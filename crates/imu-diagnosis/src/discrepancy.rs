@@ -1,9 +1,8 @@
 //! Discrepancy: the size of the gap, before and after, on the half of the record from which no number was fitted.
 
 use super::averages::quantile;
-use super::diagnose::{Findings, Found};
+use super::found::{Findings, Found, Named};
 use super::holdout::BLOCKS;
-use super::named::Named;
 use super::report::Discrepancy;
 use imu_model::effects::{EffectKind, Stream, StreamId};
 

@@ -1,7 +1,7 @@
 //! Hints: differences whose size has a meaning (a unit, the root of the rate, a sign, exchanged axes), and differing
 //! means.
 
-use super::diagnose::Found;
+use super::found::Found;
 use super::report::{Hint, HintKind, Offset, Parameter};
 use imu_core::sample::{Channel, Triad};
 use imu_model::simulator::SensorModel;

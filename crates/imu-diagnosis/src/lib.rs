@@ -60,6 +60,7 @@ mod explanation;
 mod facts;
 mod field;
 mod filling;
+mod found;
 mod gated;
 mod grid;
 mod hidden;
@@ -81,6 +82,8 @@ mod named;
 mod nameless;
 mod oddities;
 mod omnibus;
+mod options;
+mod outcome;
 mod owned;
 mod pairs;
 mod phase;
@@ -121,13 +124,15 @@ mod zero_rows;
 
 use imu_model::effects::{CHANNEL, EffectKind};
 
-pub use diagnose::{Options, Outcome, diagnose};
+pub use diagnose::diagnose;
 pub use drawings::{ChannelSpectra, ChannelTimeline, Drawings, Stretches};
 pub use error::DiagnosisError;
 pub use motion::{
     CERTAIN, Known, Reference, ReferenceError, Residuals, Rows, beside, diagnose_any, diagnose_moved, diagnose_posed,
     rows, rows_in_range,
 };
+pub use options::Options;
+pub use outcome::Outcome;
 pub use prepare::{is_same_rate, same_rate};
 pub use recording::Recording;
 pub use remainder::MATERIAL;

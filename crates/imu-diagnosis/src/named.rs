@@ -2,59 +2,23 @@
 //! stamps.
 
 use super::censored;
+use super::confidence::confidence;
 use super::declared::{self, values};
-use super::diagnose::{Findings, Found, Options};
 use super::evidence::Kind;
 use super::facts;
+use super::found::{Findings, Found, MATERIAL_STEP, Named};
 use super::gated;
+use super::options::Options;
 use super::pairs;
 use super::prepare::Prepared;
 use super::recording::Recording;
 use super::report::Sense;
 use super::shared::Part;
 use super::translate::{self, Translated};
-use imu_core::sample::Channel;
 use imu_model::effects::timing::JITTER_MAX;
 use imu_model::effects::{CommonMode, Effect, EffectKind, HeldSamples, Resolution, Saturation, Timing};
 use imu_model::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
-
-/// Minimum rounding step that is named, as a part of the white noise's standard deviation.
-pub(super) const MATERIAL_STEP: f64 = 0.03;
-/// An effect on a channel, with its gain.
-#[derive(Clone)]
-pub(super) struct Named {
-    pub(super) channel: Channel,
-    pub(super) sense: Sense,
-    /// The model's own effect, and its place in the list, if it has it.
-    pub(super) declared: Option<(usize, Arc<dyn Effect>)>,
-    /// The sensor's effect; if the sensor lacks it, the model's.
-    pub(super) effect: Arc<dyn Effect>,
-    pub(super) gain: f64,
-    /// Chance that noise alone gains as much anywhere in the record.
-    pub(super) p_value: f64,
-    pub(super) confidence: f64,
-    pub(super) evidence: Vec<String>,
-    /// 95 % intervals of the effect's parameters.
-    pub(super) ci95: Vec<(&'static str, [f64; 2])>,
-}
-
-impl Named {
-    /// Creates an effect that the model lacks, as certain as effects that are read off values and stamps.
-    pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
-        Self {
-            channel,
-            sense: Sense::Missing,
-            declared: None,
-            effect,
-            gain,
-            p_value: (-gain).exp().min(1.0),
-            confidence: 0.99,
-            evidence: Vec::new(),
-            ci95: Vec::new(),
-        }
-    }
-}
 
 /// Returns every effect that was found and is looked for.
 pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
@@ -135,11 +99,6 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
         })
         .collect::<Vec<Named>>();
     found_here.into_iter().chain(superfluous).collect()
-}
-
-/// Returns the confidence that is stated for a lead of this many nats over the next best reading.
-pub(super) fn confidence(margin: f64) -> f64 {
-    1.0 / (1.0 + (-margin.clamp(-30.0, 30.0)).exp())
 }
 
 /// Returns the effects that the values show without inference.

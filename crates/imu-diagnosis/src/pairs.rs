@@ -1,8 +1,7 @@
 //! Pairs: causes that one record cannot distinguish, and the measurement that would distinguish them. They are reported
 //! as notes, and for lines as evidence.
 
-use super::diagnose::Found;
-use super::named::Named;
+use super::found::{Found, Named};
 use super::recording::Recording;
 use imu_core::sample::{Channel, Triad};
 use imu_model::effects::{Effect, EffectKind};

@@ -1,9 +1,8 @@
 //! Places: where in time and frequency each cause, each parameter that is off and the remainder has its part of the
 //! gap.
 
-use super::diagnose::{Findings, Found};
 use super::evidence::Kind;
-use super::named::Named;
+use super::found::{Findings, Found, Named};
 use super::recording::Recording;
 use super::report::{Cause, Of, Parameter, Place, Sense};
 use imu_core::sample::Channel;

@@ -436,22 +436,6 @@ pub struct Diagnosis {
     pub inputs: BTreeMap<Cow<'static, str>, String>,
 }
 
-impl Diagnosis {
-    /// States all times relative to the capture's start. The diagnosis saw the capture from `from_s` on.
-    pub fn begins_at(&mut self, from_s: f64) {
-        for place in &mut self.r#where {
-            place.from_s += from_s;
-            place.to_s += from_s;
-        }
-        for cause in &mut self.causes {
-            let own =
-                cause.parameters.values_mut().chain(cause.model.values_mut()).chain(cause.uncertainty.values_mut());
-            own.for_each(|of| cause.effect.spec().move_times(of, from_s));
-        }
-        self.summary = super::sentence::summary(self);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

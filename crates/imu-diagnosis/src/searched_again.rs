@@ -5,8 +5,8 @@
 //! second decides which of the explanations is kept ([`super::holdout`]), so that numbers of other forms can be compared. An
 //! effect that only the first half has, or whose numbers it does not show, would not count; so the whole record has to agree.
 
-use super::diagnose::Findings;
 use super::evidence::Kind;
+use super::found::Findings;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A channel, and the kinds of effects that are not looked for on it.

@@ -1,9 +1,25 @@
-//! Sentences: summarises a diagnosis in one sentence for a hurried reader.
+//! Sentences: summarises a diagnosis in one sentence for a hurried reader, and again when its times are moved.
 
 use super::report::{Cause, Diagnosis, Of, Parameter, Sense, Verdict};
 use imu_model::effects::EffectKind;
 use serde_json::Value;
 use std::collections::BTreeMap;
+
+impl Diagnosis {
+    /// States all times relative to the capture's start. The diagnosis saw the capture from `from_s` on.
+    pub fn begins_at(&mut self, from_s: f64) {
+        for place in &mut self.r#where {
+            place.from_s += from_s;
+            place.to_s += from_s;
+        }
+        for cause in &mut self.causes {
+            let own =
+                cause.parameters.values_mut().chain(cause.model.values_mut()).chain(cause.uncertainty.values_mut());
+            own.for_each(|of| cause.effect.spec().move_times(of, from_s));
+        }
+        self.summary = summary(self);
+    }
+}
 
 /// Returns the summary: the effect or parameter that makes most of the gap comes first.
 pub(super) fn summary(of: &Diagnosis) -> String {

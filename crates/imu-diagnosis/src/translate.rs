@@ -1,9 +1,9 @@
 //! Translation: an explanation in a series' scale becomes effects of docs/formats.md, in the channel's unit.
 
 use super::course::{Course, Follow};
-use super::diagnose::Findings;
 use super::evidence::Kind;
 use super::explanation::{Loud, Scedasticity, Sine};
+use super::found::Findings;
 use super::gated::Stays;
 use super::law::{Shape, Term};
 use super::modulated::Levels;

@@ -1,9 +1,8 @@
 //! Values: compares a model's statements about single samples, stamps and shared noise with the record.
 
 use crate::censored;
-use crate::diagnose::{Findings, Found};
 use crate::facts::Stamps;
-use crate::named::{MATERIAL_STEP, Named};
+use crate::found::{Findings, Found, MATERIAL_STEP, Named};
 use crate::prepare;
 use crate::report::Sense;
 use crate::shared::Part;

@@ -48,9 +48,10 @@ pub use rows::{Rows, rows};
 pub use spoiled::rows_in_range;
 pub use tumble::diagnose_tumble;
 
-use super::diagnose::{Options, Outcome};
 use super::error::DiagnosisError;
 use super::field;
+use super::options::Options;
+use super::outcome::Outcome;
 use super::recording::Recording;
 use imu_core::sample::Triad;
 use imu_core::units::STANDARD_GRAVITY_M_S2;

@@ -17,7 +17,7 @@
 use super::groups::Pricing;
 use super::rests::Rest;
 use super::select::Choice;
-use crate::diagnose::Options;
+use crate::options::Options;
 use crate::response::Candidate;
 use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;

@@ -13,7 +13,7 @@
 use super::poses::{PARTS, Tumbled, columns_of, errors_beside, inverse_of, price, prior_sd};
 use super::rests::{self, Rest};
 use super::select::Choice;
-use crate::diagnose::Options;
+use crate::options::Options;
 use crate::recording::Recording;
 use crate::response::Candidate;
 use imu_core::units::STANDARD_GRAVITY_M_S2;

@@ -3,8 +3,10 @@
 use super::align::{Aligned, Lie};
 use super::lateness::{self, Delay};
 use super::settle::{About, Settled, pricing};
-use crate::diagnose::{Options, Outcome, diagnose};
+use crate::diagnose::diagnose;
 use crate::error::DiagnosisError;
+use crate::options::Options;
+use crate::outcome::Outcome;
 use crate::prepare;
 use crate::recording::Recording;
 use crate::work::gathered;

@@ -199,7 +199,8 @@ pub(super) fn corrected(sim: &SensorModel, driven: &[Driven]) -> BTreeMap<Triad,
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::{Options, diagnose};
+    use crate::diagnose::diagnose;
+    use crate::options::Options;
     use crate::recording::Recording;
     use imu_core::sample::Channel;
     use imu_model::effects::triad::ScaleFactor;
