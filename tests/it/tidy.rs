@@ -185,11 +185,8 @@ const IMPURE: [&str; 11] = [
 /// Maximum number of lines of code in a file.
 const LINES_MAX: usize = 500;
 /// Longer files, with the reason.
-const LONG_FILES: [(&str, &str); 8] = [
+const LONG_FILES: [(&str, &str); 5] = [
     ("imu-diagnosis/law.rs", "one type: the law of a spectrum with its parameters, derivatives and fit"),
-    ("imu-diagnosis/prepare.rs", "one pass over a record, whose parts are used nowhere else"),
-    ("imu-diagnosis/search.rs", "one search: its turns and what each adapts"),
-    ("imu-diagnosis/series.rs", "one type: a series as it is explained so far, with all that is derived from it"),
     ("imu-diagnosis/translate.rs", "one translation: a method for each kind of finding"),
     ("imu-model/effects/spec.rs", "a table: the keys of each effect with their ranges"),
     ("imu-noise/whittle/likelihood.rs", "one likelihood with its gradient and information"),

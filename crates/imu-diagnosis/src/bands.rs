@@ -5,8 +5,8 @@ use super::evidence::Kind;
 use super::evidence::declared::kind_of;
 use super::law::Fitted;
 use super::report::Sense;
-use super::search::Step;
 use super::series::Series;
+use super::steps::Step;
 use std::collections::BTreeMap;
 
 /// A band in which the effect raises the likelihood of a series.

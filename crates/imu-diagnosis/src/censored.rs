@@ -1,7 +1,7 @@
 //! Censored samples: samples at a limit. The law knows only that their values lie beyond the limit.
 
 use super::filling::stream;
-use super::series::Series;
+use super::series::{Censored, Series};
 use imu_model::effects::Stream;
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -11,17 +11,6 @@ const TRUNCATED: u16 = 4;
 
 /// If a limit is this many standard deviations from a sample's mean given all others, it is out of reach.
 const FAR: f64 = 4.5;
-
-/// A sample at a limit.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Censored {
-    /// The index of the sample.
-    pub(super) place: usize,
-    /// The limit, less the explained part of the sample that is not noise.
-    pub(super) bound: f64,
-    /// 1 for an upper limit, −1 for a lower one.
-    pub(super) sign: f64,
-}
 
 /// Returns the samples among `places` (in order) that are at a limit. `rest` are the samples less the explained part.
 pub(super) fn at_limits(places: &[usize], samples: &[f64], rest: &[f64], limits: [Option<f64>; 2]) -> Vec<Censored> {

@@ -1,7 +1,8 @@
 //! Dither: white noise that is added to samples, and that the law includes.
 
+use super::averages::scale_of;
 use super::filling::stream;
-use super::prepare::{Prepared, scale_of};
+use super::prepared::Prepared;
 
 /// Random stream of the added noise.
 const DITHER: u16 = 6;

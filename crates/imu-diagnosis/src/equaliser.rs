@@ -1,13 +1,8 @@
 //! Equaliser: turns a record whose white noise changes with time into one whose white noise is even.
 
 use super::dot::dot;
-use super::filling::stream;
 use super::phase;
-use super::series::Series;
 use super::transform::Cosines;
-
-/// The random stream of the draws.
-const DRAWN: u16 = 7;
 
 /// A record x is the sum of white noise w, whose variance v changes with time, and the rest s, of spectrum S. Given x,
 /// both are drawn from their conditional distribution (Hoffman and Ribak 1991, Astrophys. J. 380). With draws s' and w'
@@ -21,22 +16,22 @@ const DRAWN: u16 = 7;
 pub(super) struct Equaliser {
     /// Standard deviation of the white noise at each sample; without filters, [`Equaliser::UNKNOWN`] times the largest for
     /// samples without information.
-    deviation: Vec<f64>,
+    pub(super) deviation: Vec<f64>,
     /// The standard deviation of the white noise at variance 1.
-    white: f64,
+    pub(super) white: f64,
     /// Power of the rest in each coefficient.
-    rest: Vec<f64>,
+    pub(super) rest: Vec<f64>,
     /// The filters' gain of the white noise in each coefficient; empty without filters.
-    gain: Vec<f64>,
+    pub(super) gain: Vec<f64>,
     /// The squares of the gain.
-    squares: Vec<f64>,
+    pub(super) squares: Vec<f64>,
     /// (C + V)⁻¹(x − s' − w') for the record.
-    solution: Vec<f64>,
+    pub(super) solution: Vec<f64>,
 }
 
 impl Equaliser {
     /// Standard deviations of unknown samples, over the largest.
-    const UNKNOWN: f64 = 1e3;
+    pub(super) const UNKNOWN: f64 = 1e3;
 
     /// Returns the values of the record with even white noise; `white` is its standard deviation as a multiple of the
     /// noise's own. `None` if the solver found no solution.
@@ -69,7 +64,7 @@ impl Equaliser {
     }
 
     /// Returns the result of [`Self::apply`], given (C + V)⁻¹ times the values: the most probable rest is C times that.
-    fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
+    pub(super) fn even(&self, transform: &mut Cosines, values: &[f64], solution: &[f64]) -> Vec<f64> {
         let mut even = self.filtered(transform, solution, &|s| s);
         if self.gain.is_empty() {
             let places = even.iter_mut().zip(values).zip(&self.deviation);
@@ -85,7 +80,7 @@ impl Equaliser {
     }
 
     /// Returns values behind the filters.
-    fn behind(&self, transform: &mut Cosines, mut values: Vec<f64>) -> Vec<f64> {
+    pub(super) fn behind(&self, transform: &mut Cosines, mut values: Vec<f64>) -> Vec<f64> {
         if !self.gain.is_empty() {
             transform.forward(&mut values);
             values.iter_mut().zip(&self.gain).for_each(|(c, gain)| *c *= gain);
@@ -111,7 +106,7 @@ impl Equaliser {
     /// Returns (C + V)⁻¹ times values, from a starting point near the solution if one is known.
     ///
     /// Uses conjugate gradients on (1 + V^−½·C·V^−½), which the inverse of 1 + S/v̄ brings near to 1.
-    fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
+    pub(super) fn solve(&self, transform: &mut Cosines, values: &[f64], near: Option<&[f64]>) -> Option<Vec<f64>> {
         let usual = (2.0 * self.deviation.iter().map(|own| own.ln()).sum::<f64>() / values.len() as f64).exp();
         if !self.gain.is_empty() {
             return self.solve_behind(transform, values, near, usual);
@@ -226,101 +221,4 @@ fn conjugate_gradients(
         square = next;
     }
     (square <= precision.most * all).then_some(solution)
-}
-
-impl Series<'_> {
-    /// Returns whether the law is about as high as the record where the record is white. Draws would separate a filter
-    /// that is not known yet from the white noise, until no white noise is left.
-    fn law_is_even(&self) -> bool {
-        const BANDS: usize = 8;
-        /// Range of the ratio of the record's power to the law's.
-        const ABOUT: std::ops::Range<f64> = 0.6..1.6;
-        /// Deviations of a band's mean up to this many standard errors are chance.
-        const ERRORS: f64 = 3.0;
-        let high = self.len() / 2;
-        let places = self.coefficients[high..].iter().zip(&self.spectrum[high..]);
-        let ratios: Vec<f64> = places.map(|(c, s)| c * c / s).collect();
-        let size = ratios.len().div_ceil(BANDS).max(1);
-        let mut means: Vec<f64> =
-            ratios.chunks(size).map(|band| band.iter().sum::<f64>() / band.len() as f64).collect();
-        // One of the bands may hold a line that is not known yet.
-        means.sort_unstable_by(f64::total_cmp);
-        // An uneven variance leaves this many of a band's coefficients independent.
-        let variance = self.variances();
-        let (sum, square) = variance.iter().fold((0.0, 0.0), |(sum, square), v| (sum + v, square + v * v));
-        let count = size as f64 * sum * sum / (square * variance.len().max(1) as f64);
-        let slack = if count > 0.0 { ERRORS * (2.0 / count).sqrt() } else { 0.0 };
-        let about = ABOUT.start - slack..ABOUT.end + slack;
-        means.iter().take(BANDS - 2).all(|mean| about.contains(mean))
-    }
-
-    /// Makes the white noise of the rest even if its variance is known to change and the law is even.
-    pub(super) fn equalise(&mut self) {
-        /// Variances that differ by at least this ratio are uneven.
-        const UNEVEN: f64 = 2.0;
-        /// The largest ratio behind filters, where conjugate gradients take about its root as many rounds.
-        const UNEVEN_BEHIND: f64 = 1000.0;
-        let n = self.len();
-        let before = self.equaliser.take();
-        let variance = self.variances();
-        let (least, most) = variance.iter().fold((f64::MAX, 0.0f64), |(l, m), v| (l.min(*v), m.max(*v)));
-        let is_uneven = most > UNEVEN * least && least > 0.0 && most.is_finite();
-        if !is_uneven || self.is_unsolved || self.spectrum.len() != n || !self.censored.is_empty() {
-            return;
-        }
-        let mut squares = self.filters().unwrap_or_default();
-        if !self.law_is_even() || (!squares.is_empty() && most > UNEVEN_BEHIND * least) {
-            return;
-        }
-        let white = self.white();
-        let mut deviation: Vec<f64> = variance.iter().map(|v| white * v.sqrt()).collect();
-        // Excluded samples carry no information. Behind filters, draws from the law that agree with the samples about them
-        // take their place.
-        if squares.is_empty() {
-            for place in self.excluded() {
-                deviation[place] = Equaliser::UNKNOWN * white * most.sqrt();
-            }
-        } else {
-            self.interpolate();
-        }
-        // The gain of a constant is not known.
-        if let [first, second, ..] = squares.as_mut_slice() {
-            *first = *second;
-        }
-        // A constant is not noise and is not divided.
-        let weights = deviation.iter().map(|own| 1.0 / (own * own));
-        let (sum, all) = self.rest.iter().zip(weights).fold((0.0, 0.0), |(sum, all), (x, w)| (sum + w * x, all + w));
-        let mean = sum / all;
-        self.mean += mean;
-        self.rest.iter_mut().for_each(|value| *value -= mean);
-        let passed = |at: usize| squares.get(at).copied().unwrap_or(1.0);
-        let other = |(at, s): (usize, &f64)| (s - white * white * passed(at)).max(0.0);
-        let mut rest: Vec<f64> = self.spectrum.iter().enumerate().map(other).collect();
-        // The mean is unknown.
-        rest[0] = rest[1];
-        let gain: Vec<f64> = squares.iter().map(|square| square.sqrt()).collect();
-        let mut equaliser = Equaliser { deviation, white, rest, gain, squares, solution: Vec::new() };
-        let mut stream = stream(n, self.setting().owner, DRAWN);
-        let mut slow: Vec<f64> = equaliser.rest.iter().map(|s| s.sqrt() * stream.normal()).collect();
-        slow[0] = 0.0;
-        self.transform.backward(&mut slow);
-        let fast: Vec<f64> = (0..n).map(|_| stream.normal()).collect();
-        let own = fast.iter().zip(&equaliser.deviation).map(|(fast, own)| own * fast).collect();
-        let mut drawn = equaliser.behind(&mut self.transform, own);
-        drawn.iter_mut().zip(&slow).for_each(|(drawn, slow)| *drawn += slow);
-        phase::redo(&mut drawn, &equaliser.squares);
-        let mut difference: Vec<f64> = self.rest.iter().zip(drawn).map(|(x, drawn)| x - drawn).collect();
-        phase::undo(&mut difference, &equaliser.squares);
-        let near = before.as_ref().map(|before| before.solution.as_slice());
-        let Some(solution) = equaliser.solve(&mut self.transform, &difference, near) else {
-            self.is_unsolved = true;
-            return;
-        };
-        let known = equaliser.even(&mut self.transform, &difference, &solution);
-        let fast = equaliser.behind(&mut self.transform, fast.iter().map(|fast| white * fast).collect());
-        self.rest = known.iter().zip(&slow).zip(&fast).map(|((known, slow), fast)| known + slow + fast).collect();
-        phase::redo(&mut self.rest, &equaliser.squares);
-        equaliser.solution = solution;
-        self.equaliser = Some(equaliser);
-    }
 }

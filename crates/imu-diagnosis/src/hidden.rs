@@ -6,9 +6,10 @@ use super::evidence::Kind::{
     VarianceInterval, VariancePerDegree, VarianceProfile,
 };
 use super::evidence::{self, Candidate};
+use super::further::{leave_rises_out, more_tones};
 use super::prices::Prices;
-use super::search::{Step, leave_rises_out, more_tones, step_of};
 use super::series::Series;
+use super::steps::{Step, step_of};
 
 /// Effects that may look like other effects as long as they are not known, with the kinds that they may look like. A
 /// large step makes a few samples of the residual loud and the rest quiet in comparison. Strong lines do that to parts

@@ -224,6 +224,9 @@ pub struct Base {
 /// The prior belief about ln N², ln B² and ln K²: centre and standard deviation; `None` allows any value.
 pub type Priors = [Option<(f64, f64)>; 3];
 
+/// The levels have no prior.
+pub(super) const FREE: Priors = [None, None, None];
+
 /// A channel's spectrum as numbers.
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Law {

@@ -49,7 +49,7 @@ pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &
 fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
     let effects = translate::effects(of, found.temperature_c, sim);
     // A level that follows the temperature other than along a line is the same effect.
-    let is = |step: &super::search::Step, kind: Kind| {
+    let is = |step: &super::steps::Step, kind: Kind| {
         step.kind == kind || (step.kind == Kind::TemperatureCurve && kind == Kind::TemperatureBias)
     };
     let same = |kind: Kind| of.steps.iter().filter(move |step| is(step, kind) && step.has_term());

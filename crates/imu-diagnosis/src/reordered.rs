@@ -6,10 +6,11 @@
 
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
-use super::law::{Data, Shape};
+use super::further::lean;
+use super::law::{Data, FREE, Shape};
 use super::prices::Prices;
-use super::search::{BOXCAR, FREE, Step, best_of, doubt_filters, is_of_reading, lean, louder_before, step_of};
 use super::series::Series;
+use super::steps::{BOXCAR, Step, best_of, doubt_filters, is_of_reading, louder_before, step_of};
 use super::taken_back::take_back;
 
 /// Nats by which another order has to end better.

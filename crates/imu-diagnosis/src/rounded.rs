@@ -7,7 +7,7 @@
 use super::filling::stream;
 use super::grid::Grid;
 use super::law::{Data, Law};
-use super::prepare::{Prepared, base_of};
+use super::prepared::{Prepared, base_of};
 use super::transform::Cosines;
 use imu_model::simulator::SensorModel;
 use statrs::distribution::{ContinuousCDF, Normal};

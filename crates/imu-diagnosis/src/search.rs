@@ -1,79 +1,22 @@
 //! The search: finds the effects in which a series and its model differ, one after the other, each at its price.
 
-use super::course::Course;
 use super::evidence::declared;
 use super::evidence::{self, Candidate, Kind};
 use super::explanation::Explanation;
+use super::further::{lean, leave_rises_out, more_bursts, more_spikes, more_tones};
 use super::hidden;
-use super::law::{Data, Priors, Shape};
+use super::law::{Data, FREE};
 use super::polish::{polish, scedasticity};
 use super::prices::Prices;
 use super::reordered::reordered;
-use super::report::Sense;
 use super::series::Series;
+use super::steps::{BOXCAR, Step, best_of, choose, doubt_filters, is_of_reading, step_of};
 use super::taken_back::{
     drop_minor_steps, put_back, same_as_the_models, tails_and_bursts_again, take_back, weak_steps, weak_stretches,
     weak_tones,
 };
 use super::work::Parts;
 
-/// An effect that was added, or one of the model's that was changed.
-#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Step {
-    /// Its kind.
-    pub kind: Kind,
-    /// Nats gained.
-    pub gain: f64,
-    /// Nats that the effect had to gain.
-    pub price: f64,
-    /// The other effects that would have been worth their price, best first.
-    pub others: Vec<(Kind, f64)>,
-    /// The model's own effect that was changed, by its place in the list, and how; none for an effect that the model
-    /// lacks.
-    pub of_model: Option<(usize, Sense)>,
-}
-
-impl Step {
-    /// Returns the chance that noise alone gains as much somewhere in a record, given that it gains the price with
-    /// chance `level`.
-    pub(super) fn chance(&self, level: f64) -> f64 {
-        (level * (self.price - self.gain).exp()).min(1.0)
-    }
-
-    /// Returns whether the law has a term of this kind.
-    pub(super) fn has_term(&self) -> bool {
-        self.of_model.is_none_or(|(_, sense)| sense != Sense::Superfluous)
-    }
-}
-
-/// Nats by which a filter with a cutoff has to exceed a boxcar.
-pub(super) const BOXCAR: f64 = 6.0;
-
-/// Pairs of a complex kind and a simple one; the complex kind has to be better by some nats.
-const SIMPLER: [(Kind, Kind, f64); 18] = [
-    (Kind::WarmUp, Kind::RateRamp, 4.0),
-    (Kind::BiasStep, Kind::RateRamp, 2.0),
-    (Kind::TemperatureBias, Kind::RateRamp, 0.0),
-    (Kind::Resonance, Kind::Tone, 4.0),
-    (Kind::Resonance, Kind::Intermittent, 4.0),
-    (Kind::VarianceProfile, Kind::VariancePerDegree, 4.0),
-    (Kind::VarianceProfile, Kind::VarianceInterval, 0.0),
-    (Kind::HeavyTails, Kind::Spikes, 0.0),
-    (Kind::LowPass, Kind::MovingAverage, BOXCAR),
-    (Kind::GaussMarkov, Kind::RateRamp, 4.0),
-    // A rarer effect has to be clearly better.
-    (Kind::Slope, Kind::GaussMarkov, 3.0),
-    (Kind::Slope, Kind::QuantizationNoise, 3.0),
-    (Kind::Slope, Kind::LowPass, 3.0),
-    (Kind::TemperatureCurve, Kind::WarmUp, 3.0),
-    (Kind::TemperatureCurve, Kind::RateRamp, 3.0),
-    (Kind::TemperatureCurve, Kind::TemperatureBias, 3.0),
-    (Kind::TemperatureCurve, Kind::BiasStep, 3.0),
-    (Kind::TemperatureCurve, Kind::GaussMarkov, 3.0),
-];
-
-/// The levels have no prior.
-pub(super) const FREE: Priors = [None, None, None];
 /// Nats that B and K of any size have to gain: the model's statement about them is rarely wrong by a large factor.
 const ANY_LEVELS: f64 = 12.0;
 
@@ -204,41 +147,6 @@ fn taken(
     None
 }
 
-/// Nats of doubt about a filter that needs far more white noise in front of it than the model states. White noise of the model's
-/// size and a process of short correlation look like the noise behind a filter and the noise that the filter passes.
-pub(super) fn louder_before(series: &Series<'_>, with: &Explanation) -> f64 {
-    /// ln of the ratio up to which a larger N² raises no doubt, and the power below which the model has no white noise.
-    const AS_LARGE: f64 = 2.5;
-    const NONE: f64 = -50.0;
-    const MOST: f64 = 20.0;
-    let declared = series.setting().white;
-    if declared < NONE || series.setting().priors == FREE {
-        return 0.0;
-    }
-    (2.0 * (with.law.levels[0] - declared - AS_LARGE)).clamp(0.0, MOST)
-}
-
-/// Returns whether a candidate is slow noise that is no larger than the part of a level following the temperature that
-/// rounded readings do not show.
-pub(super) fn is_of_reading(series: &Series<'_>, of: &Candidate) -> bool {
-    /// Limit as a part of a step of the readings.
-    const UNRESOLVED: f64 = 0.4;
-    let follows = |(course, factor): &(Course, f64)| if *course == Course::Temperature { factor.abs() } else { 0.0 };
-    let per_c = of.explanation.courses.iter().map(follows).fold(0.0, f64::max);
-    let unresolved = UNRESOLVED * series.setting().courses.reading_c * per_c;
-    let term = of.explanation.law.terms.last().filter(|term| term.shape == Shape::GaussMarkov);
-    of.kind == Kind::GaussMarkov
-        && of.of_model.is_none()
-        && term.is_some_and(|term| (0.5 * term.numbers[0]).exp() < unresolved)
-}
-
-/// Subtracts the doubt from the gains of filters.
-pub(super) fn doubt_filters(series: &Series<'_>, candidates: &mut [Candidate]) {
-    for of in candidates.iter_mut().filter(|of| matches!(of.kind, Kind::LowPass | Kind::MovingAverage)) {
-        of.gain -= louder_before(series, &of.explanation);
-    }
-}
-
 /// Returns candidates for effects that the model lacks, and for effects that it has with other numbers than the series.
 fn everything(series: &mut Series<'_>, prices: &Prices) -> Vec<Candidate> {
     let mut found = evidence::all(series);
@@ -283,38 +191,6 @@ fn believe_again(series: &mut Series<'_>) {
     believed.rebuild(true);
     if series.fitted.log_posterior - believed.fitted.log_posterior < ANY_LEVELS {
         *series = believed;
-    }
-}
-
-/// Gives narrow bands an asymmetry if it is worth its price: the part far from a strong line would look like a filter or like
-/// further noise.
-pub(super) fn lean(series: &mut Series<'_>) {
-    for at in 0..series.explanation.law.terms.len() {
-        let term = &series.explanation.law.terms[at];
-        if term.shape != Shape::Resonance || term.numbers.len() != Shape::SYMMETRIC {
-            continue;
-        }
-        let mut law = series.explanation.law.clone();
-        law.terms[at].numbers.push(0.0);
-        let fitted = law.fit(series.data());
-        if fitted.log_posterior > series.fitted.log_posterior + Shape::LEANING {
-            series.explanation.law = fitted.law;
-            series.rebuild(false);
-        }
-    }
-}
-
-/// Leaves out the course of steps during their rise, which is not another effect. The largest of several large steps
-/// hide the others' until they are left out.
-pub(super) fn leave_rises_out(series: &mut Series<'_>) {
-    const ROUNDS: usize = 6;
-    for _ in 0..ROUNDS {
-        let rises = evidence::level::rises(series);
-        if rises.is_empty() {
-            return;
-        }
-        series.explanation.leave_out(rises);
-        series.rebuild(false);
     }
 }
 
@@ -382,49 +258,6 @@ fn choose_samples(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step
             _ => {}
         }
     }
-}
-
-/// Leaves out spikes beside the found ones.
-fn more_spikes(series: &mut Series<'_>) {
-    const ROUNDS: usize = 4;
-    for _ in 0..ROUNDS {
-        let places = evidence::outlier::further_spikes(series);
-        if places.is_empty() {
-            return;
-        }
-        let (reach, samples) = (series.reach().max(1), series.len());
-        if let Some(law) = &mut series.explanation.spikes {
-            law.rate += places.len() as f64 / samples as f64;
-        }
-        series.explanation.leave_out(places.into_iter().flat_map(|at| at..(at + reach).min(samples)));
-        series.rebuild(false);
-    }
-}
-
-/// Adds stretches to the found ones: beside the loudest, the others do not show.
-fn more_bursts(series: &mut Series<'_>, prices: &Prices, steps: &mut [Step]) {
-    const ROUNDS: usize = 3;
-    /// Nats beyond the price.
-    const CLEAR: f64 = 10.0;
-    let Some(step) = steps.last_mut().filter(|step| step.of_model.is_none()) else { return };
-    for _ in 0..ROUNDS {
-        let more = evidence::loudness::intervals(series).into_iter().find(|of| of.kind == Kind::Bursts);
-        let Some(more) = more.filter(|of| of.gain > prices.of(Kind::Bursts) + CLEAR) else { return };
-        step.gain += more.gain;
-        series.adopt(more.explanation);
-    }
-}
-
-/// Returns the candidate to be added next from those that were not named yet. `None` if no candidate is worth its
-/// price.
-pub(super) fn best_of(mut candidates: Vec<Candidate>, prices: &Prices, steps: &[Step]) -> Option<(Step, Candidate)> {
-    // An effect is named once: several effects of a kind would be a failure to explain it.
-    let curve = |kind: Kind| kind == Kind::TemperatureCurve;
-    let apart = |step: &Step, of: &Candidate| curve(step.kind) != curve(of.kind);
-    let is_new = |of: &Candidate| steps.iter().all(|step| step.kind.effect() != of.kind.effect() || apart(step, of));
-    candidates.retain(|of| of.of_model.is_some() || of.kind.repeats() || is_new(of));
-    let (step, place) = choose(&candidates, prices)?;
-    Some((step, candidates.swap_remove(place)))
 }
 
 /// Tries filters of another kind or order in place of one that was chosen before all other effects were known, because
@@ -520,25 +353,6 @@ fn swapped_filter(series: &mut Series<'_>, prices: &Prices, step: &mut Step) {
     }
 }
 
-/// Adds the other tones that are clearly worth their price. A tone that hardly exceeds its surroundings is left to the
-/// comparison with noise of their spectrum.
-pub(super) fn more_tones(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>) {
-    const MOST: usize = 24;
-    /// Nats beyond the price: an effect that is hardly worth its price is compared with the other effects again.
-    const CLEAR: f64 = 10.0;
-    for _ in 0..MOST {
-        let Some(tone) = evidence::line::tone(series) else { break };
-        let price = prices.of(Kind::Tone);
-        let found = tone.explanation.sines.last().map(|sine| sine.cycles);
-        let Some(cycles) = found.filter(|_| tone.gain > price + CLEAR) else { break };
-        if tone.gain / evidence::line::surroundings(series, cycles) < price + CLEAR {
-            break;
-        }
-        steps.push(step_of(&tone, prices));
-        series.adopt(tone.explanation);
-    }
-}
-
 /// Replaces a smooth course of the variance by a stretch of another variance if the stretch explains more. Steps of the level
 /// and lines that were not known when the course was found can hide where the stretch begins and ends.
 fn stretch_instead(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Step>, start: &Explanation) {
@@ -563,49 +377,4 @@ fn stretch_instead(series: &mut Series<'_>, prices: &Prices, steps: &mut Vec<Ste
     bare.adopt(stretch.explanation);
     *series = bare;
     steps.retain(|step| !is_own(step, Kind::HeavyTails) && !is_own(step, Kind::Bursts));
-}
-
-/// Returns the step that adds a candidate.
-pub(super) fn step_of(of: &Candidate, prices: &Prices) -> Step {
-    Step { kind: of.kind, gain: of.gain, price: prices.of(of.kind), others: Vec::new(), of_model: of.of_model }
-}
-
-/// Nats by which an effect that the model lacks has to exceed another reading of the model's own effects.
-const NEWER: f64 = 4.0;
-
-/// Returns the change to be made next, and the candidate that makes it. `None` if no change is worth its price.
-fn choose(candidates: &[Candidate], prices: &Prices) -> Option<(Step, usize)> {
-    let score = |at: usize| candidates[at].gain - prices.of(candidates[at].kind);
-    let mut order: Vec<usize> = (0..candidates.len()).filter(|at| candidates[*at].gain.is_finite()).collect();
-    order.sort_by(|a, b| score(*b).total_cmp(&score(*a)));
-    let kind = |at: usize| candidates[at].kind;
-    let mut best = *order.first().filter(|best| score(**best) > 0.0)?;
-    // A change of variance with bursts looks like tails or like a course of the variance. Those gain at once as much as
-    // the stretches gain one by one.
-    let is_stretch = |at: &&usize| matches!(kind(**at), Kind::Bursts | Kind::VarianceInterval) && score(**at) > 0.0;
-    let looks_like_stretches = |kind: Kind| matches!(kind, Kind::HeavyTails | Kind::VarianceProfile);
-    let stretches = order.iter().filter(is_stretch);
-    let (sum, greatest) = stretches.fold((0.0, None), |(sum, greatest), at| (sum + score(*at), greatest.or(Some(*at))));
-    if let Some(stretch) =
-        greatest.filter(|at| looks_like_stretches(kind(best)) && score(*at) < score(best) && sum > score(best))
-    {
-        best = stretch;
-    }
-    for (complex, simple, margin) in SIMPLER {
-        if kind(best) == complex
-            && let Some(other) = order.iter().find(|at| kind(**at) == simple && score(**at) > 0.0)
-            && score(best) - score(*other) < margin
-        {
-            best = *other;
-        }
-    }
-    if candidates[best].of_model.is_none()
-        && let Some(own) = order.iter().find(|at| candidates[**at].of_model.is_some() && score(**at) > 0.0)
-        && score(best) - score(*own) < NEWER
-    {
-        best = *own;
-    }
-    let others = order.iter().filter(|at| kind(**at) != kind(best) && score(**at) > 0.0);
-    let others = others.map(|at| (kind(*at), score(*at))).collect();
-    Some((Step { others, ..step_of(&candidates[best], prices) }, best))
 }

@@ -4,12 +4,13 @@ use super::course::Course;
 use super::evidence::declared::kind_of;
 use super::evidence::{self, Kind};
 use super::explanation::{Explanation, Loud};
+use super::further::leave_rises_out;
 use super::gated;
 use super::law::{Fitted, Shape, Term};
 use super::prices::Prices;
 use super::report::Sense;
-use super::search::{Step, leave_rises_out};
 use super::series::Series;
+use super::steps::Step;
 
 /// Takes back steps that the remaining samples do not show, or that are not worth their number beside all other effects. The
 /// first `known` courses are the model's.

@@ -2,6 +2,7 @@
 
 use super::series::Series;
 use super::transform::Cosines;
+use statrs::function::gamma::{digamma, gamma_ur};
 
 /// Stretches of time, and bands whose upper edges grow by half.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -30,6 +31,17 @@ pub struct Rectangle {
     /// A bound on the chance that noise alone makes as heavy a rectangle anywhere: the chance of its tiles' sum of
     /// squares, times the number of rectangles.
     pub p_value: f64,
+}
+
+/// Returns the gain of n coefficients' own variance, less the average gain by chance.
+pub(super) fn excess(ratio: f64, count: f64) -> f64 {
+    let half = 0.5 * count;
+    half * (ratio - 1.0 - ratio.max(1e-9).ln()) - half * (half.ln() - digamma(half))
+}
+
+/// Returns −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
+pub(super) fn surprise(square: f64, count: f64) -> f64 {
+    if square > 0.0 && square.is_finite() { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() } else { 0.0 }
 }
 
 /// Calls `tile` with the ratio of each tile's mean square to its expected value, and its coefficients. `edges` are in
@@ -76,7 +88,7 @@ impl Tiles {
         }
         let (mut excess, mut ratio) = (Vec::new(), Vec::new());
         each(series, Self::STRETCHES, &edges, |mean, count| {
-            excess.push(super::omnibus::excess(mean, count as f64));
+            excess.push(self::excess(mean, count as f64));
             ratio.push(mean);
         });
         let hz = |edge: usize| edge as f64 * rate_hz / (2.0 * size.max(1) as f64);
@@ -128,7 +140,7 @@ impl Tiles {
         let tiles = (times.len() * band.len()) as f64;
         let rectangles = (stretches * (stretches + 1) / 2 * (bands * (bands + 1) / 2)) as f64;
         // An excess is half of a square less its mean.
-        let surprise = super::omnibus::surprise(2.0 * excess + tiles, tiles);
+        let surprise = surprise(2.0 * excess + tiles, tiles);
         Some(Rectangle {
             p_value: (rectangles * (-surprise).exp()).min(1.0),
             band_hz: [self.edges_hz[band.start], self.edges_hz[band.end]],

@@ -1,17 +1,8 @@
 //! The variance that an explanation gives the white part at each sample.
 
 use super::explanation::{LOUD, Loud, Scedasticity, profile};
-use super::series::Series;
+use super::series::{Series, Varied};
 use std::rc::Rc;
-
-/// The variances that parts of an explanation give, cached while those parts stay. They also depend on the number of
-/// samples and on the temperature, which stay as long as the series.
-#[derive(Debug, Clone)]
-pub(super) struct Varied {
-    scedasticity: Option<Scedasticity>,
-    quiet: Vec<Loud>,
-    values: Rc<[f64]>,
-}
 
 impl Series<'_> {
     /// Returns the ratio of the white part's average variance to its variance at times when nothing changes it: the

@@ -1,8 +1,7 @@
 //! Zero rows: rows that are not measurements, because the writer of the recording filled them with zeros.
 
-use super::averages::median;
+use super::averages::{median, scale_of};
 use super::facts;
-use super::prepare::scale_of;
 use super::recording::Recording;
 use std::borrow::Cow;
 

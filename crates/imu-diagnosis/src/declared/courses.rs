@@ -5,7 +5,7 @@ use crate::course::{Course, Follow};
 use crate::evidence::Kind;
 use crate::evidence::loudness;
 use crate::explanation::{Explanation, Scedasticity};
-use crate::prepare::Prepared;
+use crate::prepared::Prepared;
 use crate::prices::Prices;
 use crate::series::{Series, Setting};
 use crate::spread::Spread;

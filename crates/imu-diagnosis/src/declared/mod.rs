@@ -7,7 +7,7 @@ pub(crate) mod values;
 use crate::confidence::confidence;
 use crate::found::{Findings, Named};
 use crate::report::Sense;
-use crate::search::Step;
+use crate::steps::Step;
 use crate::translate::{LEAST_PASSED, Translated};
 use imu_model::effects::{Comb, Effect, Tone};
 use imu_model::simulator::ChannelModel;

@@ -11,9 +11,9 @@ pub(super) mod peaks;
 pub(super) mod spectral;
 
 use super::explanation::Explanation;
-use super::prices::with_tails;
 use super::report::Sense;
 use super::series::Series;
+use super::tail::with_tails;
 use imu_model::effects::EffectKind;
 
 with_tails! {

@@ -4,15 +4,19 @@ mod blocks;
 mod model;
 #[cfg(test)]
 mod tests;
+mod whitened;
 
 pub(crate) use blocks::LOWEST;
-pub(crate) use model::{OfModel, are_known, as_declared, is_as_declared, of_model, stands_for};
+pub(crate) use model::{OfModel, are_known, are_same, is_as_declared, of_model, stands_for};
 
 use crate::averages::mean;
 use crate::explanation::{GatedSine, LOUD, Stay, turning};
 use crate::law::{Shape, Term};
 use crate::series::Series;
 use blocks::{apart, band_stays, line_blocks, line_stays};
+use imu_model::effects::EffectKind;
+use imu_model::simulator::ChannelModel;
+use model::number_of;
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -222,10 +226,24 @@ pub(crate) fn errors(series: &Series<'_>, sine: &GatedSine) -> (f64, [f64; 2]) {
     (cycles_error, [amplitude, (2.0 * density / samples).sqrt().max(by_scatter)])
 }
 
-/// Returns whether two frequencies in cycles per sample are those of one line in a record that is long enough to show when it comes
-/// and goes.
-pub(crate) fn are_same(one: f64, other: f64, samples: usize) -> bool {
-    /// Part of a record over which the sines turn against each other at most once.
-    const PART: f64 = 0.05;
-    (one - other).abs() * PART * (samples as f64) < 1.0
+/// Returns a model's sines that come and go and that a series has with other times or numbers.
+fn replaced<'a>(series: &'a Series<'_>) -> impl Iterator<Item = &'a OfModel> {
+    let is_left_out = |of: &&OfModel| of.width.is_none() && series.explanation.without.contains(&of.place);
+    series.setting().gated.iter().filter(is_left_out)
+}
+
+/// Returns the sines of a series that stand for a model's and have about its amplitude (`scale` is the unit of the series), with
+/// the places of the model's.
+pub(crate) fn as_declared(series: &Series<'_>, model: &ChannelModel, scale: f64) -> Vec<(usize, GatedSine)> {
+    /// Largest ratio of the amplitudes.
+    const NEAR: f64 = 1.25;
+    let own = |of: &OfModel| {
+        let effect = model.effects.get(of.place)?;
+        let amplitude = number_of(&**effect, EffectKind::Tone, "amplitude")? / scale;
+        let is_same = |sine: &&GatedSine| are_same(sine.cycles, of.cycles, series.len());
+        let sine = series.explanation.gated.iter().find(is_same)?;
+        let ratio = sine.square().sqrt() / amplitude;
+        (ratio < NEAR && NEAR * ratio > 1.0).then(|| (of.place, sine.clone()))
+    };
+    replaced(series).filter_map(own).collect()
 }

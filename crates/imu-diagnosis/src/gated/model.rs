@@ -1,8 +1,5 @@
 //! A model's lines and bands that come and go, and the found ones that stand for them.
 
-use super::are_same;
-use crate::explanation::GatedSine;
-use crate::series::Series;
 use imu_model::effects::{Effect, EffectKind};
 use imu_model::simulator::ChannelModel;
 use std::sync::Arc;
@@ -19,7 +16,7 @@ pub struct OfModel {
 }
 
 /// Returns a number of the effect that comes and goes; `None` for all other effects.
-fn number_of(effect: &dyn Effect, wanted: EffectKind, number: &str) -> Option<f64> {
+pub(super) fn number_of(effect: &dyn Effect, wanted: EffectKind, number: &str) -> Option<f64> {
     if effect.kind() != EffectKind::Intermittent {
         return None;
     }
@@ -76,24 +73,10 @@ pub(crate) fn is_as_declared(found: &dyn Effect, ci95: &[(&'static str, [f64; 2]
     ends.is_some_and(is_inside) && (other.is_empty() || apart_s < OTHER * (length(&own) + length(&other)))
 }
 
-/// Returns a model's sines that come and go and that a series has with other times or numbers.
-fn replaced<'a>(series: &'a Series<'_>) -> impl Iterator<Item = &'a OfModel> {
-    let is_left_out = |of: &&OfModel| of.width.is_none() && series.explanation.without.contains(&of.place);
-    series.setting().gated.iter().filter(is_left_out)
-}
-
-/// Returns the sines of a series that stand for a model's and have about its amplitude (`scale` is the unit of the series), with
-/// the places of the model's.
-pub(crate) fn as_declared(series: &Series<'_>, model: &ChannelModel, scale: f64) -> Vec<(usize, GatedSine)> {
-    /// Largest ratio of the amplitudes.
-    const NEAR: f64 = 1.25;
-    let own = |of: &OfModel| {
-        let effect = model.effects.get(of.place)?;
-        let amplitude = number_of(&**effect, EffectKind::Tone, "amplitude")? / scale;
-        let is_same = |sine: &&GatedSine| are_same(sine.cycles, of.cycles, series.len());
-        let sine = series.explanation.gated.iter().find(is_same)?;
-        let ratio = sine.square().sqrt() / amplitude;
-        (ratio < NEAR && NEAR * ratio > 1.0).then(|| (of.place, sine.clone()))
-    };
-    replaced(series).filter_map(own).collect()
+/// Returns whether two frequencies in cycles per sample are those of one line in a record that is long enough to show when it comes
+/// and goes.
+pub(crate) fn are_same(one: f64, other: f64, samples: usize) -> bool {
+    /// Part of a record over which the sines turn against each other at most once.
+    const PART: f64 = 0.05;
+    (one - other).abs() * PART * (samples as f64) < 1.0
 }

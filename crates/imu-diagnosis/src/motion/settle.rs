@@ -5,11 +5,12 @@ use super::groups::{self, Foreign, Group, Member, Pricing};
 use super::lateness::Delay;
 use super::select::{Choice, Weighing};
 use super::{BLOCKS, noise};
+use crate::averages::scale_of;
 use crate::error::DiagnosisError;
+use crate::facts;
 use crate::options::Options;
 use crate::recording::Recording;
 use crate::response::{self, AXES, Candidate, Clipping, Clock, Filters, Fit, Record, Request, Screen};
-use crate::{facts, prepare};
 use imu_core::sample::Triad;
 use imu_model::effects::triad::Axes;
 use imu_model::effects::{EffectKind, TriadEffect};
@@ -118,7 +119,7 @@ impl About<'_> {
         let scale = std::array::from_fn(|axis| {
             let there =
                 (0..n).filter(|t| !left_out[*t]).map(|t| samples[axis][t] - response::input(triad, &motions[t])[axis]);
-            prepare::scale_of(&there.collect::<Vec<f64>>())
+            scale_of(&there.collect::<Vec<f64>>())
         });
         let law = noise::law(self.noise_model, triad, rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
@@ -281,7 +282,7 @@ impl About<'_> {
         let left_out = self.left_out(sent, &filters);
         let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
         let samples = sent.map(|values| values.iter().map(finite).collect::<Vec<f64>>());
-        let scale = sent.map(prepare::scale_of);
+        let scale = sent.map(scale_of);
         let law = noise::law(self.noise_model, triad, self.part.rate_hz, n, scale)?;
         let known = self.sim.triads.get(&triad).map(|of| of.effects.clone()).unwrap_or_default();
         let candidates = groups::candidates(triad, full_scale(triad, &known), self.reference_c(&known));

@@ -7,10 +7,9 @@ mod rectangles;
 mod sweep;
 
 use super::plans;
-use super::prices::with_tails;
 use super::series::Series;
-use super::tiles::Tiles;
-use statrs::function::gamma::{digamma, gamma_ur};
+use super::tail::with_tails;
+use super::tiles::{Tiles, excess, surprise};
 
 with_tails! {
     /// A statistic of a residual: about −ln of the chance of a larger value, up to an offset that depends on the record's
@@ -91,19 +90,8 @@ pub(super) fn statistics(series: &mut Series<'_>, atom: f64, parts: &[component:
     found
 }
 
-/// Returns the gain of n coefficients' own variance, less the average gain by chance.
-pub(super) fn excess(ratio: f64, count: f64) -> f64 {
-    let half = 0.5 * count;
-    half * (ratio - 1.0 - ratio.max(1e-9).ln()) - half * (half.ln() - digamma(half))
-}
-
 fn half_square(z: f64) -> f64 {
     0.5 * z * z
-}
-
-/// Returns −ln of the chance that a sum of `count` squares of standard normal values is above `square`.
-pub(super) fn surprise(square: f64, count: f64) -> f64 {
-    if square > 0.0 && square.is_finite() { -gamma_ur(0.5 * count, 0.5 * square).max(1e-300).ln() } else { 0.0 }
 }
 
 /// Returns whether values on one side of 0 are larger than on the other, for any symmetric distribution: the sum of a

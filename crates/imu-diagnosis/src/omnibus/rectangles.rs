@@ -1,9 +1,8 @@
 //! Rectangles: runs of stretches and bands, whose sides are powers of 2, in which a residual is louder or quieter than
 //! expected.
 
-use super::{excess, surprise};
 use crate::series::Series;
-use crate::tiles;
+use crate::tiles::{self, excess, surprise};
 use statrs::function::gamma::digamma;
 
 /// Coefficients in a tile.

@@ -1,8 +1,7 @@
 //! Sweep: power along straight lines of a spectrogram, as from a line of moving frequency.
 
-use super::surprise;
 use crate::series::Series;
-use crate::tiles;
+use crate::tiles::{self, surprise};
 
 /// Stretches of the spectrogram, a power of 2.
 const STRETCHES: usize = 256;

@@ -3,7 +3,6 @@
 //! A reference may come from a separate clock. One triad alone cannot distinguish a latency from an offset of that
 //! clock: both make the triad late. Two triads can, if their delays differ ([`crate::motion::lateness`]).
 
-use super::{Confounding, Openness};
 use imu_model::effects::triad::{Axes, DelayLine};
 use imu_model::simulator::Motion;
 use realfft::RealFftPlanner;
@@ -17,17 +16,6 @@ pub enum Clock {
     /// A separate clock. It may be off by a constant, up to a quarter of the record, and run faster or slower. No latency of
     /// this triad can be determined then.
     Separate,
-}
-
-/// Returns the quantities that one triad cannot determine about a separate clock.
-pub(super) fn latency_or_offset() -> Confounding {
-    Confounding {
-        openness: Openness::Confounded,
-        of_clock: true,
-        sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
-                   reference; the other triad's delay would tell"
-            .to_owned(),
-    }
 }
 
 /// Returns returns, for each sample, the motion `delay` samples ago; for a negative delay, the future motion. Between

@@ -35,6 +35,17 @@ pub struct Confounding {
     pub sentence: String,
 }
 
+/// Returns the quantities that one triad cannot determine about a separate clock.
+pub(super) fn latency_or_offset() -> Confounding {
+    Confounding {
+        openness: Openness::Confounded,
+        of_clock: true,
+        sentence: "one triad cannot tell apart latency seconds and clock offset_s: both make it late against the \
+                   reference; the other triad's delay would tell"
+            .to_owned(),
+    }
+}
+
 /// A record's motion, in words.
 #[derive(Debug)]
 pub(super) struct Motions {

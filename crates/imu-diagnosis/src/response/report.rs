@@ -1,10 +1,10 @@
 //! The report: a solution as values, intervals and sentences.
 
 use super::clipping::Bridges;
-use super::confounding::Motions;
+use super::confounding::{Motions, latency_or_offset};
 use super::design::{Design, Slot, State};
 use super::solution::{Search, Solution};
-use super::{AXES, Candidate, Clipping, Clock, Confounding, Estimate, Fit, Fitted, Openness, Record, Request, clock};
+use super::{AXES, Candidate, Clipping, Clock, Confounding, Estimate, Fit, Fitted, Openness, Record, Request};
 use imu_model::effects::EffectKind;
 
 /// Returns the complete report of a solution.
@@ -120,7 +120,7 @@ fn statements(
     };
     let mut all: Vec<Confounding> = groups.into_iter().map(state).collect();
     if request.clock == Clock::Separate && request.candidates.contains(&Candidate::Latency) {
-        all.push(clock::latency_or_offset());
+        all.push(latency_or_offset());
     }
     all
 }
