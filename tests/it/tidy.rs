@@ -150,7 +150,9 @@ const PURE_FILES: &[&str] = &[
     "imu-files/recording/doubts.rs",
     "imu-files/recording/columns.rs",
     "imu-files/recording/header.rs",
+    "imu-files/recording/kind.rs",
     "imu-files/recording/mapping.rs",
+    "imu-files/recording/names.rs",
     "imu-files/recording/number.rs",
     "imu-files/recording/propose.rs",
     "imu-files/recording/utf16.rs",
@@ -166,6 +168,7 @@ const PURE_FILES: &[&str] = &[
     "imu-files/recording/turning.rs",
     "imu-files/recording/values.rs",
     "imu-files/recording/ros/definition.rs",
+    "imu-files/recording/ros/field.rs",
     "imu-files/recording/ros/given.rs",
     "imu-files/recording/ros/layout.rs",
 ];

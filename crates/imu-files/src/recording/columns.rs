@@ -7,9 +7,9 @@
 //! its other columns, if it is a date, or if its values are times since 1970 in one unit only. Pure.
 
 use super::error::{RecordingError, short};
-use super::header::{Column, Target, clean, known_column, shown, target};
 use super::info::Conversion;
 use super::mapping::{ColumnMap, Foreign};
+use super::names::{Target, clean, known_column, target};
 use super::propose::proposal;
 use super::siblings::Siblings;
 use super::stamps::{STAMPS_MAX, parse_date, parse_stamp};
@@ -17,6 +17,17 @@ use super::vocabulary::Meaning;
 use imu_core::sample::Channel;
 use imu_core::units::NANOS_PER_SECOND;
 use std::path::Path;
+
+/// The content of a column.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Column {
+    /// Times in a unit of which a nanosecond is the `places`th decimal. The columns of one slot are summed to one stamp.
+    Stamp { places: usize, slot: usize },
+    /// A channel's values; multiplied by `factor` they are in its unit.
+    Value { channel: Channel, factor: f64 },
+    /// Nothing that is used.
+    Ignored,
+}
 
 /// The columns of a table.
 #[derive(Debug, Clone, Default)]
@@ -45,6 +56,9 @@ enum Use {
     Part { places: usize, stated: bool },
     Nothing,
 }
+
+/// The maximum number of a file's columns in a message, and of characters of each.
+const SHOWN: (usize, usize) = (30, 40);
 
 /// The rank of a column that gives way to any other of its channel.
 const SECOND_RANK: u8 = 3;
@@ -280,6 +294,15 @@ fn by_values(rows: &[Vec<String>], column: usize) -> Option<usize> {
             && stamps.windows(2).all(near)
     };
     SINCE_1970.iter().find(|unit| fits(unit)).map(|(places, ..)| *places)
+}
+
+fn shown(cells: &[String]) -> String {
+    let mut names: Vec<String> =
+        cells.iter().take(SHOWN.0).map(|name| clean(name).chars().take(SHOWN.1).collect::<String>()).collect();
+    if cells.len() > SHOWN.0 {
+        names.push(format!("and {} more", cells.len() - SHOWN.0));
+    }
+    names.join(" | ")
 }
 
 /// Returns the error of a table whose columns name no channel, with a proposal.

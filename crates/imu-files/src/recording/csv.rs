@@ -11,13 +11,12 @@
 //! Rows of plain numbers are read in place; only those with quotation marks are copied. Memory is bounded by the
 //! longest row, 64 KiB.
 
-use super::detect::read_error;
-use super::error::RecordingError;
-use super::header::{Column, Header, SPACE, Split, decoded, rate_of_comment};
-use super::info::Decimals;
+use super::columns::Column;
+use super::error::{RecordingError, read_error};
+use super::header::{Header, SPACE, Split, decoded, rate_of_comment};
 use super::input::Input;
 use super::number::{Plain, parse_plain};
-use super::rows::{Rejected, Row, Rows};
+use super::rows::{Decimals, Rejected, Row, Rows};
 use super::stamps::{RowStamps, STAMPS_MAX, parse_date, parse_stamp};
 use imu_core::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};

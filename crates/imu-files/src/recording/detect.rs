@@ -2,13 +2,13 @@
 //! do not count.
 
 use super::columns::foreign;
-use super::error::RecordingError;
+use super::error::{RecordingError, read_error};
 use super::header::{Header, decoded, foreign_names, numbers_like};
 use super::input::Input;
-use super::meter::Refusal;
 use super::{folder, ros, table, vn_binary};
 use std::io::Read;
-use std::path::Path;
+
+pub use super::kind::Kind;
 
 /// The number of bytes of a file that are examined.
 const LOOK_AT_BYTES: u64 = 64 * 1024;
@@ -19,69 +19,6 @@ const SHOWN_CHARS: usize = 60;
 
 /// The number of rows from which columns are proposed.
 const PROPOSED_FROM: usize = 64;
-
-/// The kind of a recording. A further format needs a kind here, a file that implements its [`Rows`](super::rows::Rows),
-/// and a `Source`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Kind {
-    /// A table with a header line (docs/formats.md).
-    Csv,
-    /// Raw `$VN…` lines.
-    VnText,
-    /// Raw bytes of a VN-100 with binary frames.
-    RawBytes,
-    /// A ROS 1 bag, format 2.0.
-    Bag,
-    /// A ROS 2 bag in SQLite.
-    Db3,
-    /// An MCAP file.
-    Mcap,
-    /// A Parquet file.
-    Parquet,
-    /// A NumPy array.
-    Npy,
-    /// An archive of NumPy arrays.
-    Npz,
-    /// A MATLAB file of format 5.
-    Mat,
-    /// An HDF5 file, MATLAB's version 7.3 among them.
-    Hdf5,
-    /// A log of PX4.
-    Ulog,
-    /// A log of ArduPilot.
-    Dataflash,
-}
-
-impl Kind {
-    /// Returns the name of one of its entries.
-    pub fn entry(self) -> &'static str {
-        match self {
-            Self::Csv | Self::VnText => "line",
-            Self::RawBytes => "byte",
-            Self::Bag | Self::Db3 | Self::Mcap | Self::Ulog | Self::Dataflash => "message",
-            Self::Parquet | Self::Npy | Self::Npz | Self::Mat | Self::Hdf5 => "row",
-        }
-    }
-
-    /// Returns the name of a recording without columns; `None` for a kind that has columns.
-    pub(super) fn without_columns(self) -> Option<&'static str> {
-        match self {
-            Self::Csv
-            | Self::Parquet
-            | Self::Npy
-            | Self::Npz
-            | Self::Mat
-            | Self::Hdf5
-            | Self::Ulog
-            | Self::Dataflash => None,
-            Self::VnText => Some("a file of raw `$VN…` lines"),
-            Self::RawBytes => Some("a file of a VN-100's raw bytes"),
-            // Fields of messages are named by their dotted paths.
-            Self::Bag | Self::Db3 | Self::Mcap => None,
-        }
-    }
-}
 
 /// The kinds that their first bytes identify.
 const FIRST_BYTES: [(&[u8], Kind); 9] = [
@@ -95,27 +32,6 @@ const FIRST_BYTES: [(&[u8], Kind); 9] = [
     (b"\x89HDF\r\n\x1a\n", Kind::Hdf5),
     (table::ULOG_MAGIC, Kind::Ulog),
 ];
-
-/// Adds the position to an error of reading.
-pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> RecordingError {
-    if let Some(refusal) = source.get_ref().and_then(|inner| inner.downcast_ref::<Refusal>()) {
-        return refused(file, *refusal);
-    }
-    if source.kind() == std::io::ErrorKind::UnexpectedEof {
-        return RecordingError::CutCompression { file: file.to_owned(), line };
-    }
-    RecordingError::Read { file: file.to_owned(), line, source }
-}
-
-/// Returns the error of a reading that was ended before the end of the file.
-pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
-    match refusal {
-        Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
-        Refusal::Expands { file_bytes, allowed_bytes } => {
-            RecordingError::Expands { file: file.to_owned(), file_bytes, allowed_bytes }
-        }
-    }
-}
 
 /// Returns whether a line has a raw message.
 fn is_message(line: &str) -> bool {

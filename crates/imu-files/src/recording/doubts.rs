@@ -6,8 +6,8 @@
 //! rad/s. A doubt needs values that a right unit cannot have; without rest or turning there is none. Pure.
 
 use super::findings::Doubt;
-use super::header::suffixes;
 use super::info::Conversion;
+use super::names::suffixes;
 use super::values::{STD_OF_SPREAD, Values, median_and_spread};
 use imu_core::sample::Triad;
 use imu_core::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2};

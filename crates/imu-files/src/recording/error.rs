@@ -1,8 +1,9 @@
 //! Errors that concern a recording as a whole. A single bad line is an item, not an error.
 
+use super::meter::Refusal;
 use imu_core::sample::{Channel, ChannelError};
 use imu_core::units::counted;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What can be read, for messages.
 const READ: &str = "raw `$VN…` lines or raw bytes of a VN-100, a table with columns such as time_s, gyro_x_rad_s, accel_z_m_s2 \
@@ -304,4 +305,25 @@ pub enum RecordingError {
         /// The given rate.
         found: f64,
     },
+}
+
+/// Adds the position to an error of reading.
+pub(super) fn read_error(file: &Path, line: u64, source: std::io::Error) -> RecordingError {
+    if let Some(refusal) = source.get_ref().and_then(|inner| inner.downcast_ref::<Refusal>()) {
+        return refused(file, *refusal);
+    }
+    if source.kind() == std::io::ErrorKind::UnexpectedEof {
+        return RecordingError::CutCompression { file: file.to_owned(), line };
+    }
+    RecordingError::Read { file: file.to_owned(), line, source }
+}
+
+/// Returns the error of a reading that was ended before the end of the file.
+pub(super) fn refused(file: &Path, refusal: Refusal) -> RecordingError {
+    match refusal {
+        Refusal::Unwanted => RecordingError::Unwanted { file: file.to_owned() },
+        Refusal::Expands { file_bytes, allowed_bytes } => {
+            RecordingError::Expands { file: file.to_owned(), file_bytes, allowed_bytes }
+        }
+    }
 }

@@ -5,8 +5,8 @@
 //! its `dataformat.txt`; a file that is missing or has another number of values is a rejected row.
 
 use super::error::RecordingError;
-use super::header::known_column;
 use super::input::{Input, read_small};
+use super::names::known_column;
 use super::propose::{OXTS_COLUMNS, of_oxts};
 use std::path::{Path, PathBuf};
 

@@ -1,13 +1,15 @@
 //! The known facts about a recording as a whole.
 
 use super::choice::StampChoice;
-use super::detect::Kind;
 use super::findings::Findings;
 use super::grid::StampGrid;
+use super::kind::Kind;
 use super::rows::Rejected;
 use imu_core::sample::{Channel, ChannelSet, DiscardCause, Timebase};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+
+pub use super::rows::Decimals;
 
 /// The source of a recording's times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -32,44 +34,6 @@ pub struct Conversion {
     pub original_unit: &'static str,
     /// Value in the channel's unit = factor × value in the file.
     pub factor: f64,
-}
-
-/// The number of decimals with which each channel's values were written.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Decimals {
-    /// Most decimals seen; `None` once a value had an exponent.
-    seen: [Option<Option<u8>>; Channel::COUNT],
-}
-
-impl Decimals {
-    /// Records the decimals of one value's text.
-    pub(super) fn note(&mut self, channel: Channel, text: &str) {
-        if self.seen[channel as usize] == Some(None) {
-            return;
-        }
-        let decimals = if text.bytes().any(|byte| byte.is_ascii_alphabetic()) {
-            None
-        } else {
-            u8::try_from(text.len() - text.find('.').map_or(text.len(), |point| point + 1)).ok()
-        };
-        self.note_count(channel, decimals);
-    }
-
-    /// Records the number of one value's decimals; `None` if the value was written without such a number.
-    pub(super) fn note_count(&mut self, channel: Channel, decimals: Option<u8>) {
-        let seen = &mut self.seen[channel as usize];
-        *seen = Some(match (*seen, decimals) {
-            (Some(Some(most)), Some(decimals)) => Some(most.max(decimals)),
-            (None, decimals) => decimals,
-            _ => None,
-        });
-    }
-
-    /// Returns the largest number of decimals with which a value of the channel was written; `None` if it has no values
-    /// or some were written with an exponent.
-    pub fn get(&self, channel: Channel) -> Option<u8> {
-        self.seen[channel as usize].flatten()
-    }
 }
 
 /// The result of a first pass over the whole file.

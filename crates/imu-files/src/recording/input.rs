@@ -3,7 +3,7 @@
 use super::error::RecordingError;
 use super::mapping::ColumnMap;
 use super::meter::{EXPANSION, Expanded, Expansion, FileBytes, KeepOn, Meter};
-use super::table::{ARRAYS_MAX, Arrays, broken};
+use super::table::{ARRAYS_MAX, Arrays};
 use super::utf16;
 use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::MultiGzDecoder;
@@ -146,14 +146,14 @@ impl Input {
 
     fn read_plain(&self, head: &mut [u8]) -> Result<usize, RecordingError> {
         let read = open_regular(&self.path)?.read(head);
-        read.map_err(|source| super::detect::read_error(&self.path, 0, source))
+        read.map_err(|source| super::error::read_error(&self.path, 0, source))
     }
 
     /// Returns the whole content, decompressed.
     pub(super) fn whole(&self) -> Result<Vec<u8>, RecordingError> {
         let mut bytes = Vec::new();
         let read = self.open()?.take(ARRAYS_MAX as u64 + 1).read_to_end(&mut bytes);
-        read.map_err(|source| super::detect::read_error(&self.path, 0, source))?;
+        read.map_err(|source| super::error::read_error(&self.path, 0, source))?;
         if bytes.len() > ARRAYS_MAX {
             let what = format!(
                 "it has more than {ARRAYS_MAX} bytes, and its form must be read whole; save it as CSV or Parquet"
@@ -186,8 +186,8 @@ impl Input {
         let meter = self.meter();
         let mut bytes = FileBytes { bytes, meter: Rc::clone(&meter) };
         // Opening a directory succeeds; reading it does not.
-        let head = bytes.fill_buf().map_err(|source| super::detect::read_error(&self.path, 0, source))?;
-        let read_error = |source| super::detect::read_error(&self.path, 0, source);
+        let head = bytes.fill_buf().map_err(|source| super::error::read_error(&self.path, 0, source))?;
+        let read_error = |source| super::error::read_error(&self.path, 0, source);
         let expanded: Box<dyn Read> = match packing(head) {
             Some(Packing::Gzip) => Box::new(MultiGzDecoder::new(bytes)),
             Some(Packing::Bzip2) => Box::new(MultiBzDecoder::new(bytes)),
@@ -199,6 +199,11 @@ impl Input {
         let expanded = Box::new(BufReader::with_capacity(BUFFER_BYTES, expanded));
         Ok((utf16::decoded(expanded).map_err(read_error)?, meter))
     }
+}
+
+/// Returns the error of a file that cannot be read as a table.
+pub(super) fn broken(input: &Input, what: impl Into<String>) -> RecordingError {
+    RecordingError::Table { file: input.path().to_owned(), what: what.into() }
 }
 
 /// A form of compressed data that [`Input::open`] expands.
@@ -227,7 +232,7 @@ fn packing(head: &[u8]) -> Option<Packing> {
 pub fn read_small(path: &Path, most_bytes: u64) -> Result<String, RecordingError> {
     let mut bytes = Vec::new();
     let read = open_regular(path)?.take(most_bytes.saturating_add(1)).read_to_end(&mut bytes);
-    read.map_err(|source| super::detect::read_error(path, 0, source))?;
+    read.map_err(|source| super::error::read_error(path, 0, source))?;
     if bytes.len() as u64 > most_bytes {
         let what = format!("it is longer than {most_bytes} bytes; shorten it");
         return Err(RecordingError::Table { file: path.to_owned(), what });

@@ -6,7 +6,7 @@
 //! with a comma behind an `=` must be given by its position. Pure.
 
 use super::error::short;
-use super::header::{allowed_names, known_column, target};
+use super::names::{allowed_names, clean, known_column, target};
 use imu_core::sample::Channel;
 use std::fmt;
 
@@ -175,7 +175,7 @@ impl fmt::Display for ColumnMap {
 fn pair(text: &str) -> Result<(Foreign, String), ColumnsError> {
     let no_pair = || ColumnsError::NoPair { pair: short(text) };
     let (foreign, name) = text.rsplit_once('=').ok_or_else(no_pair)?;
-    let (foreign, name) = (super::header::clean(foreign), name.trim());
+    let (foreign, name) = (clean(foreign), name.trim());
     if foreign.is_empty() || name.is_empty() {
         return Err(no_pair());
     }

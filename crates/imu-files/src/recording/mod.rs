@@ -41,8 +41,10 @@ mod doubts;
 mod folder;
 mod grid;
 mod header;
+mod kind;
 mod mapping;
 mod meter;
+mod names;
 mod number;
 mod order;
 mod pairs;
@@ -50,6 +52,7 @@ mod part;
 mod placing;
 mod propose;
 mod quantum;
+mod remarks;
 mod ros;
 mod siblings;
 mod stamps;
@@ -65,20 +68,21 @@ mod vocabulary;
 
 pub use account::RecordingAccountant;
 pub use choice::StampChoice;
-pub use detect::{Kind, detect};
+pub use detect::detect;
 pub use error::RecordingError;
 pub use findings::{Doubt, Findings, Pairs, Quantisation};
 pub use folder::{is_recording_folder, recording_file, recording_files};
 pub use grid::StampGrid;
-pub use header::COUNTS;
-pub use info::{Conversion, Decimals, RecordingInfo, Stamps};
+pub use info::{Conversion, RecordingInfo, Stamps};
 pub use input::{Input, open_regular, read_small};
+pub use kind::Kind;
 pub use load::{LoadedColumn, LoadedRecording, columns, load_columns};
 pub use mapping::{ColumnMap, ColumnsError};
 pub use meter::KeepOn;
+pub use names::COUNTS;
 pub use part::{Part, PartEnd};
 pub use ros::{DefinitionError, MessageDefinition, is_type_name, unmerged_log};
-pub use rows::Rejected;
+pub use rows::{Decimals, Rejected};
 
 use choice::{Chosen, choose, choose_of_columns};
 use imu_core::sample::{Channel, ChannelSet, Sample};
@@ -450,7 +454,7 @@ impl Source {
         }
     }
     /// Returns how the values read so far were written.
-    fn decimals(&self) -> &info::Decimals {
+    fn decimals(&self) -> &Decimals {
         match self {
             Self::Csv(rows) => rows.decimals(),
             Self::VnText(rows) => rows.decimals(),
@@ -479,8 +483,8 @@ impl Source {
     }
     /// Returns the channels that the file declares.
     fn claimed(&self) -> ChannelSet {
-        let channel = |column: &header::Column| match column {
-            header::Column::Value { channel, .. } => Some(*channel),
+        let channel = |column: &columns::Column| match column {
+            columns::Column::Value { channel, .. } => Some(*channel),
             _ => None,
         };
         self.columns().map(|columns| columns.list.iter().filter_map(channel).collect()).unwrap_or_default()

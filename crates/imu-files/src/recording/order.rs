@@ -221,7 +221,7 @@ fn seconds(stamp_ns: i64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::info::Decimals;
+    use super::super::rows::Decimals;
     use super::super::stamps::RowStamps;
     use super::*;
     use proptest::prelude::*;

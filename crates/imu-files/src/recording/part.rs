@@ -2,8 +2,8 @@
 //! the file did not have it, so that counts, rate and findings are those of the part.
 
 use super::error::RecordingError;
-use super::info::{Decimals, RecordingInfo, Stamps};
-use super::rows::{Row, Rows};
+use super::info::{RecordingInfo, Stamps};
+use super::rows::{Decimals, Row, Rows};
 use super::stamps::UNIX_FROM_NS;
 use super::{Layout, Source};
 use imu_core::sample::{Channel, ChannelSet};

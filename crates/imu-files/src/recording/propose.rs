@@ -4,7 +4,7 @@
 //! Earth's field, times increase. A proposal is printed, never applied: nothing but the user can know a unit. Pure.
 
 use super::error::short;
-use super::header::{clean, suffixes};
+use super::names::{allowed_names, clean, suffixes};
 use super::siblings::Siblings;
 use super::vocabulary::{Meaning, meaning};
 use imu_core::sample::{Channel, Triad};
@@ -223,10 +223,7 @@ pub(super) fn proposal(names: &[String], rows: &[Vec<String>], file: &Path) -> S
     let pairs = if table.numbered { table.numbered() } else { table.named(file) };
     let states = |pair: &&String| !pair.contains("=time_");
     if !pairs.iter().any(|pair| states(&pair)) {
-        return format!(
-            "say which is which with --columns 'FOREIGN=NAME,…'; names are {}",
-            super::header::allowed_names()
-        );
+        return format!("say which is which with --columns 'FOREIGN=NAME,…'; names are {}", allowed_names());
     }
     let missing = if table.numbered { "no name and no unit stands in the file" } else { "no unit stands in the file" };
     let rate = if pairs.iter().any(|pair| !states(&pair)) { "" } else { " --rate HZ" };

@@ -1,9 +1,9 @@
-//! Rows: the common form in which every kind of recording is read, before times and rates are known.
+//! Rows: the common form in which every kind of recording is read, before times and rates are known, and with how many
+//! decimals its values were written.
 
 use super::error::RecordingError;
-use super::info::Decimals;
 use super::stamps::RowStamps;
-use imu_core::sample::{DiscardCause, Sample};
+use imu_core::sample::{Channel, DiscardCause, Sample};
 
 /// The number of characters of a rejected line that are kept.
 const TEXT_CHARS: usize = 256;
@@ -69,6 +69,44 @@ impl Rejected {
     /// [`DiscardCause::GarbageBytes`].
     pub fn amount(&self) -> u64 {
         if self.cause == DiscardCause::GarbageBytes { self.bytes } else { 1 }
+    }
+}
+
+/// The number of decimals with which each channel's values were written.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Decimals {
+    /// Most decimals seen; `None` once a value had an exponent.
+    seen: [Option<Option<u8>>; Channel::COUNT],
+}
+
+impl Decimals {
+    /// Records the decimals of one value's text.
+    pub(super) fn note(&mut self, channel: Channel, text: &str) {
+        if self.seen[channel as usize] == Some(None) {
+            return;
+        }
+        let decimals = if text.bytes().any(|byte| byte.is_ascii_alphabetic()) {
+            None
+        } else {
+            u8::try_from(text.len() - text.find('.').map_or(text.len(), |point| point + 1)).ok()
+        };
+        self.note_count(channel, decimals);
+    }
+
+    /// Records the number of one value's decimals; `None` if the value was written without such a number.
+    pub(super) fn note_count(&mut self, channel: Channel, decimals: Option<u8>) {
+        let seen = &mut self.seen[channel as usize];
+        *seen = Some(match (*seen, decimals) {
+            (Some(Some(most)), Some(decimals)) => Some(most.max(decimals)),
+            (None, decimals) => decimals,
+            _ => None,
+        });
+    }
+
+    /// Returns the largest number of decimals with which a value of the channel was written; `None` if it has no values
+    /// or some were written with an exponent.
+    pub fn get(&self, channel: Channel) -> Option<u8> {
+        self.seen[channel as usize].flatten()
     }
 }
 

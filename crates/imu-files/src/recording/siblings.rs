@@ -3,7 +3,7 @@
 //! Indices count from 0 if there is an element 0, and from 1 if there are 1, 2 and 3 without a 0; otherwise they are no axes.
 //! `accel` and `mag` of VectorNav's IMU group have the units of its definition if another field of it stands beside them. Pure.
 
-use super::header::clean;
+use super::names::clean;
 use super::vocabulary::{Meaning, meaning, of_imu_group};
 use std::borrow::Cow;
 use std::collections::HashSet;
@@ -61,8 +61,7 @@ fn parent(name: &str) -> Option<(&str, &str)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::columns::Columns;
-    use super::super::header::Column;
+    use super::super::columns::{Column, Columns};
     use super::super::mapping::ColumnMap;
     use std::path::Path;
 

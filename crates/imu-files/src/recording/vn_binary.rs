@@ -5,11 +5,9 @@
 //! then continues one step behind the last sample, since the length of the absence is unknown, and the restart is
 //! counted.
 
-use super::detect::read_error;
-use super::error::RecordingError;
-use super::info::Decimals;
+use super::error::{RecordingError, read_error};
 use super::input::Input;
-use super::rows::{Rejected, Row, Rows};
+use super::rows::{Decimals, Rejected, Row, Rows};
 use super::stamps::RowStamps;
 use imu_core::sample::{DiscardCause, Sample};
 use std::collections::VecDeque;

@@ -4,16 +4,18 @@
 //! 5 to 1000 are milliseconds, and of 5,000 to a million microseconds. Numbers since 1970 show their unit by their size.
 //! Otherwise a number is seconds.
 
-use super::detect::read_error;
-use super::error::RecordingError;
+use super::error::{RecordingError, read_error};
 use super::header::foreign_names;
 use super::input::Input;
 use super::stamps::{RowStamps, STAMPS_MAX, UNIX_FROM_NS, parse_date, parse_stamp};
-use super::vn_text::{LINE_BYTES, START};
 use super::vocabulary::{Meaning, meaning};
 use std::io::{BufRead as _, Read as _};
 use std::ops::RangeInclusive;
 
+/// Longest line that is kept whole; the rest is read as another line. Messages are shorter than 300 bytes.
+pub(super) const LINE_BYTES: u64 = 4096;
+/// The beginning of every message.
+pub(super) const START: &[u8] = b"$VN";
 /// Decimal places from a second to a nanosecond, which is the unit of a number that nothing else is known of.
 const SECONDS: usize = 9;
 /// Names of units, with their decimal places to a nanosecond.

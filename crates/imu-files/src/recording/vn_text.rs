@@ -8,22 +8,16 @@
 //! measurement (replies to commands) are skipped, and measurements of other channels than ours are rejected. Every line
 //! must have as many stamps as most lines have: one with fewer is rejected.
 
-use super::detect::read_error;
-use super::error::RecordingError;
+use super::error::{RecordingError, read_error};
 use super::header::foreign_names;
-use super::info::Decimals;
 use super::input::Input;
-use super::rows::{Rejected, Row, Rows};
-use super::vn_stamps::Units;
+use super::rows::{Decimals, Rejected, Row, Rows};
+use super::vn_stamps::{LINE_BYTES, START, Units};
 use imu_core::sample::{DiscardCause, Sample};
 use std::io::{BufRead, Read};
 use std::path::PathBuf;
 use vn100_proto::{BinaryAcceptance, Decoder, DecoderOptions, Event};
 
-/// Longest line that is kept whole; the rest is read as another line. Messages are shorter than 300 bytes.
-pub(super) const LINE_BYTES: u64 = 4096;
-/// The beginning of every message.
-pub(super) const START: &[u8] = b"$VN";
 /// The name of text before the message that is no stamp, in the list of ignored columns.
 const UNREAD_PREFIX: &str = "text before $VN";
 

@@ -8,7 +8,7 @@
 //! Spellings: EuRoC and TUM-VI (`data.csv` of the ASL format), PX4's `sensor_combined`, phyphox, `sensor_msgs`,
 //! VectorNav's interface control document (field names of the Common and IMU group).
 
-use super::header::suffixes;
+use super::names::suffixes;
 use imu_core::sample::{Channel, Triad};
 
 /// What a quantity is, before its axis is known.

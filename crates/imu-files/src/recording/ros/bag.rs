@@ -8,8 +8,7 @@
 //! by a length that a record claims. Unreadable data becomes a separate entry ([`Entry::Damaged`]), behind which
 //! reading continues at the next chunk. Format: <http://wiki.ros.org/Bags/Format/2.0>.
 
-use super::super::detect::{read_error, refused};
-use super::super::error::RecordingError;
+use super::super::error::{RecordingError, read_error, refused};
 use super::super::input::Input;
 use super::super::meter::{Expanded, Meter};
 use super::layout::{Encoding, time_ns};

@@ -3,9 +3,9 @@
 //! Each file states its connections again, with numbers of its own; here they are numbers of the whole. A file that
 //! cannot be opened is damage, and the next one is read.
 
-use super::super::detect::Kind;
 use super::super::error::RecordingError;
 use super::super::input::Input;
+use super::super::kind::Kind;
 use super::{Entry, Messages, open_one};
 use std::collections::VecDeque;
 

@@ -8,8 +8,7 @@
 //! unreadable rows, up to the next readable one. A statement ends when the reading is cancelled. Format:
 //! <https://github.com/ros2/rosbag2>, `rosbag2_storage_sqlite3`.
 
-use super::super::detect::refused;
-use super::super::error::RecordingError;
+use super::super::error::{RecordingError, refused};
 use super::super::input::Input;
 use super::super::meter::Meter;
 use super::layout::Encoding;

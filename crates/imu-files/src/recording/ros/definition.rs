@@ -12,10 +12,11 @@
 //! The text is not trusted: types that contain themselves and types of more fields than the limits below are refused.
 //! Formats: <http://wiki.ros.org/msg>, <https://docs.ros.org/en/rolling/Concepts/Basic/About-Interfaces.html>.
 
-use super::super::header::known_column;
 use super::super::mapping::ColumnMap;
+use super::super::names::known_column;
+use super::field::{Field, Repeat, parse_field, plain_name};
 use super::given::MessageDefinition;
-use super::layout::{Encoding, Layout, MessageError, Number, Op, Unit, Wanted, multiply};
+use super::layout::{Encoding, FIELDS_MAX, Layout, MessageError, Number, Op, Unit, Wanted, multiply};
 use imu_core::ros_messages;
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::GAUSS_PER_TESLA;
@@ -24,8 +25,6 @@ use std::rc::Rc;
 
 /// The maximum nesting depth of types.
 const DEPTH_MAX: usize = 16;
-/// The maximum number of fields of a type, including those of all types in it.
-pub(super) const FIELDS_MAX: usize = 4000;
 /// Kilopascal in one pascal.
 const KPA_PER_PA: f64 = 1e-3;
 
@@ -54,26 +53,6 @@ pub(super) fn layout(
     let mut ops = Vec::new();
     types.expand(&message_type, Meaning::of(&message_type), 0, &mut left, &mut ops)?;
     Ok(Layout { ops, encoding, mapped: types.mapped, paths: types.paths })
-}
-
-/// Converts `package/msg/Name` to `package/Name`.
-pub(super) fn plain_name(name: &str) -> String {
-    name.trim().replacen("/msg/", "/", 1)
-}
-
-/// A field of a type.
-#[derive(Debug, Clone)]
-pub(super) struct Field {
-    kind: String,
-    name: String,
-    repeat: Repeat,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Repeat {
-    Once,
-    Times(u32),
-    Counted,
 }
 
 /// Vectors of `vectornav_msgs`, and the suffixes of their units. Uncompensated ones are left out.
@@ -435,32 +414,4 @@ impl Types<'_> {
 
 fn has(ops: &[Op], wanted: Channel) -> bool {
     ops.iter().flat_map(Op::wanted).any(|of| of.channel == wanted)
-}
-
-/// Parses a line of a definition; `None` if it is empty, a comment or a constant.
-pub(super) fn parse_field(line: &str, encoding: Encoding) -> Result<Option<Field>, MessageError> {
-    let line = line.split('#').next().unwrap_or_default().trim();
-    // Bounds of ROS 2 do not change the bytes.
-    let unbounded = line.replace("<=", "≤");
-    if unbounded.is_empty() || unbounded.contains('=') {
-        return Ok(None);
-    }
-    let refuse = || MessageError::Line(line.chars().take(80).collect());
-    let mut words = unbounded.split_whitespace();
-    let (Some(kind), Some(name)) = (words.next(), words.next()) else { return Err(refuse()) };
-    // In ROS 2 a default may follow.
-    if words.next().is_some() && encoding == Encoding::Ros1 {
-        return Err(refuse());
-    }
-    let (kind, repeat) = match kind.strip_suffix(']') {
-        None => (kind, Repeat::Once),
-        Some(array) => {
-            let (kind, count) = array.split_once('[').ok_or_else(refuse)?;
-            let counted = count.is_empty() || count.starts_with('≤');
-            let repeat = if counted { Repeat::Counted } else { Repeat::Times(count.parse().map_err(|_| refuse())?) };
-            (kind, repeat)
-        }
-    };
-    let kind = kind.split('≤').next().unwrap_or_default();
-    Ok(Some(Field { kind: kind.to_owned(), name: name.to_owned(), repeat }))
 }

@@ -3,7 +3,7 @@
 //! In: a type's name (`Reading`, `own_msgs/Reading`, `own_msgs/msg/Reading`) and the text of its `.msg` file. A name
 //! without a package stands for a type in any package. Out: a [`MessageDefinition`] of which every line is valid.
 
-use super::definition::parse_field;
+use super::field::{parse_field, plain_name};
 use super::layout::Encoding;
 
 /// The maximum size of a definition's text in bytes.
@@ -72,7 +72,7 @@ impl MessageDefinition {
         if !is_type_name(name) {
             return Err(DefinitionError::Name { name: name.chars().take(80).collect() });
         }
-        let plain = super::definition::plain_name(name);
+        let plain = plain_name(name);
         if text.len() > TEXT_MAX {
             return Err(DefinitionError::Long { name: plain, bytes: text.len() });
         }

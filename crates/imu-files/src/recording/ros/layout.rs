@@ -11,6 +11,8 @@
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::NANOS_PER_SECOND;
 
+/// The maximum number of fields of a type, including those of all types in it.
+pub(super) const FIELDS_MAX: usize = 4000;
 /// The maximum number of steps to read one message.
 const STEPS_MAX: u32 = 100_000;
 /// The CDR header before the values: representation and options, two bytes each.
@@ -28,7 +30,7 @@ pub(in crate::recording) enum MessageError {
     #[error("there is no definition of the type {0:?}: give it with --message-definition FILE.msg")]
     Type(String),
     /// There are too many fields, or a type contains itself.
-    #[error("the definition has more than {} fields, or a type that contains itself", super::definition::FIELDS_MAX)]
+    #[error("the definition has more than {} fields, or a type that contains itself", FIELDS_MAX)]
     TooMuch,
     /// The encoding is neither that of ROS 1 nor CDR.
     #[error("messages are encoded as {0:?}: ros1 and cdr are read")]

@@ -7,8 +7,7 @@
 //!
 //! Guarantees: as [`super::bag`]. Format: <https://mcap.dev/spec>.
 
-use super::super::detect::refused;
-use super::super::error::RecordingError;
+use super::super::error::{RecordingError, refused};
 use super::super::input::Input;
 use super::super::meter::{Expanded, Meter};
 use super::layout::Encoding;

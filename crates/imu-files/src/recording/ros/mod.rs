@@ -8,6 +8,7 @@ mod bag;
 mod chain;
 mod db3;
 mod definition;
+mod field;
 mod given;
 mod layout;
 mod mcap;
@@ -26,9 +27,9 @@ pub(super) use mcap::MAGIC as MCAP_MAGIC;
 pub(super) use rows::{RosRows, STAMP_NAMES};
 pub(super) use topics::Topics;
 
-use super::detect::Kind;
 use super::error::RecordingError;
 use super::input::Input;
+use super::kind::Kind;
 use layout::{Encoding, MessageError};
 
 /// One entry of a file.

@@ -6,9 +6,8 @@
 //! frame that the message does not state.
 
 use super::super::error::RecordingError;
-use super::super::info::Decimals;
 use super::super::input::Input;
-use super::super::rows::{Rejected, Row, Rows};
+use super::super::rows::{Decimals, Rejected, Row, Rows};
 use super::super::stamps::RowStamps;
 use super::super::vn_text::{Message, line_decoder, read_message};
 use super::layout::Values;

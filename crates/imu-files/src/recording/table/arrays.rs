@@ -5,7 +5,7 @@
 //! (`gyro[0]`, `gyro[1]`, …), whichever way it lies. Other arrays are left out and named. Pure.
 
 use super::super::error::RecordingError;
-use super::super::header::known_column;
+use super::super::names::known_column;
 use super::super::vocabulary::{Meaning, meaning};
 use super::{Cell, Next, Table};
 use std::collections::BTreeMap;

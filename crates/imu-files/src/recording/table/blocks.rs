@@ -1,7 +1,6 @@
 //! Blocks: a stream of bytes of which as many as a message needs are held at once.
 
-use super::super::detect::read_error;
-use super::super::error::RecordingError;
+use super::super::error::{RecordingError, read_error};
 use super::super::input::Input;
 use std::io::{BufRead, Read as _};
 use std::path::PathBuf;

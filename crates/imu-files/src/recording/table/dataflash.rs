@@ -7,11 +7,11 @@
 //! <https://ardupilot.org/dev/docs/code-overview-adding-a-new-log-message.html>, AP_Logger/LogStructure.h.
 
 use super::super::error::RecordingError;
-use super::super::input::Input;
+use super::super::input::{Input, broken};
 use super::super::vocabulary::{Meaning, meaning};
 use super::arrays::{Form, Kind};
 use super::blocks::Blocks;
-use super::{Cell, Next, Table, broken};
+use super::{Cell, Next, Table};
 use std::collections::{BTreeSet, HashMap};
 
 /// The first bytes of a message.

@@ -17,13 +17,11 @@ pub(super) use arrays::{Arrays, BYTES_MAX as ARRAYS_MAX};
 pub(super) use dataflash::is_dataflash;
 pub(super) use ulog::MAGIC as ULOG_MAGIC;
 
-use super::columns::Columns;
-use super::detect::Kind;
+use super::columns::{Column, Columns};
 use super::error::RecordingError;
-use super::header::Column;
-use super::info::Decimals;
 use super::input::Input;
-use super::rows::{Rejected, Row, Rows};
+use super::kind::Kind;
+use super::rows::{Decimals, Rejected, Row, Rows};
 use super::stamps::{RowStamps, STAMPS_MAX};
 use imu_core::sample::{DiscardCause, Sample};
 
@@ -122,11 +120,6 @@ fn left_out(kind: &str, names: &[String]) -> Option<String> {
         all if all > SHOWN => Some(format!("{kind} {shown} and {} more", all - SHOWN)),
         _ => Some(format!("{kind} {shown}")),
     }
-}
-
-/// Returns the error of a file that cannot be read as a table.
-pub(super) fn broken(input: &Input, what: impl Into<String>) -> RecordingError {
-    RecordingError::Table { file: input.path().to_owned(), what: what.into() }
 }
 
 /// The rows of a table, one at a time.

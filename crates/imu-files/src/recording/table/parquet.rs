@@ -3,11 +3,10 @@
 //! Numbers of any width and times of Arrow are read; other columns (text, lists) are not decoded. Memory is
 //! bounded by a group of rows. Codecs: none, Snappy, gzip, zstd, LZ4.
 
-use super::super::detect::{read_error, refused};
-use super::super::error::RecordingError;
-use super::super::input::Input;
+use super::super::error::{RecordingError, read_error, refused};
+use super::super::input::{Input, broken};
 use super::super::meter::Refusal;
-use super::{Cell, Next, Table, broken};
+use super::{Cell, Next, Table};
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{
     Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, TimestampMicrosecondType,

@@ -7,12 +7,12 @@
 //! Format: <https://docs.px4.io/main/en/dev_log/ulog_file_format>.
 
 use super::super::error::RecordingError;
-use super::super::input::Input;
+use super::super::input::{Input, broken};
 use super::super::mapping::Foreign;
 use super::super::vocabulary::{Meaning, meaning};
 use super::arrays::{Form, Kind};
 use super::blocks::Blocks;
-use super::{Cell, Next, Table, broken};
+use super::{Cell, Next, Table};
 use std::collections::{HashMap, HashSet};
 
 /// The first bytes of a file.
