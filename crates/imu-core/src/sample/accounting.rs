@@ -34,6 +34,8 @@ use std::collections::VecDeque;
 pub const REORDER_WINDOW_NS: u64 = 1_000_000_000;
 /// How fast host and sensor clocks may drift apart unnoticed (500 ppm is ten times the drift that both may have).
 const DRIFT: f64 = 500e-6;
+/// This many steps of one length in succession are another rate: no loss removes every other sample so regularly.
+const RATE_STEPS_MIN: usize = 12;
 
 /// A sample that is later than the quickest ones by less than this is on time, ns.
 const ON_TIME_NS: f64 = 5e7;

@@ -8,8 +8,7 @@
 //! numbers its messages by a separate clock, not by its rate ([`Timebase::SyncCounter`]), is also judged by its
 //! arrivals: the steps of such a count look like losses or repetitions if the rate differs.
 
-use super::ticks::RATE_STEPS_MIN;
-use super::{Accountant, DRIFT, Observation, RateDoubt, host_elapsed_ns};
+use super::{Accountant, DRIFT, Observation, RATE_STEPS_MIN, RateDoubt, host_elapsed_ns};
 use crate::sample::{GapCause, Record, Sample, Timebase};
 use crate::units::period_ns;
 

@@ -2,7 +2,9 @@
 //! Pure.
 
 use super::arrival::Arrival;
-use super::{Accountant, DRIFT, Observation, Position, REORDER_WINDOW_NS, host_elapsed_ns, is_one_boot};
+use super::{
+    Accountant, DRIFT, Observation, Position, RATE_STEPS_MIN, REORDER_WINDOW_NS, host_elapsed_ns, is_one_boot,
+};
 use crate::sample::{DiscardCause, GapCause, Record, Sample, Timebase};
 use crate::units::{IMU_RATE_HZ, period_ns};
 
@@ -10,9 +12,8 @@ use crate::units::{IMU_RATE_HZ, period_ns};
 /// steps within [`RATE_SAME`] have one length.
 const RATE_DIFFERS: f64 = 0.19;
 const RATE_SAME: f64 = 0.01;
-/// This many steps of one length in succession, over this many ns, are another rate: no loss removes every other sample
-/// so regularly. At 100 Hz the decision takes 0.12 s, at 20 Hz 0.6 s.
-pub(super) const RATE_STEPS_MIN: usize = 12;
+/// The steps of another rate ([`RATE_STEPS_MIN`] of them) take at least this long, ns. At 100 Hz the decision takes
+/// 0.12 s, at 20 Hz 0.6 s.
 const RATE_TRIAL_NS: f64 = 1e8;
 /// No loss makes a step that is not a whole number of periods. This many such steps of one length in succession are
 /// another rate even if the stream was interrupted before the trial lasted long; one or two may be a wrong tick.
