@@ -67,9 +67,8 @@ pub use filter_parameters::{
     Pairs, Prediction, RecordFrom, filter_parameters,
 };
 pub use measured::{Growing, LEAST_PIECES, Measured, Pieces, measured, measured_both};
-pub use motion::{Along, MOTION_ROWS_MAX, MotionRefusal};
 pub use pieces::{MeasureError, Rest, piece_error};
-pub use request::{CostError, Quantity, Request, Tolerance};
+pub use request::{Along, CostError, MOTION_ROWS_MAX, MotionRefusal, Quantity, Request, Tolerance};
 pub use sheet::{
     Comparison, Covered, Envelope, Evidence, LimitState, LimitVerdict, ModelError, SHEET_FORMAT, Sheet, SheetVerdict,
     sheet,

@@ -1,23 +1,25 @@
-//! Requests: alignment, horizons, temperature and tolerances, checked and turned into samples.
+//! Requests: alignment, horizons, temperature, tolerances and a motion, checked and turned into samples.
 //!
 //! Refused with one sentence that names what was found and what is allowed ([`CostError`]): horizons that are not
 //! positive or not in order, times without a sample or too long, unknown quantities and units in a tolerance, and models
 //! without gyroscope and accelerometer.
 
-use crate::motion::{Along, MotionRefusal};
 use crate::weights::Span;
 use imu_core::sample::Channel;
 use imu_core::units::{RAD_PER_DEG, STANDARD_GRAVITY_M_S2, parse_duration};
 use imu_model::effects::USUAL_TEMPERATURE_C;
 use imu_model::motion::Temperatures;
-use imu_model::simulator::{SensorModel, SimulatorError};
+use imu_model::simulator::{Motion, SensorModel, SimulatorError};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 use strum::VariantArray as _;
 
 /// The longest alignment and horizon together, in samples: 14 days at 800 Hz.
 const SAMPLES_MAX: f64 = 1e9;
 /// The most samples of one channel in all runs of a simulation: about ten minutes.
 const WORK_MAX: f64 = 1e10;
+/// The most rows of a motion: 13 hours at 40 Hz.
+pub const MOTION_ROWS_MAX: usize = 2_000_000;
 /// Runs of a Monte Carlo estimate: its standard deviation has a standard error of 3 %.
 const RUNS: usize = 500;
 
@@ -126,6 +128,66 @@ impl Quantity {
             _ => "m, cm, mm or km",
         }
     }
+}
+
+/// The reason why a motion was refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum MotionRefusal {
+    /// A motion has two rows or more, and not too many.
+    #[error("the motion {name} has {found} rows up to the last horizon: expected from 2 to {MOTION_ROWS_MAX}")]
+    Rows {
+        /// The motion.
+        name: String,
+        /// Number of rows.
+        found: usize,
+    },
+    /// A value is not a finite number.
+    #[error("row {row} of the motion {name} has a value that is not a finite number")]
+    Value {
+        /// The motion.
+        name: String,
+        /// The row, from 1.
+        row: usize,
+    },
+    /// The rate is not that of the model.
+    #[error("{0}")]
+    Rate(String),
+    /// The motion does not begin with gravity alone.
+    #[error("the motion {name} begins with a specific force of {found:.3} m/s²: expected 9.3 to 10.3 m/s², as at rest")]
+    Start {
+        /// The motion.
+        name: String,
+        /// Size of the first specific force, m/s².
+        found: f64,
+    },
+    /// The motion ends before a time.
+    #[error("the motion {name} ends after {length_s} s, before {found_s} s: expected a horizon within the motion")]
+    Short {
+        /// The motion.
+        name: String,
+        /// Its length, s.
+        length_s: f64,
+        /// The time, s.
+        found_s: f64,
+    },
+    /// The simulation takes too long.
+    #[error("{runs} simulations of {causes} causes over {found_s} s are too many: expected at most {most_s} s in all")]
+    Work {
+        /// The number of runs.
+        runs: usize,
+        /// The number of causes.
+        causes: usize,
+        /// Alignment and longest horizon, s.
+        found_s: f64,
+        /// The longest time for alignment and horizon, s.
+        most_s: f64,
+    },
+    /// An error is not a finite number.
+    #[error("{quantity} is no finite number along the motion: an effect or the motion is too large")]
+    Infinite {
+        /// The quantity.
+        quantity: Quantity,
+    },
 }
 
 /// The reason why a cost was refused.
@@ -318,6 +380,17 @@ impl Tolerance {
         };
         quantities.iter().map(one).collect()
     }
+}
+
+/// A motion along which errors grow.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Along {
+    /// The motion, as the caller names it.
+    pub name: String,
+    /// Rows per second: those of the model's samples, or of the sensor's own.
+    pub rate_hz: f64,
+    /// Angular rate in rad/s and specific force in m/s², in the sensor's axes, at most [`MOTION_ROWS_MAX`].
+    pub rows: Arc<[Motion]>,
 }
 
 /// A request for a model's cost.

@@ -16,7 +16,7 @@ mod tests;
 use crate::band::empirical;
 use crate::compose::{Composed, moments};
 use crate::document::{Cause, Growth, Method};
-use crate::request::{CostError, Quantity, Request, Setting};
+use crate::request::{Along, CostError, MOTION_ROWS_MAX, MotionRefusal, Quantity, Request, Setting};
 use crate::sources::restricted;
 use courses::Courses;
 use imu_core::sample::Channel;
@@ -26,83 +26,9 @@ use imu_model::simulator::{Motion, SensorModel};
 use path::{Path, USED, Values, is_at_rest, place_of};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
-/// The most rows of a motion: 13 hours at 40 Hz.
-pub const MOTION_ROWS_MAX: usize = 2_000_000;
 /// The most samples of one channel in all runs: about ten minutes.
 const WORK_MAX: f64 = 1e10;
-
-/// A motion along which errors grow.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Along {
-    /// The motion, as the caller names it.
-    pub name: String,
-    /// Rows per second: those of the model's samples, or of the sensor's own.
-    pub rate_hz: f64,
-    /// Angular rate in rad/s and specific force in m/s², in the sensor's axes, at most [`MOTION_ROWS_MAX`].
-    pub rows: Arc<[Motion]>,
-}
-
-/// The reason why a motion was refused.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MotionRefusal {
-    /// A motion has two rows or more, and not too many.
-    #[error("the motion {name} has {found} rows up to the last horizon: expected from 2 to {MOTION_ROWS_MAX}")]
-    Rows {
-        /// The motion.
-        name: String,
-        /// Number of rows.
-        found: usize,
-    },
-    /// A value is not a finite number.
-    #[error("row {row} of the motion {name} has a value that is not a finite number")]
-    Value {
-        /// The motion.
-        name: String,
-        /// The row, from 1.
-        row: usize,
-    },
-    /// The rate is not that of the model.
-    #[error("{0}")]
-    Rate(String),
-    /// The motion does not begin with gravity alone.
-    #[error("the motion {name} begins with a specific force of {found:.3} m/s²: expected 9.3 to 10.3 m/s², as at rest")]
-    Start {
-        /// The motion.
-        name: String,
-        /// Size of the first specific force, m/s².
-        found: f64,
-    },
-    /// The motion ends before a time.
-    #[error("the motion {name} ends after {length_s} s, before {found_s} s: expected a horizon within the motion")]
-    Short {
-        /// The motion.
-        name: String,
-        /// Its length, s.
-        length_s: f64,
-        /// The time, s.
-        found_s: f64,
-    },
-    /// The simulation takes too long.
-    #[error("{runs} simulations of {causes} causes over {found_s} s are too many: expected at most {most_s} s in all")]
-    Work {
-        /// The number of runs.
-        runs: usize,
-        /// The number of causes.
-        causes: usize,
-        /// Alignment and longest horizon, s.
-        found_s: f64,
-        /// The longest time for alignment and horizon, s.
-        most_s: f64,
-    },
-    /// An error is not a finite number.
-    #[error("{quantity} is no finite number along the motion: an effect or the motion is too large")]
-    Infinite {
-        /// The quantity.
-        quantity: Quantity,
-    },
-}
 
 /// Returns how many of the sensor's own samples a row stands for, and the number of samples that the motion has.
 fn samples_of(along: &Along, model: &SensorModel) -> Result<(u32, u64), MotionRefusal> {

@@ -7,8 +7,7 @@
 //! A small error x of a gyroscope's axis turns the attitude by R·J₁·x·dt, seen in the world's axes, and turns the
 //! velocity's increments from then on. [`Small`] sums that; [`Navigator`] integrates errors of any size.
 
-use super::{Along, MotionRefusal};
-use crate::request::{CostError, Quantity, Setting};
+use crate::request::{Along, CostError, MotionRefusal, Quantity, Setting};
 use imu_core::sample::Channel;
 use imu_model::motion::file::between;
 use imu_model::simulator::{Motion, SensorModel, Simulator};

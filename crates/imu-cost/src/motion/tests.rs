@@ -1,8 +1,8 @@
 //! Costs along motions whose errors are worked by hand, and against the cost at rest.
 
 use super::path::{Path, USED};
-use super::{Along, composed, courses, noise, samples_of};
-use crate::request::Setting;
+use super::{composed, courses, noise, samples_of};
+use crate::request::{Along, Setting};
 use crate::{Cost, CostError, Method, MotionRefusal, Quantity, Request, Tolerance, cost};
 use imu_core::units::STANDARD_GRAVITY_M_S2 as G;
 use imu_model::motion::{Course, Kind, Site, Temperatures};
