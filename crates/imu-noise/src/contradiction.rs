@@ -8,8 +8,8 @@
 //! the table.
 
 use super::allan::{AllanCurve, AllanPoint, NoiseType, confidence_factors, first_fall};
-use super::fit::{Bandwidth, Estimate, FittedCurve, Minimum, NoiseParameters, Term, response};
-use super::needed::{RecordNeeded, walk_shows_beyond_s};
+use super::fit::{Bandwidth, Estimate, FittedCurve, Minimum, NoiseParameters, RecordNeeded, Term, response};
+use super::needed::walk_shows_beyond_s;
 use imu_core::sample::Channel;
 
 /// The chance with which a true prediction may leave the measured curve at any averaging time.

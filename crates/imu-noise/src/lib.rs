@@ -55,6 +55,6 @@ pub mod words;
 
 pub use contradiction::hold_against;
 pub use contribution::Contribution;
-pub use fit::{NoiseParameters, NoiseReport};
-pub use needed::{RecordNeeded, walk_shows_beyond_s};
+pub use fit::{NoiseParameters, NoiseReport, RecordNeeded};
+pub use needed::walk_shows_beyond_s;
 pub use statistics::{Moments, Statistics};

@@ -7,9 +7,8 @@
 //! front of the samples is left out, because frequencies far below it determine B and K. Records whose law misfits need
 //! more time, in proportion to the widening of their intervals.
 
-use super::fit::{Estimate, NoiseParameters, Term};
+use super::fit::{Estimate, NoiseParameters, RecordNeeded, Term};
 use super::whittle::MISFIT;
-use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
 /// Relative standard error at which 95 % of the values lie within ±20 %.
@@ -18,18 +17,6 @@ const WANTED: f64 = 0.2 / 1.96;
 const LONGEST_S: f64 = 3.6e6;
 /// Minimum number of samples for a fit.
 const LEAST: f64 = 64.0;
-
-/// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not
-/// identify the parameter, so that its size is unknown, and beyond 1000 h.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct RecordNeeded {
-    /// The time for bias instability.
-    #[serde(rename = "B")]
-    pub b: Option<f64>,
-    /// The time for rate random walk.
-    #[serde(rename = "K")]
-    pub k: Option<f64>,
-}
 
 impl RecordNeeded {
     /// Returns the times for noise of these parameters, sampled at `rate_hz`; rounded up to two digits.

@@ -2,8 +2,10 @@
 //! added.
 
 use super::AllanError;
-use super::strided::OVERLAP;
 use serde::{Deserialize, Serialize};
+
+/// Terms per averaging time if not every phase is the newest of a term.
+pub(super) const OVERLAP: usize = 16;
 
 /// The spacing of averaging factors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize, utoipa::ToSchema)]

@@ -4,7 +4,7 @@
 //! a bias so that differences are non-negative, multiplies halves of at most 32 bits, checks afterwards whether every
 //! difference fitted, and otherwise leaves the block to the next width.
 
-use super::kernel::{BIAS as OF_NEWEST, BLOCK};
+use super::block::{BIAS as OF_NEWEST, BLOCK};
 
 /// The number of bits that the differences of a block need, as far as it is known; the next block of the same factor
 /// begins with it.

@@ -6,16 +6,10 @@
 //! floats cost as much as ASCII decimals. Blocks that do not fit, and other processors, use [`integers`]. All ways give
 //! the same sum; `benches/allan.rs` times them.
 
+use super::block::{BLOCK, ORIGIN};
 use super::integers::{self, Width};
 use fearless_simd::Level;
 
-/// Terms per call; the sums of each lane are sized for it.
-pub(super) const BLOCK: usize = 8192;
-/// The value added to the newest phases: the bits of 1.5·2^52. A difference plus this is, read as a double, 1.5·2^52 +
-/// d.
-pub(super) const BIAS: i64 = ORIGIN.to_bits() as i64;
-
-const ORIGIN: f64 = 6_755_399_441_055_744.0;
 /// Sums of coarse parts begin at 2^97, where doubles are multiples of [`COARSE`], and end below twice that.
 const COARSE_ORIGIN: f64 = (1u128 << 97) as f64;
 /// The coarse unit is 2^45.
@@ -25,7 +19,8 @@ const COARSE: f64 = (1u64 << COARSE_BITS) as f64;
 const MOST_PER_LANE: usize = 512;
 
 /// Returns the exact sum of squares of `newest − 2·middle + oldest` over at most [`BLOCK`] terms; `newest` holds the
-/// phases plus [`BIAS`]. Phases may have wrapped; the differences must be below 2^63. A sum beyond 2^128 saturates.
+/// phases plus [`BIAS`](super::block::BIAS). Phases may have wrapped; the differences must be below 2^63. A sum beyond
+/// 2^128 saturates.
 ///
 /// `width` is the width that the differences of this factor needed last time, if the form depends on it.
 pub(super) fn sum_of_squares(newest: &[i64], middle: &[i64], oldest: &[i64], width: &mut Width) -> u128 {
@@ -123,6 +118,7 @@ fn fused<const LANES: usize>(newest: &[i64], middle: &[i64], oldest: &[i64]) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::allan::block::BIAS;
     use proptest::prelude::*;
 
     fn biased(newest: &[i64]) -> Vec<i64> {

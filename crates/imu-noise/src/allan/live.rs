@@ -4,8 +4,8 @@
 //! sample: for white rate noise the variance of the estimate grows by 0.5 % against full overlap. The sums are integers
 //! and do not depend on how the samples were divided into portions.
 
+use super::grid::OVERLAP;
 use super::point::AllanPoint;
-use super::strided::OVERLAP;
 use super::{FixedPoint, TauGrid};
 
 /// Phases that a level keeps: a power of two above two averaging times.

@@ -5,6 +5,7 @@
 //! terms (Riley & Howe, NIST SP1065, equation 10; the convention of allantools and Stable32). `tests/golden/allan` has
 //! the reference values for all of this.
 
+mod block;
 #[cfg(test)]
 mod coverage;
 mod curve;
@@ -21,11 +22,12 @@ mod kernel;
 mod live;
 mod overlapping;
 mod point;
+mod report;
 mod strided;
 mod sums;
 
+pub use curve::AllanCurve;
 pub(crate) use curve::first_fall;
-pub use curve::{AllanCurve, AllanReport};
 pub use deviation::{Estimator, Phases, SquareSum};
 
 pub use edf::{
@@ -37,4 +39,5 @@ pub use grid::{TauGrid, TauSpacing};
 pub use live::LiveAllan;
 pub use overlapping::Overlapping;
 pub use point::{AllanPoint, noise_by_slope};
+pub use report::AllanReport;
 pub use sums::AllanSums;

@@ -1,5 +1,6 @@
 //! The overlapping Allan estimator: turns samples in any portions into exact sums.
 
+use super::block::{BIAS, BLOCK};
 use super::integers::Width;
 use super::kernel;
 use super::strided::Strided;
@@ -101,7 +102,7 @@ impl Overlapping {
     /// A sample that is not finite or beyond the channel's range is counted and ends the segment, so that no average
     /// spans it.
     pub fn push(&mut self, samples: &[f64]) {
-        for portion in samples.chunks(kernel::BLOCK) {
+        for portion in samples.chunks(BLOCK) {
             let mut rest = portion;
             loop {
                 let taken = self.append(rest);
@@ -112,7 +113,7 @@ impl Overlapping {
                 self.break_segment();
                 rest = &rest[taken + 1..];
             }
-            while self.phases.len() - self.folded >= kernel::BLOCK {
+            while self.phases.len() - self.folded >= BLOCK {
                 self.fold_block();
             }
             self.drop_oldest();
@@ -183,11 +184,11 @@ impl Overlapping {
     /// Processes all averaging factors of full overlap over one block of phases, so that the block stays in the cache.
     fn fold_block(&mut self) {
         let from = self.folded;
-        let to = self.phases.len().min(from + kernel::BLOCK);
+        let to = self.phases.len().min(from + BLOCK);
         let retry = self.blocks.is_multiple_of(RETRY_BLOCKS);
         let (phases, sums) = (&self.phases, &mut self.sums);
         self.newest.clear();
-        self.newest.extend(phases[from..to].iter().map(|phase| phase.wrapping_add(kernel::BIAS)));
+        self.newest.extend(phases[from..to].iter().map(|phase| phase.wrapping_add(BIAS)));
         for (index, width) in self.widths.iter_mut().enumerate() {
             let m = sums.grid().factors()[index];
             let first = from.max(2 * m);
@@ -219,13 +220,13 @@ impl Overlapping {
 
     /// Returns the number of surplus phases that accumulate before all are moved at once.
     fn slack(keep: usize) -> usize {
-        (keep / 4).max(4 * kernel::BLOCK)
+        (keep / 4).max(4 * BLOCK)
     }
 
     /// Returns the maximum number of phases: those needed, the slack, a waiting block and an incoming portion.
     fn most_phases(grid: &TauGrid) -> usize {
         let keep = grid.halo_len() + 1;
-        keep + Self::slack(keep) + 2 * kernel::BLOCK
+        keep + Self::slack(keep) + 2 * BLOCK
     }
 }
 

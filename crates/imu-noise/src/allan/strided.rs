@@ -3,10 +3,9 @@
 //! For white rate noise the variance of the estimate grows by 0.5 % against full overlap, and a factor needs 33 phases
 //! for any length.
 
+use super::grid::OVERLAP;
 use super::{AllanSums, TauGrid};
 
-/// Terms per averaging time if not every phase is the newest of a term.
-pub(super) const OVERLAP: usize = 16;
 /// Phases that a factor's terms span, both ends included.
 const KEPT: usize = 2 * OVERLAP + 1;
 

@@ -18,14 +18,16 @@ mod least_squares;
 #[cfg(test)]
 mod monte_carlo;
 mod parameters;
+mod report;
 pub(crate) mod selection;
 mod term;
 mod variance_fit;
 
 pub use parameters::{
-    Bandwidth, Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, Minimum, NoiseParameters, NoiseReport,
+    Bandwidth, Estimate, FitSummary, FittedCurve, Flag, GaussMarkov, Minimum, NoiseParameters, RecordNeeded,
     gauss_markov_variance, unit,
 };
+pub use report::NoiseReport;
 pub use term::Term;
 pub(crate) use term::response;
 

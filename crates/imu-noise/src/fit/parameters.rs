@@ -2,7 +2,6 @@
 //! data does not support.
 
 use super::term::Term;
-use crate::RecordNeeded;
 use imu_core::sample::{Channel, Triad};
 use imu_core::units::counted;
 use imu_core::units::{
@@ -258,6 +257,18 @@ impl Flag {
     }
 }
 
+/// Times at rest without a gap after which a parameter is known to ±20 % (95 %), s. Null if the record does not
+/// identify the parameter, so that its size is unknown, and beyond 1000 h.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct RecordNeeded {
+    /// The time for bias instability.
+    #[serde(rename = "B")]
+    pub b: Option<f64>,
+    /// The time for rate random walk.
+    #[serde(rename = "K")]
+    pub k: Option<f64>,
+}
+
 /// The noise parameters of one channel (docs/formats.md; names of IEEE Std 952).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct NoiseParameters {
@@ -294,7 +305,7 @@ pub struct NoiseParameters {
     pub minimum: Option<Minimum>,
     /// How long the sensor has to be at rest, without a gap, until B and K are known to ±20 %, s.
     #[serde(default)]
-    pub record_needed: crate::RecordNeeded,
+    pub record_needed: RecordNeeded,
     /// If no walk is identified: the averaging time, s, from which on a walk as large as the limit of K would rise
     /// above the lowest deviation with a slope of +½.
     #[serde(default)]
@@ -320,7 +331,7 @@ impl NoiseParameters {
             usable: true,
             reason: None,
             minimum: None,
-            record_needed: crate::RecordNeeded::default(),
+            record_needed: RecordNeeded::default(),
             walk_shows_beyond_s: None,
             fit,
             flags,
@@ -361,58 +372,6 @@ impl NoiseParameters {
             Term::Q => &self.q,
             Term::R => &self.r,
         }
-    }
-}
-
-/// Noise parameters of a capture, as returned by `GET /v1/captures/{id}/noise` and `vn100d noise --format json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-pub struct NoiseReport {
-    /// [`NoiseReport::FORMAT`].
-    pub format: String,
-    /// The capture's name; for several captures, their names joined with ` + `.
-    pub capture: String,
-    /// For several captures of one sensor, the contribution of each. Durations and numbers of samples are then sums.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub captures: Vec<crate::Contribution>,
-    /// Sampling rate in Hz.
-    pub rate_hz: f64,
-    /// Sample time covered, s.
-    pub duration_s: f64,
-    /// Sample time at rest, s: the part that is analysed. Absent if motion is unknown, as without an inertial channel.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub at_rest_s: Option<f64>,
-    /// Sample time in motion, s, which is left out.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub moving_s: Option<f64>,
-    /// Number of received samples.
-    pub samples: u64,
-    /// Number of missing samples.
-    pub missing: u64,
-    /// Whether the capture has ended.
-    pub complete: bool,
-    /// One entry per analysed channel.
-    pub channels: BTreeMap<Channel, NoiseParameters>,
-    /// The disturbances of each channel during its recording; absent for a running capture.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub disturbances: BTreeMap<Channel, crate::robust::Disturbances>,
-    /// Comparison with a data sheet, if requested.
-    pub datasheet: Option<serde_json::Value>,
-}
-
-impl NoiseReport {
-    /// The name of this format.
-    pub const FORMAT: &'static str = "vn100d-noise-1";
-
-    /// Returns the reasons why parameters of this report should not be used: the `concerned` channels that are not
-    /// usable, with their reasons. `None` if all are.
-    pub fn refusal(&self, concerned: impl Fn(Channel) -> bool) -> Option<String> {
-        let unusable = self.channels.iter().filter(|(channel, of)| !of.usable && concerned(**channel));
-        let reasons: Vec<String> = unusable
-            .map(|(channel, of)| {
-                format!("{channel}: {}", of.reason.as_deref().unwrap_or("the parameters are not usable"))
-            })
-            .collect();
-        (!reasons.is_empty()).then(|| reasons.join("; "))
     }
 }
 
