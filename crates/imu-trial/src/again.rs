@@ -4,7 +4,7 @@
 //! one. The corrected model is also simulated with a new seed, and that simulation is diagnosed under the corrected and
 //! under the given model.
 
-use super::judge::is_of_delivery;
+use super::fit::is_of_delivery;
 use super::key::Key;
 use super::report::{Cause, Report};
 use imu_diagnosis::Recording;

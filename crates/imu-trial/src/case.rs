@@ -1,11 +1,11 @@
 //! Cases: a device with effects that its model lacks or has with other numbers, its key, and recordings of it.
 
-use super::class::Sense;
+use super::class::{Role, Sense};
 use super::columns::{Column, Columns};
 use super::declared::{self, declared, with};
 use super::draw::Draw;
 use super::ground::{as_read, flicker};
-use super::impose::{Effect, ImposeError, Role};
+use super::impose::{Effect, ImposeError};
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::recipe::Recipe;

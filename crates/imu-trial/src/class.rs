@@ -1,4 +1,4 @@
-//! Classes: the property that a case tests, and the sense in which an effect belongs to it.
+//! Classes: the property that a case tests, and the sense and the role in which an effect belongs to it.
 
 use serde::{Deserialize, Serialize};
 
@@ -119,6 +119,20 @@ impl Sense {
     pub fn is_in_model(self) -> bool {
         self != Self::Missing
     }
+}
+
+/// The role for which an effect is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Role {
+    /// How sensor and model differ in the effect.
+    pub sense: Sense,
+    /// The number of effects in the case.
+    pub of: usize,
+}
+
+impl Role {
+    /// The only effect, which the model lacks.
+    pub const ALONE: Self = Self { sense: Sense::Missing, of: 1 };
 }
 
 #[cfg(test)]

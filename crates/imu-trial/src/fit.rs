@@ -154,6 +154,14 @@ pub(super) fn covered(one: &[[f64; 2]], other: &[[f64; 2]]) -> [f64; 2] {
     [both, either]
 }
 
+/// Returns whether a cause does not count: stamps of arrival do not show whether the sensor's clock or the delivery
+/// scatters.
+pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
+    cause.kind() == Some(EffectKind::Timing)
+        && key.stamps.is_some_and(|stamps| stamps.deliver_late())
+        && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,13 +3,12 @@
 use super::again::Again;
 use super::class::{Class, Sense};
 use super::compare::{compare, intervals_held, locate};
-use super::fit::{Fit, fit};
+use super::fit::{Fit, fit, is_of_delivery};
 use super::key::{Key, TrueEffect};
 use super::kind::Kind;
 use super::limit::ABOVE;
 use super::place::{false_places, is_placed};
 use super::report::{Cause, Of, Place, Report};
-use imu_model::EffectKind;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -198,14 +197,6 @@ pub fn judge(key: &Key, answer: &Answer) -> Judgement {
         closed_by_truth: answer.closed_by_truth,
         again: answer.again,
     }
-}
-
-/// Returns whether a cause does not count: stamps of arrival do not show whether the sensor's clock or the delivery
-/// scatters.
-pub(super) fn is_of_delivery(cause: &Cause, key: &Key) -> bool {
-    cause.kind() == Some(EffectKind::Timing)
-        && key.stamps.is_some_and(|stamps| stamps.deliver_late())
-        && !key.effects.iter().any(|effect| effect.kind.needs_stamps())
 }
 
 /// Returns a cause without the channels on which the recording itself has it; `None` if no channel is left.

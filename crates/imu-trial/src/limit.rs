@@ -5,8 +5,7 @@
 //! tone's amplitude fall as n^-½, and those of counts of single samples as 1/n. Limits of slow courses of the level
 //! grow as n^½ beyond the study's length, as does the random walk that hides them.
 
-use super::class::Sense;
-use super::impose::Role;
+use super::class::{Role, Sense};
 use super::kind::Kind;
 
 /// Samples of the study's cases: the length for which limits are given.

@@ -10,6 +10,8 @@
 //! If the stretch has a resolution, rounding follows the imposed effects: each value is spread evenly over its step
 //! first, and rounding reverses this exactly if no effect was imposed.
 
+pub use super::setting::Own;
+
 use super::columns::{Columns, around, scale};
 use super::draw::Draw;
 use super::ground::TemperatureCourse;
@@ -22,10 +24,7 @@ use imu_diagnosis::Recording;
 use imu_model::EffectKind;
 use imu_model::simulator::{ChannelModel, SensorModel};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
-
-/// Names of effects by channel.
-pub type Own = BTreeMap<Channel, BTreeSet<String>>;
+use std::collections::BTreeSet;
 
 /// A temperature that varies less than this, °C, carries no information about effects that depend on it.
 const SPREAD_C: f64 = 0.5;

@@ -3,11 +3,13 @@
 use super::draw::Draw;
 use super::ground::TemperatureCourse;
 use super::kind::Kind;
-use super::recorded::Own;
 use super::stamps::Stamps;
 use imu_core::sample::{Channel, Triad};
 use imu_model::simulator::{ChannelModel, SensorModel};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Names of effects by channel.
+pub type Own = BTreeMap<Channel, BTreeSet<String>>;
 
 /// A channel of the device: its true values and its model's statements.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -28,8 +28,9 @@
 mod course;
 mod density;
 
+use super::class::Role;
 use super::draw::Draw;
-use super::impose::{Effect, Role};
+use super::impose::Effect;
 use super::kind::Kind;
 use super::limit::{STUDY, one};
 use super::setting::Setting;

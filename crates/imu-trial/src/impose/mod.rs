@@ -27,7 +27,8 @@ mod outside;
 mod sent;
 mod shared;
 
-use super::class::Sense;
+pub use super::class::Role;
+
 use super::columns::Columns;
 use super::draw::Draw;
 use super::kind::Kind;
@@ -81,20 +82,6 @@ pub const SAMPLES_MIN: usize = 10_000;
 trait Act: std::fmt::Debug + Send + Sync {
     /// Acts on the columns `at`, in the order in which they were drawn.
     fn act(&self, on: &mut Columns, at: &[usize], draw: &mut Draw);
-}
-
-/// The role for which an effect is drawn.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Role {
-    /// How sensor and model differ in the effect.
-    pub sense: Sense,
-    /// The number of effects in the case.
-    pub of: usize,
-}
-
-impl Role {
-    /// The only effect, which the model lacks.
-    pub const ALONE: Self = Self { sense: Sense::Missing, of: 1 };
 }
 
 /// The inputs of a kind's draw.

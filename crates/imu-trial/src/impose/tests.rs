@@ -1,6 +1,7 @@
 //! Imposed effects have the stated properties: statistics of the changes to samples.
 
 use super::*;
+use crate::class::Sense;
 use crate::columns::Column;
 use crate::ground::TemperatureCourse;
 use crate::setting::Part;
