@@ -1,10 +1,10 @@
 //! Binary outputs: `FA`, groups, masks, payload, CRC. There is no length field: it follows from the masks.
 //!
-//! In: a header or a whole frame. Out: the frame's length, its [`Measurement`]. Refuses: groups and fields that a
-//! VN-100 does not have (reserved for products with GNSS), extension bits, groups without a field.
+//! In: a header. Out: its fields, the frame's length. Refuses: groups and fields that a VN-100 does not have (reserved
+//! for products with GNSS), extension bits, groups without a field.
 
+use super::Quantity;
 use super::quantity::QuantitySet;
-use super::{Measurement, Quantity};
 
 /// The byte every binary frame begins with.
 pub const SYNC: u8 = 0xFA;
@@ -59,7 +59,7 @@ const GROUPS: usize = 4;
 const GROUP_BITS: [u8; GROUPS] = [0x01, 0x02, 0x04, 0x10];
 
 /// User manual UM001 rev 2.45, sections 4.4–4.7 (fields per group and bit).
-static FIELDS: [[Field; 16]; GROUPS] = {
+pub(super) static FIELDS: [[Field; 16]; GROUPS] = {
     use Quantity::{
         Accel, AccelNed, AngularRate, DeltaTheta, DeltaTime, DeltaVelocity, DirectionCosines, Heave, LinearAccelBody,
         LinearAccelNed, Mag, MagNed, Pressure, Quaternion, Temperature, UncompAccel, UncompGyro, UncompMag,
@@ -157,7 +157,7 @@ pub enum HeaderError {
 pub struct BinaryHeader {
     groups: u8,
     /// Masks of the groups 1, 2, 3, 5; 0 if the group is absent.
-    masks: [u16; GROUPS],
+    pub(super) masks: [u16; GROUPS],
 }
 
 /// The meaning of the bytes behind a sync byte.
@@ -305,46 +305,6 @@ impl std::fmt::Display for BinaryHeader {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(formatter, "{:02X}", self.groups)?;
         self.masks().try_for_each(|mask| write!(formatter, ",{mask:04X}"))
-    }
-}
-
-/// Takes `N` bytes from the front; zeros if they are missing (a payload of the header's length never lacks any).
-fn take<const N: usize>(payload: &mut &[u8]) -> [u8; N] {
-    match payload.split_first_chunk::<N>() {
-        Some((bytes, rest)) => {
-            *payload = rest;
-            *bytes
-        }
-        None => [0; N],
-    }
-}
-
-/// Reads a payload of exactly `header.payload_bytes()` bytes. If two groups carry the same quantity, the later one is
-/// used (a sensor sends the same value in both).
-pub(super) fn read_payload(measurement: &mut Measurement, header: &BinaryHeader, payload: &[u8]) {
-    let mut rest = payload;
-    for (mut mask, fields) in header.masks.into_iter().zip(&FIELDS) {
-        while mask != 0 {
-            match fields[mask.trailing_zeros() as usize] {
-                Field::None => {}
-                Field::TimeStartup => measurement.device_time_ns = Some(u64::from_le_bytes(take(&mut rest))),
-                Field::TimeSyncIn => measurement.time_sync_in_ns = Some(u64::from_le_bytes(take(&mut rest))),
-                Field::SyncInCount => measurement.sync_in_count = Some(u32::from_le_bytes(take(&mut rest))),
-                Field::SyncOutCount => measurement.sync_count = Some(u32::from_le_bytes(take(&mut rest))),
-                Field::TimeStatus => measurement.time_status = Some(u8::from_le_bytes(take(&mut rest))),
-                Field::VpeStatus => measurement.vpe_status = Some(u16::from_le_bytes(take(&mut rest))),
-                Field::ImuStatus => measurement.imu_status = Some(u16::from_le_bytes(take(&mut rest))),
-                Field::SensorSaturation => measurement.sensor_saturation = Some(u16::from_le_bytes(take(&mut rest))),
-                Field::Floats(quantities) => {
-                    for quantity in quantities {
-                        for slot in measurement.slots(*quantity) {
-                            *slot = f64::from(f32::from_le_bytes(take(&mut rest)));
-                        }
-                    }
-                }
-            }
-            mask &= mask - 1;
-        }
     }
 }
 

@@ -3,8 +3,9 @@
 //! There is deliberately no command here that writes the sensor's flash (`VNWNV`), restores the factory settings (`VNRFS`)
 //! or enters the bootloader (`VNFWU`): a logger never sends them.
 
+use super::fields::read_fields;
 use super::measurement::{Measurement, MeasurementKind};
-use super::{AsciiType, ChecksumKind, ascii, encode};
+use super::{AsciiType, ChecksumKind, encode};
 
 /// A command to the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -156,7 +157,7 @@ impl<'a> Reply<'a> {
         }
         let ascii = AsciiType::from_register(self.register?)?;
         let mut measurement = Measurement::new(MeasurementKind::Ascii(ascii));
-        ascii::read_fields(&mut measurement, ascii, self.values.as_bytes())?;
+        read_fields(&mut measurement, ascii, self.values.as_bytes())?;
         Some(measurement)
     }
 }

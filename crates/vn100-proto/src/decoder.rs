@@ -17,7 +17,8 @@
 //! they are skipped. A frame that is not complete yet is pending, not an error.
 
 use super::ascii::{self, MAX_LINE_BYTES};
-use super::binary::{self, CRC_BYTES, HeaderBytes, SYNC};
+use super::binary::{CRC_BYTES, HeaderBytes, SYNC};
+use super::fields::{read_fields, read_payload};
 use super::measurement::{Measurement, MeasurementKind};
 use super::{AsciiType, BinaryHeader, DeviceError, Reply, Verb, checksum};
 use imu_core::sample::DiscardCause;
@@ -298,7 +299,7 @@ fn examine_frame<'a>(candidate: &[u8], acceptance: BinaryAcceptance, measurement
     }
     *measurement = Measurement::new(MeasurementKind::Binary(header));
     let payload = frame.get(header.header_bytes()..length - CRC_BYTES).unwrap_or_default();
-    binary::read_payload(measurement, &header, payload);
+    read_payload(measurement, &header, payload);
     Found::Something(Message::Frame, length)
 }
 
@@ -364,7 +365,7 @@ fn read_body<'a>(body: &'a [u8], measurement: &mut Measurement) -> Option<Messag
     let fields = rest.get(1..).unwrap_or_default();
     if let Some(ascii) = AsciiType::from_header(header) {
         *measurement = Measurement::new(MeasurementKind::Ascii(ascii));
-        ascii::read_fields(measurement, ascii, fields)?;
+        read_fields(measurement, ascii, fields)?;
         return Some(Message::Line);
     }
     let text = std::str::from_utf8(body).ok()?;

@@ -33,6 +33,7 @@ pub mod command;
 pub mod decoder;
 pub mod encode;
 pub mod error;
+mod fields;
 pub mod link;
 pub mod measurement;
 pub mod quantity;
