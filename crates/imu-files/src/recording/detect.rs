@@ -5,10 +5,9 @@ use super::columns::foreign;
 use super::error::{RecordingError, read_error};
 use super::header::{Header, decoded, foreign_names, numbers_like};
 use super::input::Input;
+use super::kind::Kind;
 use super::{folder, ros, table, vn_binary};
 use std::io::Read;
-
-pub use super::kind::Kind;
 
 /// The number of bytes of a file that are examined.
 const LOOK_AT_BYTES: u64 = 64 * 1024;

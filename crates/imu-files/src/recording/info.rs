@@ -4,12 +4,10 @@ use super::choice::StampChoice;
 use super::findings::Findings;
 use super::grid::StampGrid;
 use super::kind::Kind;
-use super::rows::Rejected;
+use super::rows::{Decimals, Rejected};
 use imu_core::sample::{Channel, ChannelSet, DiscardCause, Timebase};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-pub use super::rows::Decimals;
 
 /// The source of a recording's times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
