@@ -6,7 +6,9 @@
 //! not count as an attempt.
 
 use super::JobError;
-use super::runner::{CHUNK, InStore, Keeper, Outcome, work};
+use super::pass::Keeper;
+use super::runner::{InStore, Outcome, work};
+use super::source::CHUNK;
 use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use crate::store::{JobCheckpoint, JobRow, Reader, Store, StoreError};
 use serde::{Deserialize, Serialize};

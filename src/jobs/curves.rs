@@ -5,9 +5,10 @@
 //! that memory stays below [`MEMORY`] plus one channel; [`MOST`] bounds that one. A checkpoint contains the finished
 //! curves; the samples of the others are read again.
 
-use super::fold::{GoOn, Pass, join, split};
+use super::pass::{GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
-use super::report::{self, Extent};
+use super::report;
+use super::source::Extent;
 use super::{JobError, JobParameters, SampleSource};
 use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;

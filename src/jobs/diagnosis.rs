@@ -4,18 +4,16 @@
 //! what the turns of the search on the present channel decided so far: a process that continues comes to the same result,
 //! bit for bit. After each channel it checks whether it is still wanted.
 
-use super::fold::{join, split};
+use super::diagnosis_parameters::{DiagnosisParameters, ReferenceMotion, Simulator, read_reference};
+use super::pass::{Keeper, join, split};
 use super::plan::Plan;
-use super::runner::Keeper;
-use super::{Gridded, JobError, ReferenceAxis, ReferenceMotion, add_cost, fitted, gridded};
-use crate::store::{JobCheckpoint, JobKind, JobRow, Reader, SOFTWARE};
+use super::{Gridded, JobError, add_cost, fitted, gridded};
+use crate::store::{JobCheckpoint, JobRow, Reader, SOFTWARE};
 use imu_core::sample::Channel;
 use imu_diagnosis::{Diagnosis, Drawings, Known, Options, Reference, Workers};
-use imu_model::motion::file::Rows;
 use imu_model::motion::{Course, Kind, Site};
 use imu_model::simulator::SensorModel;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 use serde_json::value::RawValue;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -27,116 +25,6 @@ const ROOM: u64 = 14_000_000;
 const BESIDES: u64 = 10;
 /// The factor by which the room is smaller if the sensor moved.
 const OF_A_MOTION: u64 = 4;
-/// The prefix of a model's number in its id: a number alone is a capture.
-const MODEL: &str = "model-";
-
-/// The simulator that a capture is compared with.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Simulator {
-    /// The id of a capture that a simulator made.
-    Capture(i64),
-    /// A sensor model.
-    Model(Box<SensorModel>),
-}
-
-/// Parameters of a diagnosis.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct DiagnosisParameters {
-    /// The simulator that the capture is compared with. A model is included as a whole, so that the job outlives it.
-    pub sim: Simulator,
-    /// The motion that the sensor underwent.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub reference: Option<ReferenceMotion>,
-}
-
-impl Simulator {
-    /// Looks up the requested simulator: a model by its id, a model, or a capture by its id or name.
-    ///
-    /// # Errors
-    /// [`JobError::Parameters`] if the value is not a simulator, [`JobError::Model`] if the model is invalid,
-    /// [`JobError::Store`] if there is no such model or capture.
-    pub(super) fn of(reader: &Reader, sim: Value) -> Result<Self, JobError> {
-        let refuse = |reason: &str| JobError::Parameters { kind: JobKind::Diagnosis.name(), reason: reason.to_owned() };
-        let capture = |id: i64| {
-            if reader.capture(id)?.state.is_open() {
-                return Err(refuse(&format!("capture {id} still runs: `sim` is one that has ended")));
-            }
-            Ok(Self::Capture(id))
-        };
-        match sim {
-            model @ Value::Object(_) => Self::of_model(&model, "sim"),
-            Value::String(text) => match text.strip_prefix(MODEL).and_then(|number| number.parse().ok()) {
-                Some(number) => Self::of_model(&serde_json::from_str(&reader.model(number)?.body)?, &text),
-                None => capture(reader.resolve(&text)?),
-            },
-            Value::Number(number) => {
-                let id = number.as_i64().ok_or_else(|| refuse("`sim` is a number and no capture's id"))?;
-                capture(id)
-            }
-            _ => Err(refuse("`sim` is a model's id (\"model-1\"), a sensor model, or a capture's id or name")),
-        }
-    }
-
-    fn of_model(value: &Value, called: &str) -> Result<Self, JobError> {
-        Ok(Self::Model(Box::new(SensorModel::from_value(value, called)?)))
-    }
-}
-
-impl DiagnosisParameters {
-    /// Reads the parameters that a row of the database holds.
-    pub(super) fn of_text(text: &str) -> Result<Self, JobError> {
-        #[derive(Deserialize)]
-        struct Stored {
-            sim: Value,
-            #[serde(default)]
-            reference: Option<ReferenceMotion>,
-        }
-        let refuse = |error: serde_json::Error| JobError::Parameters {
-            kind: JobKind::Diagnosis.name(),
-            reason: error.to_string(),
-        };
-        let Stored { sim, reference } = serde_json::from_str(text).map_err(refuse)?;
-        let sim = match sim.as_i64() {
-            Some(id) => Simulator::Capture(id),
-            None => Simulator::of_model(&sim, "sim")?,
-        };
-        Ok(Self { sim, reference })
-    }
-
-    /// Returns the SHA-256 of the reference that the database stores for this job.
-    pub(super) fn stored_reference(&self) -> Option<&str> {
-        match &self.reference {
-            Some(ReferenceMotion::Stored { sha256, .. }) => Some(sha256),
-            Some(ReferenceMotion::Named(_)) | None => None,
-        }
-    }
-}
-
-/// Reads a reference, `name`: a motion's CSV, poses, or rates about one axis. `axis` is that of an encoder.
-///
-/// # Errors
-/// A sentence for the user.
-pub fn read_reference(text: &str, name: &str, axis: Option<ReferenceAxis>) -> Result<Known, String> {
-    if !text.contains('\n') {
-        return Err(
-            "expected a motion's CSV with a header line, poses or rates likewise, or one of still, tumble, poses, rate-table"
-                .to_owned(),
-        );
-    }
-    if let Some(external) = imu_pose::read(text, axis.map(|axis| axis as usize)).map_err(|error| error.to_string())? {
-        return Ok(Known::External(external));
-    }
-    let rows = Rows::new(text.as_bytes(), name, None).map_err(|error| error.to_string())?;
-    let mut refused = None;
-    // There are many rows: they are stored once.
-    let reference = Reference::new(rows.map_while(|row| row.map_err(|error| refused = Some(error)).ok()));
-    match refused {
-        Some(error) => Err(error.to_string()),
-        None => reference.map(Known::Motion).map_err(|error| error.to_string()),
-    }
-}
-
 /// Returns the motion of the sensor during a recording.
 fn reference_of(reader: &Reader, given: &ReferenceMotion, gridded: &Gridded) -> Result<Known, JobError> {
     let none = JobError::InsufficientData;

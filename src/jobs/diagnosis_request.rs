@@ -3,8 +3,8 @@
 //! A body may contain a reference of many megabytes. Such a body is read by a separate process, which checks it and
 //! returns it in parts; the daemon holds one part at a time.
 
-use super::diagnosis::read_reference;
-use super::{DiagnosisParameters, JobError, Simulator};
+use super::JobError;
+use super::diagnosis_parameters::{DiagnosisParameters, ReferenceAxis, ReferenceMotion, Simulator, read_reference};
 use crate::process::{Child, Frame, FrameError, Received, write_frame};
 use crate::store::{JobKind, REFERENCE_PART_BYTES, Store};
 use imu_model::motion::Kind;
@@ -24,44 +24,6 @@ const MEMORY_BYTES: u64 = 256 << 20;
 const REASON_CHARS: usize = 500;
 /// The time limit of that process.
 const TIME: Duration = Duration::from_secs(60);
-
-/// The sensor's axis about which an encoder turns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
-#[expect(missing_docs, reason = "the names say it")]
-pub enum ReferenceAxis {
-    X,
-    Y,
-    Z,
-}
-
-impl ReferenceAxis {
-    /// Lists all axes with their names.
-    pub const NAMED: [(&'static str, Self); 3] = [("x", Self::X), ("y", Self::Y), ("z", Self::Z)];
-
-    /// Returns the axis with that name.
-    fn from_name(name: &str) -> Option<Self> {
-        Self::NAMED.into_iter().find_map(|(own, axis)| (own == name).then_some(axis))
-    }
-}
-
-/// The motion of the sensor, as a job's parameters contain it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(untagged)]
-pub enum ReferenceMotion {
-    /// A motion's CSV, which the database stores.
-    Stored {
-        /// SHA-256 of its text.
-        sha256: String,
-        /// Bytes of its text.
-        bytes: u64,
-        /// The axis of an encoder, which its file does not name.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        axis: Option<ReferenceAxis>,
-    },
-    /// A motion that needs no file: `still`, `tumble`, `poses`, `rate-table`.
-    Named(String),
-}
 
 /// The body of a request for a diagnosis.
 #[derive(Debug, Clone, Copy)]

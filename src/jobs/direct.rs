@@ -3,10 +3,10 @@
 use super::curves::Curves;
 use super::distribution::Distribution;
 use super::examine::InOneGo;
-use super::fold::Pass;
 use super::motion::{AtRest, at_rest};
-use super::report::{self, Extent};
-use super::runner::CHUNK;
+use super::pass::Pass;
+use super::report;
+use super::source::{CHUNK, Extent};
 use super::spectra::Spectra;
 use super::sums::Summation;
 use super::{AnalysisRequest, Documents, JobError, JobKind, JobParameters, Plan, SampleSource, StatisticsReport};

@@ -2,9 +2,10 @@
 //! here.
 
 use super::JobError;
-use super::fold::{GoOn, Pass, join, split};
+use super::pass::{GoOn, Pass, join, split};
 use super::plan::Plan;
-use super::report::{self, Extent};
+use super::report;
+use super::source::Extent;
 use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;
 use imu_noise::statistics::{Accumulator, Statistics};

@@ -5,11 +5,11 @@
 //! ([`Held`]). If one is longer, all are read twice, block by block, one channel after the other: memory does not grow
 //! with their length.
 
+use super::JobError;
 use super::held::Held;
 use super::plan::{Plan, Slice};
-use super::runner::CHUNK;
+use super::source::{CHUNK, SampleSource};
 use super::threads::side_by_side;
-use super::{JobError, SampleSource};
 use crate::store::{Chunk, Missing, chunks};
 use imu_core::sample::Channel;
 use imu_noise::NoiseParameters;

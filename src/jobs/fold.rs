@@ -1,14 +1,13 @@
-//! The computations of a job over samples, with a common interface.
+//! The computations of a job over samples: begins the one that a request needs, and reads its samples.
 
 use super::curves::{Curves, check};
 use super::distribution::Distribution;
 use super::motion::{AtRest, at_rest};
-use super::plan::Plan;
+use super::pass::Pass;
 use super::spectra::Spectra;
 use super::sums::Summation;
 use super::{AnalysisRequest, JobError, SampleSource, together};
 use crate::store::{Chunk, JobRow, Reader, StoreError};
-use imu_core::sample::Channel;
 use imu_noise::allan::Estimator;
 
 /// Returns the job's computation at its last checkpoint, and the next `seq` that it needs.
@@ -88,73 +87,4 @@ pub(super) fn read_chunk(
         return Err(StoreError::NoSuchCapture(job.capture.to_string()));
     }
     Ok(chunk)
-}
-
-/// A computation that receives samples, in one pass over them or several.
-pub(super) trait Pass {
-    /// Returns the plan of the samples that this computation takes in; `None` if it takes in all samples of the
-    /// capture.
-    fn plan(&self) -> Option<&Plan>;
-
-    /// Returns the channels to be read in this pass.
-    fn read_channels(&self) -> &[Channel];
-
-    /// Returns the next samples of this pass if they are held; otherwise they must be read.
-    fn held_chunk(&self, _from: u64, _limit: usize) -> Option<Chunk> {
-        None
-    }
-
-    /// Takes in the next samples of this pass.
-    fn take(&mut self, chunk: &Chunk);
-
-    /// Does a part of the computation after a pass has all its samples; returns `false` if nothing is left.
-    fn work(&mut self) -> bool {
-        false
-    }
-
-    /// Ends a pass over the samples; returns whether another one is needed.
-    fn end_pass(&mut self) -> bool {
-        false
-    }
-
-    /// Returns the overall progress when this pass has reached `next_seq` of `end_seq`, 0–1.
-    fn progress(&self, next_seq: u64, end_seq: u64) -> f64;
-
-    /// Returns the state for a checkpoint: everything that continuing needs besides the samples.
-    fn save(&mut self) -> Result<Vec<u8>, JobError>;
-
-    /// Returns the result's text, once the last pass has ended; `go_on` receives the progress of the remaining work, and
-    /// the state from which it continues.
-    fn document(self: Box<Self>, reader: &Reader, job: &JobRow, go_on: &mut GoOn<'_>) -> Result<String, JobError>;
-}
-
-/// Receives the progress, 0–1, and a new state for a checkpoint, if there is one; an error ends the work.
-pub(super) type GoOn<'a> = dyn FnMut(f64, Option<Vec<u8>>) -> Result<(), JobError> + 'a;
-
-/// Joins byte strings, each preceded by its length.
-pub(super) fn join(entries: &[Vec<u8>]) -> Vec<u8> {
-    let mut bytes = (entries.len() as u32).to_le_bytes().to_vec();
-    for entry in entries {
-        bytes.extend((entry.len() as u32).to_le_bytes());
-        bytes.extend(entry);
-    }
-    bytes
-}
-
-/// Splits off what [`join`] has written; `None` if it is damaged.
-pub(super) fn split(rest: &mut &[u8]) -> Option<Vec<Vec<u8>>> {
-    let number = |rest: &mut &[u8]| -> Option<usize> {
-        let (bytes, tail) = rest.split_first_chunk::<4>()?;
-        *rest = tail;
-        usize::try_from(u32::from_le_bytes(*bytes)).ok()
-    };
-    let count = number(rest)?;
-    let mut entries = Vec::new();
-    for _ in 0..count {
-        let length = number(rest)?;
-        let (entry, tail) = rest.split_at_checked(length)?;
-        entries.push(entry.to_vec());
-        *rest = tail;
-    }
-    Some(entries)
 }

@@ -4,15 +4,18 @@
 //! committed since, at most [`CATCH_UP`] per call, and returns the result for those it has.
 
 use super::distribution::Distribution;
-use super::fold::Pass as _;
-use super::report::{self, Extent, StatisticsReport};
+use super::pass::Pass as _;
+use super::report::{self, StatisticsReport};
 use super::sampling::of_configuration;
+use super::source::Extent;
 use super::{Documents, JobError, JobKind};
 use crate::store::Reader;
-use imu_core::sample::Channel;
-use imu_noise::NoiseReport;
+use imu_core::sample::{Channel, Triad};
 use imu_noise::allan::{AllanCurve, AllanPoint, AllanReport, Estimator, FixedPoint, LiveAllan};
+use imu_noise::fit::{Flag, fit_as_sampled};
 use imu_noise::stillness::{MOTION_CHANNELS, Stillness};
+use imu_noise::whittle::Sampling;
+use imu_noise::{NoiseReport, hold_against};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -214,7 +217,7 @@ impl Live {
         }
         let extent = Extent { complete: false, ..Extent::read(reader, capture_id, points.next_seq)? };
         let sampling = of_configuration(&reader.capture(capture_id)?.configuration);
-        let report = report::noise_of_points(&points, self.moving_s(capture_id), &sampling, extent);
+        let report = noise_of_points(&points, self.moving_s(capture_id), &sampling, extent);
         let report = SoFar { report, caught_up: Some(points.caught_up) };
         let (next_seq, made) = (points.next_seq, Instant::now());
         *noise = Some(Kept { capture_id, next_seq, made, report: report.clone() });
@@ -263,6 +266,36 @@ impl Live {
         }
         Ok(own)
     }
+}
+
+/// Returns the noise parameters of octaves of a capture that still runs.
+fn noise_of_points(
+    points: &LivePoints,
+    moving_s: Option<f64>,
+    sampling: &BTreeMap<Triad, Sampling>,
+    extent: Extent,
+) -> NoiseReport {
+    let LivePoints { rate_hz, other_rate, .. } = *points;
+    // Octaves cannot be divided again: samples in motion are included.
+    let moved = moving_s.filter(|moving_s| *moving_s > 0.0).map(|moving_s| {
+        format!(
+            "the sensor moved for {moving_s:.1} s, which is left out only once the capture has ended: ask again then, or submit a \
+             noise job"
+        )
+    });
+    let channels = points.channels.iter().map(|(channel, octaves)| {
+        let sampling = channel.triad().and_then(|triad| sampling.get(&triad));
+        let mut parameters = fit_as_sampled(octaves, rate_hz, *channel, sampling);
+        hold_against(&mut parameters, octaves, rate_hz, *channel, &[]);
+        if let Some(reason) = &moved {
+            parameters.refuse(reason.clone());
+        }
+        parameters.flags.extend(Flag::other_rate(rate_hz, other_rate));
+        (*channel, parameters)
+    });
+    let channels = channels.collect();
+    let at_rest_s = moving_s.map(|moving_s| (points.samples as f64 / rate_hz - moving_s).max(0.0));
+    NoiseReport { at_rest_s, moving_s, ..report::noise_report(extent, rate_hz, channels) }
 }
 
 impl Pyramids {

@@ -5,10 +5,10 @@
 //! the later ones continue those of the earlier ones. A segment never spans two captures, so nothing is averaged across
 //! them.
 
+use super::JobError;
 use super::raw_counts::RawCounts;
-use super::runner::CHUNK;
 use super::sampling::{SamplingError, of_configuration, sampling};
-use super::{JobError, SampleSource};
+use super::source::{CHUNK, SampleSource};
 use crate::store::{Chunk, PageRequest, Reader, StoreError, chunks};
 use imu_core::sample::{Channel, StatedSampling, Triad};
 use imu_noise::whittle::Sampling;

@@ -1,23 +1,21 @@
 //! Reports: converts sums and moments to the documents of docs/formats.md.
 
 use super::JobError;
-use super::SampleSource;
 use super::examine::{Steps, examine};
 use super::held::Held;
-use super::live::LivePoints;
 use super::plan::{Plan, Shares};
 use super::raw_counts::RawCounts;
+use super::source::{Extent, SampleSource};
 use super::threads::side_by_side;
-use crate::store::{Reader, StoreError};
-use imu_core::sample::{Channel, Triad};
+use imu_core::sample::Channel;
 use imu_core::units::counted;
 use imu_noise::allan::{AllanCurve, AllanReport, AllanSums, Estimator};
-use imu_noise::fit::{Flag, fit_as_sampled};
+use imu_noise::fit::Flag;
 use imu_noise::robust::All;
 use imu_noise::statistics::Statistics;
 use imu_noise::stillness::MOTION_CHANNELS;
-use imu_noise::whittle::{DstSums, Sampling};
-use imu_noise::{Contribution, NoiseParameters, NoiseReport, hold_against};
+use imu_noise::whittle::DstSums;
+use imu_noise::{Contribution, NoiseParameters, NoiseReport};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -43,23 +41,6 @@ pub struct StatisticsReport {
 impl StatisticsReport {
     /// The name of this format.
     pub const FORMAT: &'static str = "vn100d-statistics-1";
-}
-
-/// The part of a report that describes its samples.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Extent {
-    /// The capture's name, or the names of several.
-    pub capture: String,
-    /// Sample time covered, received and missing, s.
-    pub duration_s: f64,
-    /// Number of samples received.
-    pub samples: u64,
-    /// Number of samples missing.
-    pub missing: u64,
-    /// Whether no sample will follow.
-    pub complete: bool,
-    /// For several captures the contribution of each.
-    pub captures: Vec<Contribution>,
 }
 
 impl Extent {
@@ -98,25 +79,6 @@ impl Extent {
             complete: self.complete && other.complete,
             captures: self.captures,
         }
-    }
-
-    /// Returns the capture's samples below `end_seq`; `rate_hz` turns them into time if that is not all of an ended
-    /// capture.
-    pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, StoreError> {
-        let capture = reader.capture(capture_id)?;
-        if !capture.state.is_open() && capture.samples == end_seq {
-            return Ok(Self {
-                capture: capture.name,
-                duration_s: capture.duration_s,
-                samples: capture.samples,
-                missing: capture.missing,
-                complete: true,
-                captures: Vec::new(),
-            });
-        }
-        let missing = reader.missing_before(capture_id, end_seq)?;
-        let duration_s = capture.rate_hz.map_or(0.0, |rate_hz| (end_seq + missing) as f64 / rate_hz);
-        Ok(Self { capture: capture.name, duration_s, samples: end_seq, missing, complete: false, captures: Vec::new() })
     }
 }
 
@@ -235,37 +197,8 @@ pub(super) fn noise(
     })
 }
 
-/// Returns the noise parameters of octaves of a capture that still runs.
-pub(super) fn noise_of_points(
-    points: &LivePoints,
-    moving_s: Option<f64>,
-    sampling: &BTreeMap<Triad, Sampling>,
-    extent: Extent,
-) -> NoiseReport {
-    let LivePoints { rate_hz, other_rate, .. } = *points;
-    // Octaves cannot be divided again: samples in motion are included.
-    let moved = moving_s.filter(|moving_s| *moving_s > 0.0).map(|moving_s| {
-        format!(
-            "the sensor moved for {moving_s:.1} s, which is left out only once the capture has ended: ask again then, or submit a \
-             noise job"
-        )
-    });
-    let channels = points.channels.iter().map(|(channel, octaves)| {
-        let sampling = channel.triad().and_then(|triad| sampling.get(&triad));
-        let mut parameters = fit_as_sampled(octaves, rate_hz, *channel, sampling);
-        hold_against(&mut parameters, octaves, rate_hz, *channel, &[]);
-        if let Some(reason) = &moved {
-            parameters.refuse(reason.clone());
-        }
-        parameters.flags.extend(Flag::other_rate(rate_hz, other_rate));
-        (*channel, parameters)
-    });
-    let channels = channels.collect();
-    let at_rest_s = moving_s.map(|moving_s| (points.samples as f64 / rate_hz - moving_s).max(0.0));
-    NoiseReport { at_rest_s, moving_s, ..noise_report(extent, rate_hz, channels) }
-}
-
-fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseParameters>) -> NoiseReport {
+/// Makes a report of the noise parameters of every channel.
+pub(super) fn noise_report(extent: Extent, rate_hz: f64, channels: BTreeMap<Channel, NoiseParameters>) -> NoiseReport {
     NoiseReport {
         format: NoiseReport::FORMAT.to_owned(),
         capture: extent.capture,

@@ -1,12 +1,15 @@
 //! Requests for jobs: the kind of a job and its parameters.
 
-use super::diagnosis::DiagnosisParameters;
-use super::{CAPTURES_MAX, JobError};
+use super::JobError;
+use super::diagnosis_parameters::DiagnosisParameters;
 use crate::store::{JobKind, JobRow, NewJob};
 use imu_core::sample::Channel;
 use imu_noise::allan::{Estimator, TauSpacing};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
+
+/// The maximum number of captures in one computation.
+pub const CAPTURES_MAX: usize = 100;
 
 /// A request for a job. A row of the database holds the kind and, as JSON text, the parameters.
 #[derive(Debug, Clone, PartialEq)]

@@ -4,17 +4,12 @@
 //! from there comes to the same result, bit for bit. A job that is stopped is queued again; a cancelled one ends at the
 //! next chunk.
 
-use super::fold::{self, Pass};
+use super::fold;
+use super::pass::{FOLDED, Keeper, Pass};
 use super::{JobError, JobRequest};
 use crate::store::{JobCheckpoint, JobRow, JobState, Reader, Store, StoreError};
 use std::time::{Duration, Instant};
 
-/// Samples of one chunk.
-pub const CHUNK: usize = 65_536;
-/// The progress of a job over a long capture when its fold is done and disturbances are still to be searched for.
-pub(super) const FOLDED: f64 = 0.4;
-/// [`FOLDED`] if the search is done in one go.
-pub(super) const FOLDED_SHORT: f64 = 0.9;
 /// The share of its time that a job leaves to others after each chunk.
 const REST: u32 = 10;
 
@@ -27,15 +22,6 @@ pub(super) enum Outcome {
     Cancelled,
     /// It was stopped and waits for the next start.
     Stopped,
-}
-
-/// Stores the progress of a job. An error ends the work: [`JobError::CalledOff`] if the job is no longer wanted,
-/// [`JobError::Stopped`] if it is to continue at the next start.
-pub(super) trait Keeper: Send {
-    /// Stores a checkpoint of the job.
-    fn checkpoint(&mut self, checkpoint: JobCheckpoint, progress: f64) -> Result<(), JobError>;
-    /// Stores the progress between checkpoints.
-    fn progress(&mut self, progress: f64) -> Result<(), JobError>;
 }
 
 /// Stores the progress in the database; `keep_on` is called after each step and returns `false` when the program ends.

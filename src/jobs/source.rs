@@ -1,10 +1,52 @@
-//! Source: provides a computation's samples. The database is one; callers with samples elsewhere implement another.
+//! Source: provides a computation's samples, and their extent for a report. The database is one; callers with samples
+//! elsewhere implement another.
 
-use super::report::Extent;
 use crate::store::{Chunk, Missing, Reader, StoreError};
 use imu_core::sample::{Channel, Timebase};
 use imu_core::units::NANOS_PER_SECOND;
+use imu_noise::Contribution;
 use std::collections::BTreeMap;
+
+/// Samples of one chunk.
+pub const CHUNK: usize = 65_536;
+
+/// The part of a report that describes its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Extent {
+    /// The capture's name, or the names of several.
+    pub capture: String,
+    /// Sample time covered, received and missing, s.
+    pub duration_s: f64,
+    /// Number of samples received.
+    pub samples: u64,
+    /// Number of samples missing.
+    pub missing: u64,
+    /// Whether no sample will follow.
+    pub complete: bool,
+    /// For several captures the contribution of each.
+    pub captures: Vec<Contribution>,
+}
+
+impl Extent {
+    /// Returns the capture's samples below `end_seq`; `rate_hz` turns them into time if that is not all of an ended
+    /// capture.
+    pub(super) fn read(reader: &Reader, capture_id: i64, end_seq: u64) -> Result<Self, StoreError> {
+        let capture = reader.capture(capture_id)?;
+        if !capture.state.is_open() && capture.samples == end_seq {
+            return Ok(Self {
+                capture: capture.name,
+                duration_s: capture.duration_s,
+                samples: capture.samples,
+                missing: capture.missing,
+                complete: true,
+                captures: Vec::new(),
+            });
+        }
+        let missing = reader.missing_before(capture_id, end_seq)?;
+        let duration_s = capture.rate_hz.map_or(0.0, |rate_hz| (end_seq + missing) as f64 / rate_hz);
+        Ok(Self { capture: capture.name, duration_s, samples: end_seq, missing, complete: false, captures: Vec::new() })
+    }
+}
 
 /// Samples of captures, by the captures' ids.
 pub trait SampleSource {

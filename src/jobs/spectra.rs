@@ -5,12 +5,11 @@
 //! open stretch is read again, so that the transform sees it without an interruption.
 
 use super::examine::{Examined, Steps};
-use super::fold::{GoOn, Pass, join, split};
 use super::held::Held;
 use super::motion::AtRest;
+use super::pass::{FOLDED, FOLDED_SHORT, GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
 use super::report;
-use super::runner::{FOLDED, FOLDED_SHORT};
 use super::threads::side_by_side;
 use super::{JobError, SampleSource};
 use crate::store::{Chunk, JobRow, Reader};

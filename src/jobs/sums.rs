@@ -4,9 +4,10 @@
 //! whatever the length. A channel needs 2.5 phases of 8 bytes per sample of its longest averaging time with full
 //! overlap.
 
-use super::fold::{GoOn, Pass, join, split};
+use super::pass::{GoOn, Pass, join, split};
 use super::plan::{Plan, feed};
-use super::report::{self, Extent};
+use super::report;
+use super::source::Extent;
 use super::{JobError, JobParameters, SampleSource};
 use crate::store::{Chunk, JobRow, Reader};
 use imu_core::sample::Channel;

@@ -1,6 +1,6 @@
 //! The guarantees of jobs, on real files.
 
-use super::fold::Pass as _;
+use super::pass::Pass as _;
 use super::runner::{Outcome, run};
 use super::*;
 use crate::store::{CaptureState, JobState, NewCapture, NewJob, Reader, Store, StoreOptions};

@@ -1,16 +1,14 @@
 //! Together: determines whether several captures are of one sensor at one setting, so that their sums may be added.
 
+use super::JobError;
 use super::plan::Plan;
+use super::request::{CAPTURES_MAX, JobParameters};
 use super::sampling::of_configuration;
-use super::{JobError, JobParameters};
 use crate::store::{CaptureRow, Reader};
 use imu_core::sample::{Channel, FilterWindows, Triad};
 use imu_diagnosis::is_same_rate;
 use imu_noise::whittle::Sampling;
 use std::collections::BTreeMap;
-
-/// The maximum number of captures in one computation.
-pub const CAPTURES_MAX: usize = 100;
 
 /// The properties that captures must share to be analysed together. A property that one of them does not state is no
 /// difference.

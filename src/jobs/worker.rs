@@ -1,6 +1,7 @@
 //! The workers: threads that take jobs from the queue, and remove deleted rows when there are none.
 
-use super::runner::{CHUNK, Outcome, run};
+use super::runner::{Outcome, run};
+use super::source::CHUNK;
 use super::{AnalysisRequest, DiagnosisBody, JobError, JobKind, JobParameters, JobRequest, Simulator, together};
 use crate::observe::JobsStatus;
 use crate::process::step_back;
