@@ -4,6 +4,7 @@
 //! blocks the writer. Because the transaction stays open, the copy does not restart at each of the writer's commits.
 //! The copy is written beside its destination, synced, and appears under its name complete or not at all.
 
+use super::paths::wal_path;
 use super::{Reader, StoreError, schema};
 use rusqlite::Connection;
 use rusqlite::backup::{Backup, StepResult};
@@ -95,7 +96,7 @@ impl NewFile {
             }
             let same = out.canonicalize().ok().zip(source.canonicalize().ok()).is_some_and(|(one, other)| one == other);
             // SQLite would take the log of the replaced file for the log of the new file.
-            let has_log = std::fs::metadata(schema::wal_path(out)).is_ok_and(|log| log.len() > 0);
+            let has_log = std::fs::metadata(wal_path(out)).is_ok_and(|log| log.len() > 0);
             // A log is no database, but one would miss it.
             let is_beside = schema::is_of_database(out) && !schema::is_database(out);
             if same || has_log || is_beside {

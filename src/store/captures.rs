@@ -1,5 +1,6 @@
 //! Captures: creation, changes, lists and deletion.
 
+use super::error::{changed_one, no_such};
 use super::names::{NAME_MAX, as_id, check_name, check_note, free_name, numbered, pin};
 use super::sql::{find, run, value};
 use super::{Page, PageRequest, Reader, SOFTWARE, Store, StoreError, UtcNs};
@@ -312,14 +313,6 @@ pub(super) fn tidy_after_start(connection: &mut Connection) -> Result<(), StoreE
     // A reference that was still being stored when the program ended has no job, and is removed.
     connection.execute("UPDATE reference SET claimed = 1 WHERE claimed = 0", [])?;
     super::utc::close_all(connection)
-}
-
-pub(super) fn no_such(id: i64) -> StoreError {
-    StoreError::NoSuchCapture(id.to_string())
-}
-
-pub(super) fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
-    if rows == 0 { Err(no_such(id)) } else { Ok(()) }
 }
 
 /// Inserts the capture. Without a usable name it is named after the time, `2026-11-21T20-00-00Z`. A name that was not

@@ -5,7 +5,7 @@
 //! copying the log. Every later command fails with one error that names the command to run. The next start refuses the
 //! file with the same error, even if its check of two seconds does not reach the damaged place.
 
-use super::{StoreError, lock};
+use super::paths::lock_path;
 use std::path::Path;
 
 /// The reason why nothing is written any more.
@@ -20,24 +20,9 @@ pub enum Damage {
 }
 
 impl Damage {
-    /// Returns the damage that the error indicates; `None` if it indicates none.
-    pub(super) fn of(error: &StoreError) -> Option<Self> {
-        match error {
-            StoreError::DamagedFile(_, damage) => Some(damage.clone()),
-            StoreError::Damaged(report) => Some(Self::Met(report.clone())),
-            error if error.is_damage() => Some(Self::Met(error.to_string())),
-            _ => None,
-        }
-    }
-
-    /// Returns the error that every call returns from now on.
-    pub(super) fn error(&self, path: &Path) -> StoreError {
-        StoreError::DamagedFile(path.to_owned(), self.clone())
-    }
-
     /// Describes the damage of the database at `path`, and what to do about it.
     pub(super) fn message(&self, path: &Path) -> String {
-        let (path, lock) = (path.display(), lock::lock_path(path));
+        let (path, lock) = (path.display(), lock_path(path));
         let lock = lock.display();
         match self {
             Self::Met(report) => format!(

@@ -3,7 +3,7 @@
 use super::damage::Damage;
 use crate::observe::StorageState;
 use rusqlite::ErrorCode;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Everything that can go wrong with the database.
 #[derive(Debug, thiserror::Error)]
@@ -318,6 +318,40 @@ impl StoreError {
     pub fn is_interrupted(&self) -> bool {
         matches!(self, Self::Sqlite(error) if error.sqlite_error_code() == Some(ErrorCode::OperationInterrupted))
     }
+}
+
+impl Damage {
+    /// Returns the damage that the error indicates; `None` if it indicates none.
+    pub(super) fn of(error: &StoreError) -> Option<Self> {
+        match error {
+            StoreError::DamagedFile(_, damage) => Some(damage.clone()),
+            StoreError::Damaged(report) => Some(Self::Met(report.clone())),
+            error if error.is_damage() => Some(Self::Met(error.to_string())),
+            _ => None,
+        }
+    }
+
+    /// Returns the error that every call returns from now on.
+    pub(super) fn error(&self, path: &Path) -> StoreError {
+        StoreError::DamagedFile(path.to_owned(), self.clone())
+    }
+}
+
+/// Returns whether the error reports that the file is damaged.
+pub(super) fn reports_damage(error: &rusqlite::Error) -> bool {
+    use rusqlite::ErrorCode as Code;
+    matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
+        || matches!(error, rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::FromSqlConversionFailure(..))
+}
+
+/// Returns the error that no capture has this id.
+pub(super) fn no_such(id: i64) -> StoreError {
+    StoreError::NoSuchCapture(id.to_string())
+}
+
+/// Fails if a statement about this capture changed no row.
+pub(super) fn changed_one(id: i64, rows: usize) -> Result<(), StoreError> {
+    if rows == 0 { Err(no_such(id)) } else { Ok(()) }
 }
 
 fn kind_of(error: &rusqlite::Error) -> StoreErrorKind {

@@ -8,61 +8,23 @@
 //! The replacement may still be being copied (`cp`). It is left alone while it changes, and a file that is refused as
 //! damaged is examined again ([`FileId::judged`]).
 
+use super::StoreError;
 use super::damage::Damage;
-use super::{StoreError, schema};
+use super::error::reports_damage;
+use super::paths::{shm_path, uri_escaped, wal_path};
+use super::schema::refuse_foreign;
+use super::written::{Id, id_of, written};
 use rusqlite::{Connection, OpenFlags};
-use std::collections::BTreeMap;
 use std::io::Read;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-type Id = (u64, u64);
-
-/// The file that this process writes under each path. It is global because SQLite's own bookkeeping is: a reader that
-/// opened a file which has just replaced the written one would use the log of the written one.
-static WRITTEN: Mutex<BTreeMap<PathBuf, Id>> = Mutex::new(BTreeMap::new());
-
-pub(super) fn written() -> MutexGuard<'static, BTreeMap<PathBuf, Id>> {
-    WRITTEN.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Fails if the path names another file than the written one. Must be called between opening a connection, which opens
-/// the file, and its first read, which opens the log.
-pub(super) fn refuse_replaced(path: &Path) -> Result<(), StoreError> {
-    match written().get(path) {
-        Some(id) if id_of(path) != Some(*id) => Err(StoreError::Lost {
-            path: path.to_owned(),
-            detail: "it is read again once another file takes its place",
-        }),
-        _ => Ok(()),
-    }
-}
-
-/// Returns the file that this process writes under a path, as text to be passed to another process of this program.
-pub(super) fn written_file(path: &Path) -> String {
-    written().get(path).map(|(device, number)| format!("{device}:{number}")).unwrap_or_default()
-}
-
-/// Adopts another process's record of the file that is written under a path: [`refuse_replaced`] then refuses any
-/// other.
-pub(super) fn adopt(path: &Path, file: &str) {
-    let id = file.split_once(':').and_then(|(device, number)| Some((device.parse().ok()?, number.parse().ok()?)));
-    if let Some(id) = id {
-        written().insert(path.to_owned(), id);
-    }
-}
-
-pub(super) fn id_of(path: &Path) -> Option<Id> {
-    std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()))
-}
 
 /// Bytes that distinguish one log from the next in the same file: its header, with the salt.
 const LOG_HEADER: usize = 32;
 
 pub(super) fn log_header(path: &Path) -> Option<[u8; LOG_HEADER]> {
     let mut header = [0; LOG_HEADER];
-    std::fs::File::open(schema::wal_path(path)).ok()?.read_exact(&mut header).ok()?;
+    std::fs::File::open(wal_path(path)).ok()?.read_exact(&mut header).ok()?;
     Some(header)
 }
 
@@ -111,10 +73,10 @@ enum Content {
 }
 
 fn content(path: &Path) -> Content {
-    let uri = format!("file:{}?immutable=1", schema::uri_escaped(path));
+    let uri = format!("file:{}?immutable=1", uri_escaped(path));
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
     let Ok(connection) = Connection::open_with_flags(uri, flags) else { return Content::Nothing };
-    match schema::refuse_foreign(&connection, path) {
+    match refuse_foreign(&connection, path) {
         Ok(()) => {}
         // A file that is no database at all may be a damaged one.
         Err(StoreError::Foreign { found, .. }) if found != 0 => return Content::Foreign,
@@ -123,7 +85,7 @@ fn content(path: &Path) -> Content {
     let read = |row: &rusqlite::Row<'_>| Ok(Content::Identity(row.get(0)?, row.get(1)?));
     match connection.query_row("SELECT identity, batch FROM writer", [], read) {
         Ok(identity) => identity,
-        Err(error) if schema::reports_damage(&error) => Content::Nothing,
+        Err(error) if reports_damage(&error) => Content::Nothing,
         Err(_) => Content::Ours,
     }
 }
@@ -145,7 +107,7 @@ impl FileId {
     /// Returns the file that this process writes from now on. A connection has read it, so that log and shared memory
     /// exist.
     pub(super) fn written(path: &Path) -> Self {
-        let beside = [schema::wal_path(path), schema::shm_path(path)];
+        let beside = [wal_path(path), shm_path(path)];
         let beside = beside.into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
         let file = Self { beside, ..Self::of(path) };
         match file.database {
@@ -234,8 +196,7 @@ impl FileId {
         };
         drop(connection);
         self.log = log_header(path);
-        self.remains =
-            [schema::shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
+        self.remains = [shm_path(path)].into_iter().filter_map(|path| id_of(&path).map(|id| (path, id))).collect();
     }
 
     /// Closes the connection to the lost file, which is then complete for a user who has it under another name. Removes
@@ -266,7 +227,7 @@ impl FileId {
                 let report = "it cannot be read beside the log that was left".to_owned();
                 return Err(Damage::Refused(report).error(path));
             }
-            let (log, aside) = (schema::wal_path(path), kept_log(path));
+            let (log, aside) = (wal_path(path), kept_log(path));
             std::fs::rename(&log, &aside).map_err(|source| StoreError::Create { path: aside.clone(), source })?;
             tracing::warn!(
                 message = "The lost file's log is kept: beside that file, under its name and `-wal`, it completes it.",

@@ -1,11 +1,12 @@
 //! The lock that lets only one process write a database, and the refusal of unsafe file systems.
 
 use super::StoreError;
+use super::paths::lock_path;
 use rustix::fs::FlockOperation;
 use std::fs::{File, OpenOptions};
 use std::io::Read;
 use std::os::unix::fs::FileExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Holds `<database>.lock` with this process's id in it. The kernel releases it when the process ends, in whatever way.
 ///
@@ -98,12 +99,6 @@ pub(super) fn refuse_writer(database: &Path) -> Result<(), StoreError> {
         }
         _ => Ok(()),
     }
-}
-
-pub(super) fn lock_path(database: &Path) -> PathBuf {
-    let mut path = database.as_os_str().to_owned();
-    path.push(".lock");
-    PathBuf::from(path)
 }
 
 /// Refuses file systems whose locks or shared memory do not reach all processes (sqlite.org/howtocorrupt.html, 2.1).

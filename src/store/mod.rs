@@ -18,6 +18,7 @@ mod backup;
 mod batch;
 mod captures;
 mod check;
+mod check_at_start;
 mod damage;
 mod diagnoses;
 mod error;
@@ -32,6 +33,7 @@ mod models;
 mod names;
 mod page;
 mod part;
+mod paths;
 mod progress;
 mod queue;
 mod reader;
@@ -48,6 +50,7 @@ mod trail;
 mod unfinished;
 mod utc;
 mod writer;
+mod written;
 
 #[cfg(test)]
 mod data_model;
@@ -343,7 +346,7 @@ impl Store {
 
     /// Returns the file that is written, as text for [`Reader::open_written`].
     pub fn file(&self) -> String {
-        file_id::written_file(self.path())
+        written::written_file(self.path())
     }
 
     /// Returns the clock's civil time.

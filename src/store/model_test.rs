@@ -81,7 +81,7 @@ fn action() -> impl Strategy<Value = Action> {
 impl Files {
     fn read(path: &Path) -> Self {
         let read = |path: PathBuf| std::fs::read(path).unwrap_or_default();
-        Self { database: read(path.into()), log: read(schema::wal_path(path)), lock: read(lock::lock_path(path)) }
+        Self { database: read(path.into()), log: read(paths::wal_path(path)), lock: read(paths::lock_path(path)) }
     }
 
     /// Returns the database's path, in a new folder.
@@ -89,8 +89,8 @@ impl Files {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("vn100d.db");
         std::fs::write(&path, &self.database).unwrap();
-        std::fs::write(schema::wal_path(&path), &self.log).unwrap();
-        std::fs::write(lock::lock_path(&path), &self.lock).unwrap();
+        std::fs::write(paths::wal_path(&path), &self.log).unwrap();
+        std::fs::write(paths::lock_path(&path), &self.lock).unwrap();
         (folder, path)
     }
 }
@@ -242,7 +242,7 @@ impl Driver {
         records.iter().for_each(|record| capture.apply(record));
         let samples = capture.samples;
         let before = self.store.progress();
-        let log = std::fs::metadata(schema::wal_path(self.store.path())).map_or(0, |file| file.len());
+        let log = std::fs::metadata(paths::wal_path(self.store.path())).map_or(0, |file| file.len());
         if let Some(room) = room {
             limit(Some(log.max(1 << 16) + room));
         }

@@ -1,6 +1,6 @@
 //! Names and notes of captures: which ones are valid, which name a new capture gets, and how both change later.
 
-use super::captures::{changed_one, no_such};
+use super::error::{changed_one, no_such};
 use super::insert::insert_event;
 use super::sql::{find, value};
 use super::{Reader, Store, StoreError};

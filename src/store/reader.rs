@@ -44,7 +44,7 @@ impl Reader {
     /// # Errors
     /// As [`Self::open`]; [`StoreError::Lost`] if another file has taken its place.
     pub fn open_written(path: &Path, file: &str) -> Result<Self, StoreError> {
-        super::file_id::adopt(path, file);
+        super::written::adopt(path, file);
         Self::open(path)
     }
 

@@ -2,10 +2,11 @@
 //! untouched.
 
 use crate::observe::StorageState;
-use crate::store::file_id::{FileId, REFUSALS, id_of, kept_log, log_header};
+use crate::store::file_id::{FileId, REFUSALS, kept_log, log_header};
 use crate::store::tests::{World, bare_writer, sample, segment};
+use crate::store::written::id_of;
 use crate::store::{
-    CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, progress, schema, writer,
+    CaptureState, NewCapture, PageRequest, Reader, Store, StoreOptions, check, paths, progress, schema, writer,
 };
 use imu_core::sample::Record;
 use std::path::{Path, PathBuf};
@@ -85,7 +86,7 @@ fn a_file_replaced_while_it_is_closed_takes_the_captures_and_never_the_old_log()
     // The data missing in the old file is in the log that was kept.
     let mut kept = path.as_os_str().to_owned();
     kept.push(".lost-1-wal");
-    std::fs::rename(PathBuf::from(kept), schema::wal_path(&moved)).unwrap();
+    std::fs::rename(PathBuf::from(kept), paths::wal_path(&moved)).unwrap();
     assert_eq!(content(&moved), [("night".to_owned(), 150)]);
     // The file is lost again: each capture continues once.
     writer.pretend_io_error();
@@ -213,7 +214,7 @@ fn half_a_file_that_stays_as_it_is_is_refused_in_the_end_and_the_log_stays() {
     let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
     assert_eq!(writer.write_now(samples(id, 100..110)), 0);
     writer.pretend_io_error();
-    let log = std::fs::read(schema::wal_path(&path)).unwrap();
+    let log = std::fs::read(paths::wal_path(&path)).unwrap();
     let garbage = vec![7; whole.len() / 2];
     renumber(&path, &garbage);
     for _ in 0..REFUSALS {
@@ -223,7 +224,7 @@ fn half_a_file_that_stays_as_it_is_is_refused_in_the_end_and_the_log_stays() {
     let seen = progress::locked(&progress).clone();
     assert!(seen.damaged && seen.error.as_ref().is_some_and(|error| error.contains("damaged")), "{seen:?}");
     assert!(std::fs::read(&path).unwrap() == garbage);
-    assert!(std::fs::read(schema::wal_path(&path)).unwrap() == log, "it may be that file's own");
+    assert!(std::fs::read(paths::wal_path(&path)).unwrap() == log, "it may be that file's own");
 }
 
 #[test]
@@ -236,7 +237,7 @@ fn a_log_that_is_taken_away_while_it_is_closed_ends_the_writing() {
     writer.write_now(samples(id, 100..150));
     writer.pretend_io_error();
     drop(reader);
-    std::fs::remove_file(schema::wal_path(&path)).unwrap();
+    std::fs::remove_file(paths::wal_path(&path)).unwrap();
     let before = std::fs::read(&path).unwrap();
     writer.write_now(samples(id, 150..160));
     let seen = progress::locked(&progress).clone();
@@ -254,13 +255,13 @@ fn a_database_moved_into_place_with_its_own_log_keeps_it() {
     assert_eq!(second.write_now(samples(3, 1000..1050)), 0);
     let newcomer = world.directory.path().join("newcomer.db");
     std::fs::copy(&source, &newcomer).unwrap();
-    std::fs::copy(schema::wal_path(&source), schema::wal_path(&newcomer)).unwrap();
+    std::fs::copy(paths::wal_path(&source), paths::wal_path(&newcomer)).unwrap();
     let (mut writer, _) = bare_writer(&path, &world.directory.path().join("lock"));
     assert_eq!(writer.write_now(samples(id, 100..150)), 0);
-    std::fs::rename(schema::wal_path(&newcomer), schema::wal_path(&path)).unwrap();
+    std::fs::rename(paths::wal_path(&newcomer), paths::wal_path(&path)).unwrap();
     std::fs::rename(&newcomer, &path).unwrap();
     writer.check_now();
-    assert!(schema::wal_path(&path).exists(), "it is the newcomer's");
+    assert!(paths::wal_path(&path).exists(), "it is the newcomer's");
     assert_eq!(writer.write_now(samples(id, 150..160)), 0);
     assert_eq!(
         content(&path)[..2],

@@ -125,7 +125,7 @@ fn a_log_written_over_itself_is_the_same_log() {
     let id = world.capturing();
     world.send(id, whole());
     world.store.flush_blocking().unwrap();
-    let log = schema::wal_path(world.store.path());
+    let log = paths::wal_path(world.store.path());
     let before = std::fs::read(&log).unwrap();
     assert!(before.len() > 10_000);
     writer::rewrite(&log).unwrap();
@@ -146,7 +146,7 @@ fn a_healthy_database_is_recovered_as_it_is() {
     // A killed process leaves everything in the log.
     let copy = world.directory.path().join("killed.db");
     std::fs::copy(&path, &copy).unwrap();
-    std::fs::copy(schema::wal_path(&path), schema::wal_path(&copy)).unwrap();
+    std::fs::copy(paths::wal_path(&path), paths::wal_path(&copy)).unwrap();
     let out = world.directory.path().join("out.db");
     let report = recover(&copy, &out, false).unwrap();
     assert!(!report.has_damage(), "{report:?}");
@@ -310,7 +310,7 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     store.delete_capture(1).unwrap();
     store.flush_blocking().unwrap();
     let whole = damage_root(&path, "sample");
-    let files = || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
+    let files = || [std::fs::read(&path).unwrap(), std::fs::read(paths::wal_path(&path)).unwrap()];
     let before = files();
     // The first caller receives SQLite's error; the next one receives an instruction.
     assert!(store.purge_step().unwrap_err().is_damage());
@@ -332,7 +332,7 @@ fn a_purge_that_meets_damage_ends_the_writing_for_good() {
     assert_eq!(refused.to_string(), error.to_string());
     // If the full check finds nothing, the user decides whether to continue, as the error states.
     assert_eq!(check(&path).unwrap().findings, []);
-    std::fs::remove_file(lock::lock_path(&path)).unwrap();
+    std::fs::remove_file(paths::lock_path(&path)).unwrap();
     let store = Store::open(&path, StoreOptions::default()).unwrap();
     while store.purge_step().unwrap() {}
     store.close().unwrap();
@@ -350,8 +350,8 @@ fn damage_that_is_remembered_does_not_concern_the_database_that_takes_its_place(
     let out = world.directory.path().join("out.db");
     recover(&path, &out, false).unwrap();
     std::fs::rename(&out, &path).unwrap();
-    std::fs::remove_file(schema::wal_path(&path)).unwrap();
-    std::fs::remove_file(schema::shm_path(&path)).unwrap();
+    std::fs::remove_file(paths::wal_path(&path)).unwrap();
+    std::fs::remove_file(paths::shm_path(&path)).unwrap();
     Store::open(&path, StoreOptions::default()).unwrap().close().unwrap();
 }
 
@@ -419,7 +419,7 @@ fn beside_damage(world: &World) -> (writer::Writer, SharedProgress, impl Fn() ->
     let path = with_old_capture(world);
     let (mut writer, progress) = bare_writer(&path, &world.directory.path().join("lock"));
     writer.write_now((6000..6010).map(|seq| (1, sample(1, seq))));
-    let files = move || [std::fs::read(&path).unwrap(), std::fs::read(schema::wal_path(&path)).unwrap()];
+    let files = move || [std::fs::read(&path).unwrap(), std::fs::read(paths::wal_path(&path)).unwrap()];
     (writer, progress, files)
 }
 
@@ -481,7 +481,7 @@ fn a_disk_that_has_gone_is_no_damage() {
     let path = with_old_capture(&world);
     let lock = world.directory.path().join("lock");
     let (mut writer, progress) = super::tests::bare_writer(&path, &lock);
-    writer.pretend_no_disk(&lock::lock_path(&lock));
+    writer.pretend_no_disk(&paths::lock_path(&lock));
     let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_CORRUPT);
     let corrupt = || super::writer::Failure::of(&rusqlite::Error::SqliteFailure(code, None).into());
     writer.take_report(corrupt());
@@ -492,5 +492,5 @@ fn a_disk_that_has_gone_is_no_damage() {
     let (mut writer, progress) = super::tests::bare_writer(&path, &lock);
     writer.take_report(corrupt());
     assert!(super::progress::locked(&progress).damaged);
-    assert!(std::fs::read_to_string(lock::lock_path(&lock)).unwrap().contains("damaged: "));
+    assert!(std::fs::read_to_string(paths::lock_path(&lock)).unwrap().contains("damaged: "));
 }

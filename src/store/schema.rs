@@ -1,9 +1,12 @@
 //! Opening: decides which files are databases of this program, checks their schema and sets the pragmas of connections.
 
 use super::StoreError;
+use super::check_at_start::at_start;
 use super::damage::Damage;
-use super::file_id::{id_of, refuse_replaced, written};
+use super::error::reports_damage;
 use super::lock::Mark;
+use super::paths::{uri_escaped, wal_path};
+use super::written::{id_of, refuse_replaced, written};
 use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags};
 use rusqlite_migration::{M, Migrations};
@@ -71,7 +74,7 @@ pub(super) fn open_and_migrate(path: &Path, mark: Option<&Mark>) -> Result<Conne
             other => other,
         })?;
         connection.busy_timeout(WRITER_BUSY)?;
-        super::check::at_start(&connection, path, mark)?;
+        at_start(&connection, path, mark)?;
     }
     let mut connection = writer_connection(path, OpenFlags::SQLITE_OPEN_CREATE)?;
     migrations().to_latest(&mut connection)?;
@@ -114,13 +117,6 @@ pub(super) fn shrink_log(connection: &Connection) -> Result<(), rusqlite::Error>
     let emptied = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
     connection.busy_timeout(WRITER_BUSY)?;
     emptied
-}
-
-/// Returns whether the error reports that the file is damaged.
-pub(super) fn reports_damage(error: &rusqlite::Error) -> bool {
-    use rusqlite::ErrorCode as Code;
-    matches!(error.sqlite_error_code(), Some(Code::DatabaseCorrupt | Code::NotADatabase))
-        || matches!(error, rusqlite::Error::InvalidColumnType(..) | rusqlite::Error::FromSqlConversionFailure(..))
 }
 
 fn writer_connection(path: &Path, more: OpenFlags) -> Result<Connection, StoreError> {
@@ -245,23 +241,6 @@ fn common_pragmas(connection: &Connection) -> Result<(), rusqlite::Error> {
     Ok(())
 }
 
-pub(super) fn wal_path(path: &Path) -> std::path::PathBuf {
-    let mut log = path.as_os_str().to_owned();
-    log.push("-wal");
-    log.into()
-}
-
-pub(super) fn shm_path(path: &Path) -> std::path::PathBuf {
-    let mut shared = path.as_os_str().to_owned();
-    shared.push("-shm");
-    shared.into()
-}
-
-/// Escapes the characters that end or change a path in a `file:` URI (sqlite.org/uri.html, 3.1).
-pub(super) fn uri_escaped(path: &Path) -> String {
-    path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23")
-}
-
 fn user_version(connection: &Connection) -> Result<i64, StoreError> {
     Ok(connection.pragma_query_value(None, "user_version", |row| row.get(0))?)
 }
@@ -286,6 +265,7 @@ fn refuse_newer(connection: &Connection, path: &Path) -> Result<(), StoreError> 
 #[cfg(test)]
 mod tests {
     use super::super::file_id::FileId;
+    use super::super::paths::shm_path;
     use super::*;
     use std::os::unix::fs::MetadataExt as _;
 

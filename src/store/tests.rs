@@ -421,7 +421,7 @@ fn a_clean_end_leaves_one_complete_file() {
     world.send(id, a_capture());
     let path = world.store.path().to_owned();
     world.store.close().unwrap();
-    assert!(!schema::wal_path(&path).exists());
+    assert!(!paths::wal_path(&path).exists());
     assert!(matches!(world.store.pin(id, true), Err(StoreError::Closed)));
     assert_eq!(Reader::open(&path).unwrap().capture(id).unwrap().samples, 150);
 }

@@ -283,7 +283,7 @@ fn move_times(
 mod tests {
     use super::*;
     use crate::store::tests::{World, bare_writer, gap, sample, segment};
-    use crate::store::{Store, StoreOptions, check, schema};
+    use crate::store::{Store, StoreOptions, check, paths, schema};
     use imu_core::sample::{EventKind, EventRecord, Gap, Record, Segment};
     use std::path::Path;
     use std::time::{Duration, Instant};
@@ -418,7 +418,7 @@ mod tests {
     /// Opens the files as a kill leaves them: the correction continues, beside a capture that continues.
     fn killed_here(path: &Path, image: &Path, id: i64) {
         std::fs::copy(path, image).unwrap();
-        std::fs::copy(schema::wal_path(path), schema::wal_path(image)).unwrap();
+        std::fs::copy(paths::wal_path(path), paths::wal_path(image)).unwrap();
         let left = one(image, LEFT);
         let store = Store::open(image, StoreOptions::default()).unwrap();
         for seq in COUNT + 3..COUNT + 103 {

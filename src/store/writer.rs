@@ -20,12 +20,13 @@ pub(super) use failure::{Failure, concerns_storage};
 pub(super) use file::rewrite;
 pub(super) use file::{identity_of, one_line, quick_check};
 
-use super::check::not_behind;
+use super::check_at_start::not_behind;
 use super::damage::Damage;
 use super::file_id::FileId;
 use super::insert::insert;
 use super::lock::{Mark, WriterLock};
 use super::lost::Lost;
+use super::paths::wal_path;
 use super::progress::{SLOW, SharedProgress, locked};
 use super::queue::{self, SharedWaiting};
 use super::schema::{Durability, set_durability};
@@ -489,7 +490,7 @@ impl Writer {
         self.samples_since = 0;
         let weight = (seconds / 30.0).min(1.0);
         let bytes = |path: &std::path::Path| std::fs::metadata(path).map_or(0, |file| file.len());
-        let (database, wal) = (bytes(&self.parts.path), bytes(&schema::wal_path(&self.parts.path)));
+        let (database, wal) = (bytes(&self.parts.path), bytes(&wal_path(&self.parts.path)));
         let free = lock::free_bytes(&self.parts.path);
         let mut progress = locked(&self.parts.progress);
         progress.figures.samples_per_s += weight * (rate - progress.figures.samples_per_s);

@@ -15,6 +15,7 @@ use super::batch::{BatchRow, Run, StoredRow};
 use super::check::{Finding, check};
 use super::insert::insert;
 use super::names::{check_note, printable};
+use super::paths::wal_path;
 use super::{SOFTWARE, StoreError, lock, schema};
 use crate::clock::{Clock, SystemClock};
 use cells::{get, named};
@@ -108,8 +109,8 @@ pub fn recover(path: &Path, out: &Path, replace: bool) -> Result<RecoverReport, 
         return Err(StoreError::NoDatabase(path.to_owned()));
     }
     lock::refuse_writer(path)?;
-    let image = Image::open(path, &schema::wal_path(path))
-        .map_err(|source| StoreError::Read { path: path.to_owned(), source })?;
+    let image =
+        Image::open(path, &wal_path(path)).map_err(|source| StoreError::Read { path: path.to_owned(), source })?;
     let mut salvage = Salvage::of(image);
     let new = NewFile::beside(out, replace, path)?;
     let mut connection = schema::open_and_migrate(new.path(), None)?;

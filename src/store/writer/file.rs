@@ -1,8 +1,9 @@
 //! The writer's queries about the database file itself: its identity, its last batch, and whether it is sound and
 //! durable.
 
+use super::super::StoreError;
 use super::super::insert::Inserted;
-use super::super::{StoreError, schema};
+use super::super::paths::wal_path;
 use imu_core::sample::Record;
 use rusqlite::Connection;
 use std::path::Path;
@@ -40,8 +41,7 @@ pub(super) fn make_durable(connection: &Connection, path: &Path) -> Result<(), S
     let (log, copied): (i64, i64) =
         connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |row| Ok((row.get(1)?, row.get(2)?)))?;
     if log > copied {
-        rewrite(&schema::wal_path(path))
-            .map_err(|source| StoreError::Create { path: schema::wal_path(path), source })?;
+        rewrite(&wal_path(path)).map_err(|source| StoreError::Create { path: wal_path(path), source })?;
     }
     Ok(())
 }
