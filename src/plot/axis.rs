@@ -1,4 +1,4 @@
-//! Axes: straight or logarithmic, with round values.
+//! Axes: straight or logarithmic, with round values, and the unit of an axis of time.
 
 use super::number::plain;
 
@@ -83,6 +83,15 @@ impl Axis {
         let inside: Vec<f64> = all.filter(|value| (self.from..=self.to).contains(&value.log10())).collect();
         let every = inside.len().div_ceil(LABELS).max(1);
         inside.into_iter().step_by(every).map(|value| (value, plain(value))).collect()
+    }
+}
+
+/// Returns the factor from seconds to the unit shown, and its name, by the length of the interval.
+pub(super) fn time_unit(longest_s: f64) -> (f64, &'static str) {
+    match longest_s {
+        long if long > 3.0 * 3600.0 => (3600.0, "h"),
+        long if long > 300.0 => (60.0, "min"),
+        _ => (1.0, "s"),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The course of a channel: its samples over time, or if there are many the range of each stretch.
 
-use super::axis::Axis;
+use super::axis::{Axis, time_unit};
 use super::drawing::{Drawing, Frame};
 use super::gaps::Gap;
 
@@ -16,15 +16,6 @@ pub struct Course<'a> {
     pub points: Vec<(f64, f64, f64)>,
     /// Its gaps.
     pub gaps: Vec<Gap>,
-}
-
-/// Returns the factor from seconds to the unit shown, and its name, by the length of the interval.
-pub(super) fn time_unit(longest_s: f64) -> (f64, &'static str) {
-    match longest_s {
-        long if long > 3.0 * 3600.0 => (3600.0, "h"),
-        long if long > 300.0 => (60.0, "min"),
-        _ => (1.0, "s"),
-    }
 }
 
 impl Course<'_> {

@@ -1,7 +1,6 @@
 //! The gaps of a capture on a time line.
 
-use super::axis::Axis;
-use super::course::time_unit;
+use super::axis::{Axis, time_unit};
 use super::drawing::{Drawing, Frame};
 use imu_core::sample::GapCause;
 use imu_core::units::counted;
