@@ -1,22 +1,11 @@
 //! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. This module has
 //! no behaviour.
 
+pub use super::port::Port;
 use super::port::{Latency, OpenError};
 use imu_core::sample::{ConnectedSensor, EventKind, GapCause, RateDoubt, Registers};
 use std::path::PathBuf;
 use vn100_proto::{DeviceError, MeasurementKind, Reply};
-
-/// A serial port that was found.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Port {
-    /// The name by which it is opened.
-    pub path: PathBuf,
-    /// The kernel's name of the device, which differs if `path` is a link.
-    pub target: PathBuf,
-    /// Identifies the device: the text differs for another device, and for the same device after it was plugged in
-    /// again.
-    pub node: String,
-}
 
 /// An action that the session requests.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,6 @@
 //! Ports: finds the sensor's serial port, opens it exclusively, and sets baud rate and latency. The only user of
 //! `tokio_serial`.
 
-use super::action::Port;
 use std::path::{Path, PathBuf};
 use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
 
@@ -9,6 +8,18 @@ use tokio_serial::{ErrorKind, SerialPort as _, SerialStream};
 const SEARCH: [&str; 3] = ["/dev/serial/by-id/*", "/dev/ttyUSB*", "/dev/ttyACM*"];
 /// FTDI's default of 16 ms bunches messages; 1 ms is the minimum of the chip.
 const LATENCY_TIMER_MS: u32 = 1;
+
+/// A serial port that was found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Port {
+    /// The name by which it is opened.
+    pub path: PathBuf,
+    /// The kernel's name of the device, which differs if `path` is a link.
+    pub target: PathBuf,
+    /// Identifies the device: the text differs for another device, and for the same device after it was plugged in
+    /// again.
+    pub node: String,
+}
 
 /// The reasons why a port could not be opened.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

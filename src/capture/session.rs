@@ -11,10 +11,10 @@
 //! changed ends any wait. A wait in `Backoff` never exceeds [`super::backoff::LONGEST`], or a second with a known
 //! sensor that is silent. The sensor's flash is never written. Every state ends by itself.
 
-use super::action::{Action, Input, Port, RecorderAction};
+use super::action::{Action, Input, RecorderAction};
 use super::backoff::Backoff;
 use super::output::Output;
-use super::port::Latency;
+use super::port::{Latency, Port};
 use super::rate_meter::RateMeter;
 use super::script::{Script, Step};
 use crate::observe::{SensorState, SensorStatus};
