@@ -3,7 +3,7 @@
 //! One fault per line, `#` begins a comment. In a file each line begins with the sensor's time since its start: `10s
 //! unplug 10s`. On standard input the time is omitted, and the fault occurs at once.
 
-use super::sensor::TICK_NS;
+use super::options::TICK_NS;
 use imu_core::units::{format_duration, parse_duration};
 use std::time::Duration;
 use vn100_proto::link::{BAUD_RATES, INTERNAL_RATE_HZ};

@@ -9,6 +9,7 @@
 pub mod faults;
 pub mod instant;
 pub mod line;
+mod options;
 pub mod outbox;
 pub mod registers;
 pub mod replay;
@@ -18,7 +19,8 @@ pub mod terminal;
 pub mod uart;
 
 pub use instant::Values;
-pub use sensor::{SensorOptions, VirtualSensor};
+pub use options::SensorOptions;
+pub use sensor::VirtualSensor;
 
 #[cfg(test)]
 mod tests;

@@ -7,6 +7,7 @@
 //! Source: user manual UM001 rev 2.45, chapters 5–7; defaults of firmware 3.1 if recordings show them.
 
 use super::faults::Format;
+use super::options::SensorOptions;
 use std::collections::BTreeMap;
 use vn100_proto::link::{self, ASCII_RATES_HZ, BAUD_RATES, BITS_PER_BYTE, DEFAULT_BAUD, INTERNAL_RATE_HZ};
 use vn100_proto::register::{
@@ -126,7 +127,7 @@ fn expect_count(found: usize, expected: usize) -> Result<(), DeviceError> {
 
 impl RegisterFile {
     /// Returns the registers of a sensor as delivered, accessed through serial port `port` (1 or 2).
-    pub fn new(options: &super::SensorOptions) -> Self {
+    pub fn new(options: &SensorOptions) -> Self {
         let settings = Settings { user_tag: options.user_tag.clone(), ..Settings::default() };
         let mut version = options.firmware.split('.').map(|part| part.parse().unwrap_or(0));
         let firmware = (version.next().unwrap_or(0), version.next().unwrap_or(0));
@@ -426,7 +427,6 @@ const _: () = {
 
 #[cfg(test)]
 mod tests {
-    use super::super::SensorOptions;
     use super::*;
 
     fn file() -> RegisterFile {

@@ -8,8 +8,8 @@
 //! bootloader and command prompt (error 04), SPI, the on-board filters.
 
 use super::instant::{Values, measure};
+pub use super::options::{SensorOptions, TICK_NS};
 use super::registers::RegisterFile;
-use imu_core::units::NANOS_PER_SECOND;
 use std::collections::VecDeque;
 use std::ops::Range;
 use vn100_proto::ascii::{Trailer, split_line};
@@ -17,48 +17,10 @@ use vn100_proto::link::INTERNAL_RATE_HZ;
 use vn100_proto::register::{BINARY_OUTPUT_1, SYNCHRONIZATION, SYNCHRONIZATION_STATUS, SyncStatus};
 use vn100_proto::{AsciiType, ChecksumKind, DeviceError, MeasurementKind, Verb, encode};
 
-/// Nanoseconds of one tick: 1/800 s, a whole number of microseconds, as a real TimeStartup is.
-pub const TICK_NS: u64 = NANOS_PER_SECOND / INTERNAL_RATE_HZ as u64;
 /// Characters that the sensor's input buffer holds (user manual UM001 rev 2.45, section 3.8).
 const INPUT_BYTES: usize = 256;
 /// The duration of writing the flash: about 500 ms (section 5.1.3).
 const FLASH_TICKS: u64 = INTERNAL_RATE_HZ as u64 / 2;
-
-/// The properties of the sensor.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct SensorOptions {
-    /// Register 0, at most 20 characters.
-    pub user_tag: String,
-    /// Register 1.
-    pub model: String,
-    /// Register 2.
-    pub hardware_revision: u32,
-    /// Register 3.
-    pub serial_number: String,
-    /// Register 4; below 3.1 there are VNDCM and VNTAR.
-    pub firmware: String,
-    /// The serial port in use, 1 or 2.
-    pub port: u8,
-    /// The time that its clock ran before tick 0, in ticks.
-    pub uptime_ticks: u64,
-    /// The silence after a reset, in ticks: 1.25 s (ArduPilot#22488).
-    pub boot_ticks: u64,
-}
-
-impl Default for SensorOptions {
-    fn default() -> Self {
-        Self {
-            user_tag: "vn100d emulator".to_owned(),
-            model: "VN-100T-CR".to_owned(),
-            hardware_revision: 7,
-            serial_number: "0100012345".to_owned(),
-            firmware: "3.1.0.0".to_owned(),
-            port: 1,
-            uptime_ticks: 0,
-            boot_ticks: 1000,
-        }
-    }
-}
 
 /// Output to be sent later, in order.
 #[derive(Debug, Clone)]

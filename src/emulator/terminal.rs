@@ -7,8 +7,9 @@
 
 use super::faults::{Fault, FaultError, Schedule, ticks};
 use super::line::{Fate, Frame, Line, Piece};
+use super::options::TICK_NS;
 use super::outbox::Outbox;
-use super::sensor::{TICK_NS, VirtualSensor};
+use super::sensor::VirtualSensor;
 use super::source::{Source, Stream};
 use super::uart;
 use crate::clock::{Clock, ScaledClock};

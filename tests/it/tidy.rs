@@ -132,6 +132,7 @@ const PURE_FILES: &[&str] = &[
     "emulator/registers.rs",
     "emulator/instant.rs",
     "emulator/sensor.rs",
+    "emulator/options.rs",
     "emulator/faults.rs",
     "emulator/line.rs",
     "emulator/outbox.rs",
