@@ -3,7 +3,8 @@
 use super::args::{CalibrateArgs, Form};
 use super::figures::with_interval;
 use super::output::Output;
-use super::{Context, Outcome, analysis, diagnose, failed, table, usage};
+use super::reference::reference;
+use super::{Context, Outcome, analysis, failed, table, usage};
 use crate::jobs::gridded;
 use imu_core::sample::{Channel, Triad};
 use imu_diagnosis::{Known, Recording};
@@ -221,7 +222,7 @@ fn magnetometer(document: &mut Document, found: Option<tumble::Magnetometer>, is
 }
 
 fn beside_poses(document: &mut Document, real: &Recording, path: &Path) -> anyhow::Result<()> {
-    let Known::External(External::Poses(poses)) = diagnose::reference(path, None)? else {
+    let Known::External(External::Poses(poses)) = reference(path, None)? else {
         return Err(usage(format!(
             "{} has no poses: give a motion or rates to `diagnose --reference`",
             path.display()

@@ -1,31 +1,21 @@
 //! Completions: what a shell offers for captures, models, channels and plots. The script of `vn100d completions` asks
 //! the program itself, so that the answers are those of the database.
 
-use super::args::Cli;
 use super::figures::counted;
 use super::place::PATIENCE;
 use super::{Context, client};
 use crate::gallery::Picture;
 use crate::store::{CaptureRow, CaptureState, PageRequest, check_name, printable};
-use clap::{Command, CommandFactory as _};
-use clap_complete::CompleteEnv;
 use clap_complete::engine::{ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter as _};
 use imu_core::sample::Channel;
 use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::OsStrExt as _;
 use std::path::{Path, PathBuf};
 
-/// The variable by which a shell's script asks for completions.
-pub(super) const ASKED: &str = "VN100D_COMPLETE";
 /// The number of captures that are offered, the latest.
 const OFFERED: u32 = 1000;
 /// The number of characters of a note beside a capture.
 const NOTE_CHARS: usize = 40;
-
-/// Returns the part of the program that answers a shell.
-pub(super) fn environment() -> CompleteEnv<'static, fn() -> Command> {
-    CompleteEnv::with_factory(Cli::command as fn() -> Command).var(ASKED)
-}
 
 /// Offers captures of the daemon that the command asks, which may have another database than the reading commands use.
 pub(super) fn captures_of_daemon() -> ArgValueCompleter {

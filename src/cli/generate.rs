@@ -1,17 +1,25 @@
-//! `vn100d completions` and `vn100d generate`: scripts for completions, and manual pages made of the arguments.
+//! `vn100d completions` and `vn100d generate`: scripts for completions with the part of the program that answers them, and
+//! manual pages made of the arguments.
 
 use super::args::{Cli, CompletionsArgs, GenerateArgs};
-use super::{Outcome, complete, usage};
+use super::{Outcome, usage};
 use anyhow::Context as _;
-use clap::CommandFactory as _;
-use clap_complete::Shell;
+use clap::{Command, CommandFactory as _};
 use clap_complete::env::Shells;
+use clap_complete::{CompleteEnv, Shell};
 use std::io::Write as _;
 use std::path::Path;
 
+/// The variable by which a shell's script asks for completions.
+const ASKED: &str = "VN100D_COMPLETE";
 /// The shells of the package, and the names under which they look for completions.
 const SHELLS: [(Shell, &str); 3] =
     [(Shell::Bash, "vn100d.bash"), (Shell::Zsh, "_vn100d"), (Shell::Fish, "vn100d.fish")];
+
+/// Returns the part of the program that answers a shell.
+pub(super) fn environment() -> CompleteEnv<'static, fn() -> Command> {
+    CompleteEnv::with_factory(Cli::command as fn() -> Command).var(ASKED)
+}
 
 /// Prints completions for a shell.
 pub(super) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
@@ -25,7 +33,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> anyhow::Result<Outcome> {
 fn script(shell: Shell, text: &mut Vec<u8>) -> anyhow::Result<()> {
     let shells = Shells::builtins();
     let known = shells.completer(&shell.to_string()).context("there are no completions for this shell")?;
-    known.write_registration(complete::ASKED, "vn100d", "vn100d", "vn100d", text)?;
+    known.write_registration(ASKED, "vn100d", "vn100d", "vn100d", text)?;
     if shell == Shell::Zsh {
         // Zsh loads a package's file at the first question, and expects an answer to it.
         let call = "if [ \"$funcstack[1]\" = _vn100d ]; then _clap_dynamic_completer_vn100d \"$@\"; fi\n";
@@ -68,7 +76,7 @@ fn manual(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn page(folder: &Path, name: &str, command: clap::Command) -> anyhow::Result<()> {
+fn page(folder: &Path, name: &str, command: Command) -> anyhow::Result<()> {
     let mut text = Vec::new();
     clap_mangen::Man::new(command).section("1").manual("vn100d").render(&mut text)?;
     write(&folder.join(format!("{name}.1")), &text)

@@ -37,6 +37,7 @@ mod plot;
 mod probe;
 mod progress;
 mod recover;
+mod reference;
 mod report;
 mod run;
 mod samples;
@@ -274,7 +275,7 @@ fn print_json<T: serde::Serialize>(value: &T) -> anyhow::Result<()> {
 pub fn main() -> ExitCode {
     use std::io::Write as _;
     // If a shell asks for completions, this prints them and ends the process.
-    complete::environment().complete();
+    generate::environment().complete();
     let cli = Cli::parse();
     match run(cli) {
         Ok(Outcome::Done) => ExitCode::SUCCESS,
@@ -342,7 +343,10 @@ fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Captures => captures::run(&context),
         Command::Show { capture, rate, .. } => show::run(&context, &capture, rate),
         Command::Allan(args) => allan::run(&context, &args),
-        Command::Noise(args) => noise::run(&context, &args),
+        Command::Noise(args) => match args.consistent {
+            Some(pair) => filter_parameters::run(&context, &args, pair),
+            None => noise::run(&context, &args),
+        },
         Command::Plot(args) => plot::run(&context, &args),
         Command::Report(args) => report::run(&context, &args),
         Command::Simulate(args) => simulate::run(&context, &args),

@@ -19,9 +19,6 @@ use std::path::Path;
 
 /// Prints the parameters.
 pub(super) fn run(context: &Context, args: &NoiseArgs) -> anyhow::Result<Outcome> {
-    if let Some(pair) = args.consistent {
-        return super::filter_parameters::run(context, args, pair);
-    }
     let sheet = args.datasheet.as_ref().map(datasheet).transpose()?;
     let limits = args.within.as_deref().map(Limits::open).transpose()?;
     let read: Vec<&Path> = args.captures.iter().map(Path::new).chain(args.within.as_deref()).collect();

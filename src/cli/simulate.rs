@@ -5,7 +5,8 @@ use super::emulate::{load_model, stop_on_signal};
 use super::figures::{counted, hertz};
 use super::output::{Output, is_same, refuse_without_room};
 use super::progress::{SAMPLES, bar};
-use super::{Context, Outcome, diagnose, failed, print_json, usage};
+use super::reference::reference;
+use super::{Context, Outcome, failed, print_json, usage};
 use crate::clock::{Clock as _, SystemClock};
 use crate::store::{CaptureState, NewCapture, SOFTWARE, Store, StoreOptions};
 use anyhow::Context as _;
@@ -211,7 +212,7 @@ fn poses(named: &str) -> anyhow::Result<Option<Poses>> {
     if is_text && line.contains("ref_gyro") {
         return Ok(None);
     }
-    Ok(match diagnose::reference(Path::new(named), None) {
+    Ok(match reference(Path::new(named), None) {
         Ok(Known::External(External::Poses(poses))) => Some(poses),
         _ => None,
     })

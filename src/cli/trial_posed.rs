@@ -2,9 +2,10 @@
 //! diagnosed for what the sensor has by itself beside the poses, and kept in a folder for the processes that make cases.
 
 use super::args::{TrialArgs, TrialPart, TrialPartArgs};
+use super::reference::reference_text;
 use super::sealed::{each, words};
 use super::trial_on::{parcel_of, read, read_again, settled};
-use super::{Context, Outcome, analysis, diagnose, usage};
+use super::{Context, Outcome, analysis, usage};
 use crate::jobs::gridded;
 use crate::store::SOFTWARE;
 use anyhow::Context as _;
@@ -32,7 +33,7 @@ pub(super) struct Ground {
 impl Ground {
     /// Cuts a capture or a file into halves and diagnoses each beside the poses.
     pub(super) fn of(context: &Context, args: &TrialArgs, named: &str, reference: &Path) -> anyhow::Result<Self> {
-        let text = diagnose::reference_text(reference)?;
+        let text = reference_text(reference)?;
         let poses = poses(&text).with_context(|| format!("--reference {}", reference.display()))?;
         let whole = {
             let together = analysis::open(context, &[named.to_owned()], args.rate)?;
