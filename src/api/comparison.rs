@@ -1,6 +1,7 @@
 //! The page of two captures side by side, and the page on which they are chosen.
 
 use super::extract::Q;
+use super::html::{html, html_with_form};
 use super::pages::{self, Analyses};
 use super::problem::ApiError;
 use super::state::ApiState;
@@ -29,7 +30,7 @@ pub(super) async fn comparison(
     let given = |name: Option<String>| name.filter(|name| !name.is_empty());
     let (Some(a), Some(b)) = (given(query.a), given(query.b)) else {
         let captures = state.read(|reader| pages::ended(reader, None)).await?;
-        return Ok(pages::html_with_form(page::choice(&captures)));
+        return Ok(html_with_form(page::choice(&captures)));
     };
     let _permit = state.drawing_permit().await?;
     let (facts, jobs) = state
@@ -69,7 +70,7 @@ pub(super) async fn comparison(
         remarks: &remarks,
         waits: analyses.iter().any(|of: &Analyses| of.waits),
     };
-    Ok(pages::html(page::comparison(&view)))
+    Ok(html(page::comparison(&view)))
 }
 
 /// Returns the pictures that have a curve of each capture.

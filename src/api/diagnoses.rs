@@ -220,7 +220,7 @@ pub(super) async fn page(State(state): State<ApiState>, P(id): P) -> Result<Resp
         }
         None => pages::waiting(&format!("diagnosis {}", job.id), job.state.name(), job.progress, job.error.as_deref()),
     };
-    Ok(super::pages::html(html))
+    Ok(super::html::html(html))
 }
 
 /// Returns a part of a result as stored, or the job that will make it.

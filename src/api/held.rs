@@ -4,9 +4,9 @@
 //! body and stop, or that read no answer, would still add up. What is larger than [`FREE_BYTES`] therefore takes part of one
 //! budget for as long as it is in memory, and is answered 429 if nothing is left.
 
-use super::layers::Streamed;
 use super::problem::{ApiError, ProblemType};
 use super::state::ApiState;
+use super::stream::Streamed;
 use axum::body::{Body, Bytes};
 use axum::extract::{Request, State};
 use axum::middleware::Next;

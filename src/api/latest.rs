@@ -5,7 +5,7 @@ use super::problem::ApiError;
 use super::state::ApiState;
 use crate::page::Stored;
 use crate::store::{JobRow, JobState, PageRequest};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Number of rows of a list.
@@ -16,27 +16,6 @@ const FRESH: Duration = Duration::from_secs(1);
 const PATIENCE: Duration = Duration::from_millis(150);
 /// Rows older than this are not used: the database does not answer.
 const STALE: Duration = Duration::from_secs(10);
-
-/// The latest rows, and whether a query for them is pending.
-#[derive(Debug, Default)]
-pub(super) struct Latest(Mutex<Kept>);
-
-#[derive(Debug, Default)]
-struct Kept {
-    rows: Option<(Instant, Arc<Stored>)>,
-    /// Whether a query is running.
-    reading: bool,
-}
-
-impl Latest {
-    fn kept(&self) -> std::sync::MutexGuard<'_, Kept> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn not_older_than(&self, age: Duration) -> Option<Arc<Stored>> {
-        self.kept().rows.as_ref().filter(|(at, _)| at.elapsed() < age).map(|(_, rows)| Arc::clone(rows))
-    }
-}
 
 /// Returns the newest rows; `None` if the database does not answer.
 pub(super) async fn rows(state: &ApiState) -> Option<Arc<Stored>> {

@@ -17,11 +17,6 @@ use std::time::{Duration, Instant};
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 static REQUESTS: AtomicU64 = AtomicU64::new(0);
 
-/// Marks an answer that is made while it is sent. It is not compressed, because that would take a core from the
-/// capture.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Streamed;
-
 /// Handles the outermost layer: the request's id, its line in the log, its count, and the form of errors.
 pub(super) async fn observe(State(state): State<ApiState>, request: Request, next: Next) -> Response {
     // A client that sends many requests at once is answered one at a time, in turn with the others.

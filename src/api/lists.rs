@@ -1,9 +1,10 @@
 //! Lists for people: captures, diagnoses, jobs and models, with a search and pages by number.
 
 use super::extract::Q;
+use super::html::html_with_form;
+use super::page;
 use super::problem::ApiError;
 use super::state::ApiState;
-use super::{page, pages};
 use crate::page::{self as html, ListView, SEARCH_MAX};
 use crate::store::{Found, Reader, Search, StoreError};
 use axum::extract::State;
@@ -60,7 +61,7 @@ async fn answer<T: Send + 'static>(
     let previous = (search.page > 1).then(|| address(search.page - 1));
     let next = search.page.checked_add(1).filter(|_| found.more).map(address);
     let view = ListView { search: &search, found: &found, previous: previous.as_deref(), next: next.as_deref() };
-    Ok(pages::html_with_form(show(&view)))
+    Ok(html_with_form(show(&view)))
 }
 
 /// Returns the page of all captures.

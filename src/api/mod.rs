@@ -19,6 +19,7 @@ mod diagnoses;
 mod extract;
 mod health;
 mod held;
+mod html;
 mod imports;
 mod jobs;
 mod latest;
@@ -40,8 +41,7 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
-pub use openapi::document;
 pub use problem::{ApiError, PROBLEM_JSON, Problem, ProblemType};
-pub use router::router;
+pub use router::{document, router};
 pub use server::{Limits, listen, serve};
 pub use state::ApiParts;

@@ -1,7 +1,6 @@
 //! The interface's own description: OpenAPI 3.1, made from the handlers and types, served and kept in
 //! docs/openapi.json.
 
-use super::router::documented;
 use super::state::ApiState;
 use axum::Router;
 use axum::http::header;
@@ -33,12 +32,8 @@ pub(super) fn head() -> Document {
     Head::openapi()
 }
 
-/// Returns the whole document as text, as in docs/openapi.json.
-pub fn document() -> String {
-    text(&documented().into_openapi())
-}
-
-fn text(document: &Document) -> String {
+/// Writes a document as text, with the answers that every operation may give.
+pub(super) fn text(document: &Document) -> String {
     let mut document = document.clone();
     for (path, item) in &mut document.paths.paths {
         for operation in [&mut item.get, &mut item.post, &mut item.patch, &mut item.delete].into_iter().flatten() {
@@ -77,7 +72,7 @@ pub(super) fn route(document: &Document) -> Router<ApiState> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::super::document;
 
     /// Renew with `VN100D_BLESS=1 cargo test -p vn100d --lib openapi`.
     #[test]

@@ -3,6 +3,7 @@
 use super::analysis::{self, Drawn};
 use super::conditional;
 use super::extract::{P, Q};
+use super::html::{html, html_with_form};
 use super::latest;
 use super::problem::{ApiError, ProblemType};
 use super::samples;
@@ -13,19 +14,9 @@ use crate::page::{self, CaptureView, DashboardView, Figure, SeriesView, Served};
 use crate::store::{CaptureRow, JobRow, JobState, PageRequest, Reader, SOFTWARE, SampleRange, StoreError};
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, header};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::Response;
 use imu_core::units::format_duration;
 use serde::Deserialize;
-
-/// Returns the policy of a page: nothing from other hosts, and no script but the daemon's own file. `forms` are the places
-/// to which its forms may be sent without scripts.
-fn policy(forms: &str) -> HeaderValue {
-    let text = format!(
-        "default-src 'none'; style-src 'unsafe-inline'; script-src 'self'; connect-src 'self'; img-src 'self' data:; \
-         form-action {forms}; base-uri 'none'; frame-ancestors 'none'"
-    );
-    HeaderValue::from_str(&text).unwrap_or(HeaderValue::from_static("default-src 'none'"))
-}
 
 /// The wanted part of the first page.
 #[derive(Debug, Deserialize)]
@@ -41,22 +32,6 @@ pub(super) struct DashboardQuery {
 pub(super) struct SeriesQuery {
     from: Option<String>,
     to: Option<String>,
-}
-
-/// Returns a page's answer.
-pub(super) fn html(page: String) -> Response {
-    let headers = [
-        (header::CONTENT_SECURITY_POLICY, policy("'none'")),
-        (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
-    ];
-    (headers, Html(page)).into_response()
-}
-
-/// Returns the answer of a page with a form that a browser sends itself, such as a search.
-pub(super) fn html_with_form(page: String) -> Response {
-    let mut response = html(page);
-    response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy("'self'"));
-    response
 }
 
 /// Returns the script of all pages.

@@ -5,7 +5,7 @@
 //! error status (an unknown path, a method that is not allowed), so that every error has this form. A browser that goes to
 //! an address gets the same as a page.
 
-use super::pages;
+use super::html::html;
 use crate::control::{ControlError, ImportError};
 use crate::jobs::JobError;
 use crate::page::{RefusalView, refusal};
@@ -346,7 +346,7 @@ impl Problem {
     }
 
     fn page(&self) -> Response {
-        pages::html(refusal(&RefusalView {
+        html(refusal(&RefusalView {
             title: self.title,
             detail: &self.detail,
             reasons: &self.reasons,

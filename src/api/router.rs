@@ -1,8 +1,9 @@
-//! The routes, one per line, and the layers around them.
+//! The routes, one per line, the layers around them, and the document that describes them.
 
 use super::held;
-use super::layers::{self, Streamed};
+use super::layers;
 use super::state::{ApiParts, ApiState};
+use super::stream::Streamed;
 use super::{
     analysis, captures, comparison, diagnoses, health, imports, jobs, lists, models, openapi, pages, plots, samples,
     status,
@@ -19,7 +20,7 @@ use utoipa_axum::routes;
 const COMPRESS_BYTES: u64 = 1024;
 
 /// Returns all documented routes.
-pub(super) fn documented() -> OpenApiRouter<ApiState> {
+fn documented() -> OpenApiRouter<ApiState> {
     OpenApiRouter::with_openapi(openapi::head())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -48,6 +49,11 @@ pub(super) fn documented() -> OpenApiRouter<ApiState> {
         .routes(routes!(diagnoses::list))
         .routes(routes!(diagnoses::show))
         .routes(routes!(diagnoses::model))
+}
+
+/// Returns the whole document as text, as in docs/openapi.json.
+pub fn document() -> String {
+    openapi::text(&documented().into_openapi())
 }
 
 /// Returns the whole interface as a service.

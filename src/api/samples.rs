@@ -2,10 +2,9 @@
 //! than one piece, and reading ends when the client has gone.
 
 use super::extract::{P, Q};
-use super::layers::Streamed;
 use super::problem::{ApiError, Problem, ProblemType};
 use super::state::ApiState;
-use super::stream::{self, Pieces};
+use super::stream::{self, Pieces, Streamed};
 use crate::store::{Chunk, Moment, PooledReader, Reader, SampleRange, StoreError, TimeAxis};
 use axum::Extension;
 use axum::extract::State;

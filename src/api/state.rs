@@ -1,15 +1,15 @@
 //! The state that handlers share, and their access to the database: on threads for blocking work, a bounded number at a
 //! time, and ended when the client has gone.
 
-use super::latest::Latest;
 use super::problem::ApiError;
 use super::server::Limits;
 use crate::clock::Clock;
 use crate::control::{CaptureControl, Importer};
 use crate::jobs::{JobError, Jobs, Live};
 use crate::observe::{Metrics, SharedRecent, Status};
+use crate::page::Stored;
 use crate::store::{Interrupt, PooledReader, Reader, ReaderPool, Store, StoreError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
@@ -79,6 +79,28 @@ pub(super) struct Inner {
     /// In KiB.
     memory: Arc<Semaphore>,
     pub(super) latest: Latest,
+}
+
+/// The latest rows, and whether a query for them is pending.
+#[derive(Debug, Default)]
+pub(super) struct Latest(Mutex<Kept>);
+
+/// What [`Latest`] holds.
+#[derive(Debug, Default)]
+pub(super) struct Kept {
+    pub(super) rows: Option<(Instant, Arc<Stored>)>,
+    /// Whether a query is running.
+    pub(super) reading: bool,
+}
+
+impl Latest {
+    pub(super) fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn not_older_than(&self, age: Duration) -> Option<Arc<Stored>> {
+        self.kept().rows.as_ref().filter(|(at, _)| at.elapsed() < age).map(|(_, rows)| Arc::clone(rows))
+    }
 }
 
 impl std::ops::Deref for ApiState {

@@ -1,9 +1,8 @@
 //! The status, from memory, so that it answers while the disk hangs: once, or as events.
 
-use super::layers::Streamed;
 use super::problem::{ApiError, Problem};
 use super::state::ApiState;
-use super::stream;
+use super::stream::{self, Streamed};
 use crate::observe::Status;
 use axum::extract::State;
 use axum::http::header;

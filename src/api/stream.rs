@@ -1,5 +1,5 @@
 //! A body that a thread fills while it is sent: the thread waits if the other side reads slowly, and is notified when
-//! the other side has gone.
+//! the other side has gone; and the mark of an answer with such a body.
 
 use axum::body::{Body, Bytes};
 use hyper::body::Frame;
@@ -10,6 +10,11 @@ use tokio::sync::mpsc;
 
 /// Maximum number of pieces under way.
 const PIECES: usize = 2;
+
+/// Marks an answer that is made while it is sent. It is not compressed, because that would take a core from the
+/// capture.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Streamed;
 
 /// The sending end, for the thread.
 pub(super) type Pieces = mpsc::Sender<io::Result<Bytes>>;
