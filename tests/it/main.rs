@@ -6,6 +6,7 @@ mod acceptance;
 mod bad_input;
 mod by_hand;
 mod calibration;
+mod circles;
 mod completions;
 mod cost;
 mod demo;
