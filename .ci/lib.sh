@@ -1,5 +1,7 @@
 # Shared by .ci/run and .ci/full: tools, real recordings, steps with their times.
 export CARGO_TERM_COLOR=${CARGO_TERM_COLOR:-never}
+# Nothing is built twice here, and code that is compiled in larger units is faster.
+export CARGO_INCREMENTAL=0
 times=()
 # Each test that does without a tool or a recording leaves a line there.
 mkdir -p target

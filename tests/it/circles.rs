@@ -135,7 +135,9 @@ impl Crate {
             sources.iter().map(|(path, text)| (module(path), Names::of(text))).collect();
         let tests: Vec<Segments> = files
             .iter()
-            .flat_map(|(module, names)| names.tests.iter().map(|name| [&module[..], &[name.clone()]].concat()))
+            .flat_map(|(module, names)| {
+                names.tests.iter().map(|name| [&module[..], std::slice::from_ref(name)].concat())
+            })
             .collect();
         files.retain(|module, _| !tests.iter().any(|test| module.starts_with(test)));
         Self(files)
@@ -152,7 +154,7 @@ impl Crate {
             _ => return None,
         };
         while let Some((next, behind)) = rest.split_first() {
-            let inner = [&module[..], &[next.clone()]].concat();
+            let inner = [&module[..], std::slice::from_ref(next)].concat();
             if next == "super" {
                 module.pop();
             } else if self.0.contains_key(&inner) {
