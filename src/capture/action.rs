@@ -1,8 +1,7 @@
 //! Actions and inputs: the requests of a [`super::session::Session`], and the events that it receives. This module has
 //! no behaviour.
 
-pub use super::port::Port;
-use super::port::{Latency, OpenError};
+use super::port::{Latency, OpenError, Port};
 use imu_core::sample::{ConnectedSensor, EventKind, GapCause, RateDoubt, Registers};
 use std::path::PathBuf;
 use vn100_proto::{DeviceError, MeasurementKind, Reply};
