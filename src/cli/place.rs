@@ -243,7 +243,7 @@ mod tests {
             path("system"),
         ];
         assert_eq!(none.searched, expected.map(|path| path.display().to_string()));
-        for (made, whose, said) in [
+        for (made, whose, reason) in [
             ("system", Some("the system's installation"), "the database of the system's installation; the daemon at"),
             ("daemon", Some("the daemon at http://d"), "the database of the daemon at http://d"),
             ("own", None, "own; the daemon at http://d has another database (--data-dir"),
@@ -252,7 +252,7 @@ mod tests {
             let place = used();
             assert_eq!((&place.database, place.whose.as_deref()), (&path(made), whose));
             let remark = remark(&place, Some(&daemon)).unwrap();
-            assert!(remark.contains(said), "{remark}");
+            assert!(remark.contains(reason), "{remark}");
         }
         let silent = Running { database: None, ..daemon.clone() };
         let none = search(Some(path("nothing")), Some(&silent), &path("nowhere")).unwrap();

@@ -242,8 +242,8 @@ impl Importer for DaemonImporter {
             Ok(())
         };
         let called = Path::new(&request.called);
-        let told = (request.name.clone(), request.note.clone());
-        let imported = Writing::begin(&self.store, called, told, &mut room).and_then(|mut writing| {
+        let name_and_note = (request.name.clone(), request.note.clone());
+        let imported = Writing::begin(&self.store, called, name_and_note, &mut room).and_then(|mut writing| {
             apart::read_apart(&request, self.clock.utc_ns(), &keep_on, &mut |step| writing.take(step))?;
             writing.end()
         });

@@ -1,7 +1,7 @@
 //! Augments a model: corrects its parameters and adds the effects that were found.
 
 use super::course::Course;
-use super::found::{Findings, Found, Named};
+use super::found::{Attribution, Findings, Found};
 use super::report::Sense;
 use super::shared::Shared;
 use imu_core::sample::Channel;
@@ -28,7 +28,12 @@ fn without_shared(channel: &mut ChannelModel, sigma: f64, internal_hz: f64) {
 
 /// Returns the model with the effects that were found. On channels on which something `remains`, the model also
 /// receives the density of this remainder, as far as that density is louder than the model's.
-pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remains: &BTreeSet<Channel>) -> SensorModel {
+pub(super) fn augmented(
+    found: &Found,
+    sim: &SensorModel,
+    attributions: &[Attribution],
+    remains: &BTreeSet<Channel>,
+) -> SensorModel {
     let mut model = sim.clone();
     let internal_hz = sim.internal_rate_hz(sim.rate_hz);
     for of in &found.channels {
@@ -48,7 +53,7 @@ pub(super) fn augmented(found: &Found, sim: &SensorModel, named: &[Named], remai
                 channel.set_interval(parameter, [value / factor, value * factor]);
             }
         }
-        let own = || named.iter().filter(|one| one.channel == of.prepared.channel);
+        let own = || attributions.iter().filter(|one| one.channel == of.prepared.channel);
         // The law's white noise includes the noise that the model shares with other channels.
         let is_common = |effect: &Arc<dyn Effect>| effect.kind() == EffectKind::CommonMode;
         let is_off = own().any(|one| one.declared.as_ref().is_some_and(|(_, of)| is_common(of)));

@@ -1,13 +1,13 @@
 //! Composition: the findings become a verdict, a report and a corrected model.
 
+use super::attribution::{self, stamps};
 use super::augmented::augmented;
 use super::confidence::Surroundings;
 use super::discrepancy::discrepancy;
 use super::evidence::Kind;
-use super::found::{Findings, Found, Named};
+use super::found::{Attribution, Findings, Found};
 use super::hints;
 use super::law::{Law, Shape, Term};
-use super::named::{self, stamps};
 use super::oddities::{self, Oddity};
 use super::omnibus::Statistic;
 use super::options::Options;
@@ -43,41 +43,41 @@ const RATE_OFF: f64 = 1e-4;
 const ALTERNATIVES: usize = 6;
 
 pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Outcome {
-    let named = named::all(found, real, sim, options);
+    let attributions = attribution::all(found, real, sim, options);
     let mut notes = Vec::new();
     if !found.further.is_empty() {
         let names: Vec<&str> = found.further.iter().map(|channel| channel.name()).collect();
         notes.push(format!("not compared, because the model does not have them: {}", names.join(", ")));
     }
-    let mut remains = remains(found, &named);
-    let parameters = parameters(found, &named, real, sim);
-    let unexplained = unexplained(found, &named, real);
+    let mut remains = remains(found, &attributions);
+    let parameters = parameters(found, &attributions, real, sim);
+    let unexplained = unexplained(found, &attributions, real);
     remains.channels.extend(unexplained.iter().map(|(channel, _)| *channel));
     let outside = |(channel, of): &(Channel, Oddity)| {
         format!("outside the library, on {channel}: {} ({:.0} nats)", of.what, of.nats)
     };
     let foreign: Vec<String> = unexplained.iter().map(outside).collect();
-    let discrepancy = discrepancy(found, &named, remains.p_value);
-    let open = open(found, &named, &discrepancy);
+    let discrepancy = discrepancy(found, &attributions, remains.p_value);
+    let open = open(found, &attributions, &discrepancy);
     remains.channels.extend(open.iter().map(|of| of.channel));
     let has_remnants = remains.worst.is_some() || !foreign.is_empty();
     let mut remnants = if has_remnants { remnants(found, &remains, &unexplained) } else { Vec::new() };
     remnants.retain(|of| open.iter().all(|other| other.channel != of.channel));
     let is_open = (!open.is_empty()).then(|| NOT_OF_BOTH.to_owned());
     remnants.extend(open);
-    let augmented = augmented(found, sim, &named, &remains.channels);
-    let total: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
-    let described = |named: &[Named]| {
-        let causes = causes(named, total, discrepancy.closed);
-        let places = places(found, named, &causes, &parameters, &remnants, real);
+    let augmented = augmented(found, sim, &attributions, &remains.channels);
+    let total: f64 = attributions.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
+    let described = |attributions: &[Attribution]| {
+        let causes = causes(attributions, total, discrepancy.closed);
+        let places = places(found, attributions, &causes, &parameters, &remnants, real);
         (causes, places)
     };
-    let (mut causes, mut places) = described(&named);
-    let (named, minor) = without_minor(named, &causes, &places, &remains.channels);
+    let (mut causes, mut places) = described(&attributions);
+    let (attributions, minor) = without_minor(attributions, &causes, &places, &remains.channels);
     if !minor.is_empty() {
-        (causes, places) = described(&named);
+        (causes, places) = described(&attributions);
     }
-    let alternatives = minor.into_iter().chain(alternatives(found, &named)).take(ALTERNATIVES).collect();
+    let alternatives = minor.into_iter().chain(alternatives(found, &attributions)).take(ALTERNATIVES).collect();
     let of_worst = remains.worst.map(|(channel, statistic)| format!("on {channel}: {}", statistic.meaning()));
     let what = foreign.iter().cloned().chain(of_worst.clone()).chain(is_open).collect();
     let is_fact = |place: &Place| matches!(place.of, Of::Cause(index) if causes[index].effect.spec().is_fact());
@@ -87,10 +87,11 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
         cause.confidence *= surroundings.right(index, cause);
     }
     let has_parameters = parameters.iter().any(|of| of.parameter != "bias");
-    let verdict = remainder::verdict(remainder.as_ref(), options.unknown_above, !named.is_empty(), has_parameters);
+    let verdict =
+        remainder::verdict(remainder.as_ref(), options.unknown_above, !attributions.is_empty(), has_parameters);
     notes.extend(foreign);
     notes.extend(of_worst.map(|what| format!("what remains {what}")));
-    notes.extend(pairs::notes(found, &named, real));
+    notes.extend(pairs::notes(found, &attributions, real));
     let per_channel = found.channels.iter().map(|of| {
         let samples = of.scores.samples as f64;
         let sum = |blocks: &[f64]| blocks.iter().sum::<f64>();
@@ -127,11 +128,11 @@ pub(super) fn outcome(found: &Found, real: &Recording, sim: &SensorModel, option
 /// right; of those with up to twice the limit, half. If something remains on one of a cause's channels, the form of an effect there
 /// is in doubt, and the limit is higher: of 11 such causes in other sealed cases two were right.
 fn without_minor(
-    named: Vec<Named>,
+    attributions: Vec<Attribution>,
     causes: &[Cause],
     places: &[Place],
     remains: &BTreeSet<Channel>,
-) -> (Vec<Named>, Vec<Alternative>) {
+) -> (Vec<Attribution>, Vec<Alternative>) {
     /// The part of the largest effect or remainder of a channel below which an effect is not named.
     const MINOR: f64 = 5e-4;
     /// The same if something remains on one of the effect's channels.
@@ -150,8 +151,8 @@ fn without_minor(
     };
     let beside = |index: usize, channel: &str| {
         let others = (0..causes.len()).filter(|at| *at != index && has_form(&causes[*at], &causes[index]));
-        let named = others.map(|other| (most(Of::Cause(other), channel), causes[other].effect.name()));
-        let all = named.chain([(most(Of::Remainder, channel), "what remains")]);
+        let others = others.map(|other| (most(Of::Cause(other), channel), causes[other].effect.name()));
+        let all = others.chain([(most(Of::Remainder, channel), "what remains")]);
         all.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default()
     };
     let (mut minor, mut alternatives) = (BTreeSet::new(), Vec::new());
@@ -175,14 +176,14 @@ fn without_minor(
             why_not,
         });
     }
-    let kept = named.into_iter().filter(|of| !minor.contains(&(of.effect.name(), of.sense)));
+    let kept = attributions.into_iter().filter(|of| !minor.contains(&(of.effect.name(), of.sense)));
     (kept.collect(), alternatives)
 }
 
 /// Returns the channels on which a gap of the second half remains, if the effects close too little of it. The effects were found in
 /// the whole record, and then act otherwise in its halves. If most of the explained nats lie in the first half, the small gap of
 /// the second half shows nothing, and no channel is returned.
-fn open(found: &Found, named: &[Named], discrepancy: &Discrepancy) -> Vec<Remnant> {
+fn open(found: &Found, attributions: &[Attribution], discrepancy: &Discrepancy) -> Vec<Remnant> {
     /// Part of the gap that the effects close, from which on nothing remains.
     const CLOSED: f64 = 0.8;
     /// Least remaining gap, as a part of the nats that the effects explain in the whole record.
@@ -191,9 +192,9 @@ fn open(found: &Found, named: &[Named], discrepancy: &Discrepancy) -> Vec<Remnan
     const PART: f64 = 0.05;
     let left = |of: &Findings| of.scores.ceiling.iter().sum::<f64>() - of.scores.effects.iter().sum::<f64>();
     let all: f64 = found.channels.iter().map(|of| left(of).max(0.0)).sum();
-    let explained: f64 = named.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
+    let explained: f64 = attributions.iter().filter(|of| !of.effect.spec().is_fact()).map(|of| of.gain).sum();
     // The model's own effects are where the model has them, and that may be the first half alone.
-    let is_missing = named.iter().all(|of| of.sense == Sense::Missing);
+    let is_missing = attributions.iter().all(|of| of.sense == Sense::Missing);
     if !is_missing || discrepancy.closed_ci95.is_none_or(|[_, high]| high >= CLOSED) || all < OF_EXPLAINED * explained {
         return Vec::new();
     }
@@ -227,13 +228,13 @@ fn remnants(found: &Found, remains: &Remains, unexplained: &[(Channel, Oddity)])
     remnants
 }
 
-fn remains(found: &Found, named: &[Named]) -> Remains {
+fn remains(found: &Found, attributions: &[Attribution]) -> Remains {
     let count = (Statistic::ALL.len() * found.channels.len()).max(1) as f64;
     let (mut worst, mut worst_excess, mut p_value) = (None, 1.0, 1.0f64);
     let mut rarest: BTreeMap<Channel, (f64, f64)> = BTreeMap::new();
     for of in &found.channels {
         let step = of.prepared.facts.step.or(of.prepared.step);
-        let own: Vec<&Named> = named.iter().filter(|one| one.channel == of.prepared.channel).collect();
+        let own: Vec<&Attribution> = attributions.iter().filter(|one| one.channel == of.prepared.channel).collect();
         let is_marginal = |kind: EffectKind| kind.spec().nature == Nature::Samples;
         let marginal = own.iter().any(|one| is_marginal(one.effect.kind()))
             || of.prepared.has.iter().any(|kind| is_marginal(*kind))
@@ -243,7 +244,7 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
         let changes = of.prepared.changes;
         let swells =
             own.iter().any(|one| matches!(one.effect.kind(), EffectKind::ModulatedBand | EffectKind::WanderingLine));
-        let level = if own.is_empty() && !named.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
+        let level = if own.is_empty() && !attributions.is_empty() { REMAINS_ELSEWHERE } else { REMAINS };
         for (statistic, value) in &of.statistics {
             // On a lattice the middle value is the most frequent.
             let lattice = step.is_some() && *statistic == Statistic::Atom;
@@ -276,10 +277,10 @@ fn remains(found: &Found, named: &[Named]) -> Remains {
 
 /// Returns the oddities that the values and stamps show and that no effect explains, each with the channel on which it
 /// occurs.
-fn unexplained(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel, Oddity)> {
+fn unexplained(found: &Found, attributions: &[Attribution], real: &Recording) -> Vec<(Channel, Oddity)> {
     let mut all = Vec::new();
     for of in &found.channels {
-        let both = [unexplained_codes(of, named, real), unexplained_slope(of)];
+        let both = [unexplained_codes(of, attributions, real), unexplained_slope(of)];
         all.extend(both.into_iter().flatten().map(|oddity| (of.prepared.channel, oddity)));
     }
     for (channels, repeats) in &found.repeats {
@@ -293,12 +294,12 @@ fn unexplained(found: &Found, named: &[Named], real: &Recording) -> Vec<(Channel
 
 /// Codes that are left out. If something moves a channel by steps or otherwise, its distribution of codes differs from that of
 /// noise.
-fn unexplained_codes(of: &Findings, named: &[Named], real: &Recording) -> Option<Oddity> {
+fn unexplained_codes(of: &Findings, attributions: &[Attribution], real: &Recording) -> Option<Oddity> {
     use EffectKind::{Comb, CommonMode, HeldSamples, Resolution, Saturation, Timing, Tone};
     const STILL: [EffectKind; 3] = [Resolution, Timing, CommonMode];
     const MOVING: [EffectKind; 4] = [Saturation, Tone, Comb, HeldSamples];
     let channel = of.prepared.channel;
-    let moves = named.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.kind()))
+    let moves = attributions.iter().any(|one| one.channel == channel && !STILL.contains(&one.effect.kind()))
         || of.prepared.has.iter().any(|kind| MOVING.contains(kind))
         || of.prepared.limits.iter().any(Option::is_some)
         || !of.explanation.sines.is_empty()
@@ -360,7 +361,7 @@ fn is_slow(of: &Findings) -> bool {
 /// parameter's owner agrees ([`Owned`]). N is the N of `imu-noise`: the plateau of the spectrum, including noise that
 /// channels share, noise behind a filter and the skirts of bands. If `imu-noise` has no N, N is the plateau of the law.
 /// B and K are those of the law, which includes slow effects, unless `imu-noise` contradicts them.
-fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
+fn parameters(found: &Found, attributions: &[Attribution], real: &Recording, sim: &SensorModel) -> Vec<Parameter> {
     let mut off = Vec::new();
     let folded = sim.sampling.map_or(1.0, |sampling| sampling.density_factor(sim.rate_hz));
     let mut owned = None;
@@ -368,7 +369,7 @@ fn parameters(found: &Found, named: &[Named], real: &Recording, sim: &SensorMode
         let Some(model) = sim.channels.get(&of.prepared.channel) else { continue };
         let mut own = None;
         // Shared noise that is not the model's accounts for part of N.
-        let is_shared = named.iter().any(|one| {
+        let is_shared = attributions.iter().any(|one| {
             one.channel == of.prepared.channel && one.declared.is_some() && one.effect.kind() == EffectKind::CommonMode
         });
         for (level, parameter, declared) in [(0, "N", model.n), (1, "B", model.b), (2, "K", model.k)] {
@@ -460,9 +461,9 @@ fn parameters_of<'a>(effects: impl Iterator<Item = (Channel, &'a Arc<dyn Effect>
 }
 
 /// Returns the causes: the same effect in the same sense on several channels is one.
-fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
-    let mut groups: BTreeMap<(&'static str, Sense), Vec<&Named>> = BTreeMap::new();
-    for of in named {
+fn causes(attributions: &[Attribution], total: f64, closed: Option<f64>) -> Vec<Cause> {
+    let mut groups: BTreeMap<(&'static str, Sense), Vec<&Attribution>> = BTreeMap::new();
+    for of in attributions {
         groups.entry((of.effect.name(), of.sense)).or_default().push(of);
     }
     let mut causes: Vec<(f64, Cause)> = groups
@@ -504,14 +505,15 @@ fn causes(named: &[Named], total: f64, closed: Option<f64>) -> Vec<Cause> {
 }
 
 /// Includes the effects that were worth their price at some step and were not named.
-fn alternatives(found: &Found, named: &[Named]) -> Vec<Alternative> {
+fn alternatives(found: &Found, attributions: &[Attribution]) -> Vec<Alternative> {
     let mut best: BTreeMap<&'static str, (f64, Alternative)> = BTreeMap::new();
     for of in &found.channels {
         for step in &of.steps {
             let winner = step.kind.effect();
             for (kind, score) in &step.others {
                 let effect = kind.effect();
-                let same = named.iter().any(|one| one.effect.kind() == effect && one.channel == of.prepared.channel);
+                let same =
+                    attributions.iter().any(|one| one.effect.kind() == effect && one.channel == of.prepared.channel);
                 if same || effect == winner {
                     continue;
                 }

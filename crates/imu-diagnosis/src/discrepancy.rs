@@ -1,20 +1,20 @@
 //! Discrepancy: the size of the gap, before and after, on the half of the record from which no number was fitted.
 
 use super::averages::quantile;
-use super::found::{Findings, Found, Named};
+use super::found::{Attribution, Findings, Found};
 use super::holdout::BLOCKS;
 use super::report::Discrepancy;
 use imu_model::effects::{EffectKind, Stream, StreamId};
 
 /// Returns the explained part, on the half from which no number was fitted.
-pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) -> Discrepancy {
+pub(super) fn discrepancy(found: &Found, attributions: &[Attribution], p_value_after: f64) -> Discrepancy {
     const DRAWS: usize = 1000;
     let channels = found.channels.len().max(1) as f64;
     let samples = found.channels.first().map_or(1, |of| of.scores.samples) as f64;
     let blocks = |which: fn(&Findings) -> &Vec<f64>| -> Vec<f64> {
         (0..BLOCKS).map(|block| found.channels.iter().map(|of| which(of)[block]).sum::<f64>()).collect()
     };
-    let common = named.iter().any(|of| of.effect.kind() == EffectKind::CommonMode);
+    let common = attributions.iter().any(|of| of.effect.kind() == EffectKind::CommonMode);
     // The gain from correlation is the same in every block.
     let shared: f64 = found.shared.iter().filter(|_| common).map(|shared| shared.gain).sum();
     let more = 0.5 * shared / BLOCKS as f64;
@@ -34,7 +34,7 @@ pub(super) fn discrepancy(found: &Found, named: &[Named], p_value_after: f64) ->
         (before - after + lost) / (before - floor_nats)
     };
     let before = gap(&parameters, &one);
-    let something = !named.is_empty() && before > 3.0 * floor_nats + 5.0;
+    let something = !attributions.is_empty() && before > 3.0 * floor_nats + 5.0;
     let closed = something.then(|| ratio(&one, 0.0)).filter(|value| value.is_finite());
     let closed_ci95 = closed.map(|_| {
         let mut stream = Stream::new(BLOCKS as u64, StreamId { owner: 0, effect: 2, instance: 0 });

@@ -1,4 +1,4 @@
-//! Found: the findings on a channel and in a record, and the effects that are named from them.
+//! Found: the findings on a channel and in a record, and the effects that are attributed to channels from them.
 
 use super::bands::Bands;
 use super::declared::courses::Off;
@@ -83,9 +83,9 @@ pub(super) struct Found {
     pub(super) temperature_c: f64,
 }
 
-/// An effect on a channel, with its gain.
+/// An effect attributed to a channel, with its gain.
 #[derive(Clone)]
-pub(super) struct Named {
+pub(super) struct Attribution {
     pub(super) channel: Channel,
     pub(super) sense: Sense,
     /// The model's own effect, and its place in the list, if it has it.
@@ -101,7 +101,7 @@ pub(super) struct Named {
     pub(super) ci95: Vec<(&'static str, [f64; 2])>,
 }
 
-impl Named {
+impl Attribution {
     /// Creates an effect that the model lacks, as certain as effects that are read off values and stamps.
     pub(super) fn missing(channel: Channel, effect: Arc<dyn Effect>, gain: f64) -> Self {
         Self {

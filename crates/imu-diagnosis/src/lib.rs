@@ -34,6 +34,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod attribution;
 mod augmented;
 mod averages;
 mod bands;
@@ -81,7 +82,6 @@ mod missing_samples;
 pub mod model_fit;
 mod modulated;
 mod motion;
-mod named;
 mod nameless;
 mod oddities;
 mod omnibus;

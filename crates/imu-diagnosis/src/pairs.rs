@@ -1,7 +1,7 @@
 //! Pairs: causes that one record cannot distinguish, and the measurement that would distinguish them. They are reported
 //! as notes, and for lines as evidence.
 
-use super::found::{Found, Named};
+use super::found::{Attribution, Found};
 use super::recording::Recording;
 use imu_core::sample::{Channel, Triad};
 use imu_model::effects::{Effect, EffectKind};
@@ -36,15 +36,15 @@ fn mains(frequency_hz: f64, rate_hz: f64) -> Option<String> {
 }
 
 /// Returns a sentence for each pair that the record leaves open.
-pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<String> {
+pub(super) fn notes(found: &Found, attributions: &[Attribution], real: &Recording) -> Vec<String> {
     let mut notes = Vec::new();
-    let with = |kinds: &[EffectKind]| -> Vec<&Named> {
-        named.iter().filter(|one| kinds.contains(&one.effect.kind())).collect()
+    let with = |kinds: &[EffectKind]| -> Vec<&Attribution> {
+        attributions.iter().filter(|one| kinds.contains(&one.effect.kind())).collect()
     };
     let lines = with(&[EffectKind::Tone, EffectKind::Comb, EffectKind::Resonance]);
     if !lines.is_empty() {
         notes.push(format!(
-            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one named here looks the same; \
+            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one attributions here looks the same; \
              a record at another output rate tells: a true one stays, a folded one moves",
             (real.rate_hz * 1e4).round() / 1e4
         ));
@@ -79,8 +79,8 @@ pub(super) fn notes(found: &Found, named: &[Named], real: &Recording) -> Vec<Str
     let level = |channel: Channel| {
         found.channels.iter().find(|of| of.prepared.channel == channel).map_or(0.0, |of| of.prepared.level)
     };
-    let tilts = |one: &&Named| one.channel.triad() == Some(Triad::Accel) && level(one.channel).abs() < UPRIGHT;
-    let tilted: Vec<&Named> =
+    let tilts = |one: &&Attribution| one.channel.triad() == Some(Triad::Accel) && level(one.channel).abs() < UPRIGHT;
+    let tilted: Vec<&Attribution> =
         with(&[EffectKind::RateRamp, EffectKind::WarmUp, EffectKind::BiasStep]).into_iter().filter(tilts).collect();
     if !tilted.is_empty() {
         notes.push(format!(
@@ -114,12 +114,12 @@ fn frequency_of(effect: &dyn Effect) -> Option<f64> {
     effect.number("frequency_hz").or(effect.number("fundamental_hz"))
 }
 
-fn effects(of: &[&Named]) -> String {
+fn effects(of: &[&Attribution]) -> String {
     let names: BTreeSet<&str> = of.iter().map(|one| one.effect.name()).collect();
     names.into_iter().collect::<Vec<_>>().join(", ")
 }
 
-fn channels(of: &[&Named]) -> String {
+fn channels(of: &[&Attribution]) -> String {
     let all: BTreeSet<Channel> = of.iter().map(|one| one.channel).collect();
     all.into_iter().map(Channel::name).collect::<Vec<_>>().join(", ")
 }

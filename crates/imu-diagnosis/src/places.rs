@@ -2,7 +2,7 @@
 //! gap.
 
 use super::evidence::Kind;
-use super::found::{Findings, Found, Named};
+use super::found::{Attribution, Findings, Found};
 use super::recording::Recording;
 use super::report::{Cause, Of, Parameter, Place, Sense};
 use imu_core::sample::Channel;
@@ -36,14 +36,14 @@ struct Spot {
 /// Returns the places of all causes, parameters and remainders, the heaviest first.
 pub(super) fn places(
     found: &Found,
-    named: &[Named],
+    attributions: &[Attribution],
     causes: &[Cause],
     parameters: &[Parameter],
     remnants: &[Remnant],
     real: &Recording,
 ) -> Vec<Place> {
     let mut places = Vec::new();
-    for of in named {
+    for of in attributions {
         let same = |cause: &Cause| cause.effect == of.effect.kind() && cause.sense == of.sense;
         if let Some(index) = causes.iter().position(same) {
             of_cause(&mut places, of, Of::Cause(index), found, real);
@@ -94,7 +94,7 @@ fn place(channel: Channel, of: Of, spot: Spot, nats: f64, p_value: f64, real: &R
 }
 
 /// Adds the places of a cause on a channel, and of the model's own effect if that lies elsewhere.
-fn of_cause(places: &mut Vec<Place>, of: &Named, index: Of, found: &Found, real: &Recording) {
+fn of_cause(places: &mut Vec<Place>, of: &Attribution, index: Of, found: &Found, real: &Recording) {
     /// Maximum number of places per cause; the heaviest are kept.
     const MOST: usize = 16;
     let Some(own) = found.channels.iter().find(|own| own.prepared.channel == of.channel) else { return };

@@ -372,8 +372,8 @@ fn forms_of_references_are_recognised_and_faults_are_named_with_their_line() {
         ("time_s,q_w,q_x,q_y,q_z\n0,NaN,0,0,0\n", "line 2 of the reference: found `NaN`"),
         ("time_s,q_w,q_x,q_y,q_z\n0,2,0,0,0\n", "has the norm 2.000"),
     ] {
-        let said = read(text, None).unwrap_err().to_string();
-        assert!(said.contains(says), "{text:?}: {said}");
+        let error = read(text, None).unwrap_err().to_string();
+        assert!(error.contains(says), "{text:?}: {error}");
     }
 }
 

@@ -5,7 +5,7 @@ pub(crate) mod measured;
 pub(crate) mod values;
 
 use crate::confidence::confidence;
-use crate::found::{Findings, Named};
+use crate::found::{Attribution, Findings};
 use crate::report::Sense;
 use crate::steps::Step;
 use crate::translate::{LEAST_PASSED, Translated};
@@ -25,10 +25,10 @@ fn by_chance(nats: f64) -> f64 {
 }
 
 /// Returns lines of the model that a channel lacks or has with other amplitudes.
-pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Attribution> {
     let prepared = &of.prepared;
     let channel = prepared.channel;
-    let named = |(place, effect): (usize, &Arc<dyn Effect>)| {
+    let attribution = |(place, effect): (usize, &Arc<dyn Effect>)| {
         let own: Vec<(f64, &MeasuredLine)> = prepared
             .lines
             .iter()
@@ -58,14 +58,14 @@ pub(crate) fn of_lines(of: &Findings, model: &ChannelModel) -> Vec<Named> {
         }
         let difference = if is_there { "with another amplitude than the model's" } else { "without the model's line" };
         let evidence = format!("{channel}: {otherwise:.0} nats more {difference}, its phase fitted");
-        Some(Named {
+        Some(Attribution {
             p_value: by_chance(otherwise),
             confidence: 0.99,
             ci95: if is_there { ci95 } else { Vec::new() },
-            ..values::named(channel, (place, effect), is_there.then_some(found), otherwise, evidence)
+            ..values::attribution(channel, (place, effect), is_there.then_some(found), otherwise, evidence)
         })
     };
-    model.effects.iter().enumerate().filter_map(named).collect()
+    model.effects.iter().enumerate().filter_map(attribution).collect()
 }
 
 /// Returns, for each found effect, the place of the model's effect that it stands for.
@@ -86,7 +86,12 @@ pub(crate) fn stands_for(found: &[Translated], steps: &[Step], model: &ChannelMo
 
 /// Returns the model's spectral effects that a channel lacks: the search left them out, and no effect that was found
 /// stands for them.
-pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<usize>], level: f64) -> Vec<Named> {
+pub(crate) fn left_out(
+    of: &Findings,
+    model: &ChannelModel,
+    standing: &[Option<usize>],
+    level: f64,
+) -> Vec<Attribution> {
     let channel = of.prepared.channel;
     let superfluous = of.steps.iter().filter_map(|step| {
         let (place, _) = step.of_model.filter(|(place, _)| !standing.contains(&Some(*place)))?;
@@ -99,10 +104,10 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
             effect.name(),
             step.price
         );
-        Some(Named {
+        Some(Attribution {
             p_value: step.chance(level),
             confidence: confidence(margin),
-            ..values::named(channel, (place, effect), None, step.gain, evidence)
+            ..values::attribution(channel, (place, effect), None, step.gain, evidence)
         })
     });
     superfluous.collect()
@@ -110,19 +115,19 @@ pub(crate) fn left_out(of: &Findings, model: &ChannelModel, standing: &[Option<u
 
 /// Returns the model's drifts, steps and changes of variance that a channel lacks or has with other numbers. The
 /// channel's own are found separately.
-pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Named> {
+pub(crate) fn of_courses(of: &Findings, model: &ChannelModel) -> Vec<Attribution> {
     let channel = of.prepared.channel;
-    let named = |one: &courses::Off| {
+    let attribution = |one: &courses::Off| {
         let (effect, gain) = (model.effects.get(one.place)?, one.otherwise);
         let evidence = format!("{channel}: {gain:.0} nats more with another {} than the model's", effect.name());
-        let named = values::named(channel, (one.place, effect), None, gain, evidence);
-        Some(Named { p_value: by_chance(gain), confidence: 0.99, ..named })
+        let attribution = values::attribution(channel, (one.place, effect), None, gain, evidence);
+        Some(Attribution { p_value: by_chance(gain), confidence: 0.99, ..attribution })
     };
-    of.off.iter().filter_map(named).collect()
+    of.off.iter().filter_map(attribution).collect()
 }
 
 /// Returns whether a found effect agrees with the model: its numbers lie inside intervals that are half as wide again.
-fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
+fn is_as_declared(found: &Attribution, declared: &dyn Effect) -> bool {
     let inside = |(name, [low, high]): &(&str, [f64; 2])| {
         let more = 0.25 * (high - low);
         declared.number(name).is_some_and(|value| (low - more..=high + more).contains(&value))
@@ -132,35 +137,35 @@ fn is_as_declared(found: &Named, declared: &dyn Effect) -> bool {
 
 /// Merges pairs of an effect that the model has at one place and the sensor at another: each is one effect with other
 /// numbers.
-pub(crate) fn elsewhere(named: &mut Vec<Named>) {
+pub(crate) fn elsewhere(attributions: &mut Vec<Attribution>) {
     let mut at = 0;
-    while at < named.len() {
-        let same = |one: &Named| {
-            let both = [named[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
-            both && one.channel == named[at].channel && one.effect.name() == named[at].effect.name()
+    while at < attributions.len() {
+        let same = |one: &Attribution| {
+            let both = [attributions[at].sense, one.sense] == [Sense::Superfluous, Sense::Missing];
+            both && one.channel == attributions[at].channel && one.effect.name() == attributions[at].effect.name()
         };
         // The nearest of several in frequency or time.
         let apart = |other: &usize| {
-            let [one, other] = [at, *other].map(|place| &named[place].effect);
+            let [one, other] = [at, *other].map(|place| &attributions[place].effect);
             let both = ["frequency_hz", "fundamental_hz", "at_s", "from_s"]
                 .iter()
                 .find_map(|name| Some(one.number(name)? - other.number(name)?));
             both.unwrap_or_default().abs()
         };
-        let others = (0..named.len()).filter(|other| same(&named[*other]));
+        let others = (0..attributions.len()).filter(|other| same(&attributions[*other]));
         let Some(other) = others.min_by(|a, b| apart(a).total_cmp(&apart(b))) else {
             at += 1;
             continue;
         };
-        let lacked = named.remove(at);
+        let lacked = attributions.remove(at);
         // The place moved down by one if it was behind the removed one.
         let other = other - usize::from(other > at);
-        if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&named[other], &**declared)) {
-            named.remove(other);
+        if lacked.declared.as_ref().is_some_and(|(_, declared)| is_as_declared(&attributions[other], &**declared)) {
+            attributions.remove(other);
             at -= usize::from(other < at);
             continue;
         }
-        let found = &mut named[other];
+        let found = &mut attributions[other];
         (found.sense, found.declared) = (Sense::Size, lacked.declared);
         found.gain += lacked.gain;
         found.evidence.extend(lacked.evidence);

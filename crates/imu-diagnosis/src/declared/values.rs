@@ -2,7 +2,7 @@
 
 use crate::censored;
 use crate::facts::Stamps;
-use crate::found::{Findings, Found, MATERIAL_STEP, Named};
+use crate::found::{Attribution, Findings, Found, MATERIAL_STEP};
 use crate::prepare;
 use crate::report::Sense;
 use crate::shared::Part;
@@ -16,21 +16,21 @@ use std::sync::Arc;
 const OFF: f64 = 12.0;
 
 /// Returns a finding at the place of a model's effect that the sensor does not have, or has with other numbers.
-pub(super) fn named(
+pub(super) fn attribution(
     channel: Channel,
     declared: (usize, &Arc<dyn Effect>),
     found: Option<Arc<dyn Effect>>,
     nats: f64,
     evidence: String,
-) -> Named {
+) -> Attribution {
     let (place, own) = declared;
     let sense = if found.is_some() { Sense::Size } else { Sense::Superfluous };
-    Named {
+    Attribution {
         sense,
         declared: Some((place, own.clone())),
         confidence: 0.999,
         evidence: vec![evidence],
-        ..Named::missing(channel, found.unwrap_or_else(|| own.clone()), nats)
+        ..Attribution::missing(channel, found.unwrap_or_else(|| own.clone()), nats)
     }
 }
 
@@ -41,13 +41,13 @@ fn poisson(count: f64, expected: f64) -> f64 {
 }
 
 /// Returns the effects on single samples in which a channel differs from the model's statement.
-pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> Vec<Named> {
+pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> Vec<Attribution> {
     let channel = of.prepared.channel;
     let samples = of.prepared.samples.len() as f64;
-    let check = |(place, effect): (usize, &Arc<dyn Effect>)| -> Option<Named> {
+    let check = |(place, effect): (usize, &Arc<dyn Effect>)| -> Option<Attribution> {
         let number = |name: &str| effect.number(name);
         let off = |found: Option<Arc<dyn Effect>>, nats: f64, evidence: String| {
-            (nats > OFF).then(|| named(channel, (place, effect), found, nats, evidence))
+            (nats > OFF).then(|| attribution(channel, (place, effect), found, nats, evidence))
         };
         match effect.kind() {
             EffectKind::Resolution => resolution(of, number("step")?, &off),
@@ -88,9 +88,9 @@ pub(crate) fn of_samples(of: &Findings, model: &ChannelModel, rate_hz: f64) -> V
     model.effects.iter().enumerate().filter_map(check).collect()
 }
 
-type Off<'a> = dyn Fn(Option<Arc<dyn Effect>>, f64, String) -> Option<Named> + 'a;
+type Off<'a> = dyn Fn(Option<Arc<dyn Effect>>, f64, String) -> Option<Attribution> + 'a;
 
-fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
+fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Attribution> {
     /// Steps that are equal except for rounding in the file.
     const SAME: f64 = 1e-3;
     let channel = of.prepared.channel;
@@ -108,7 +108,7 @@ fn resolution(of: &Findings, declared: f64, off: &Off<'_>) -> Option<Named> {
     off(found.map(|step| Arc::new(Resolution { step }) as Arc<dyn Effect>), nats, evidence)
 }
 
-fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Named> {
+fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Attribution> {
     let prepared = &of.prepared;
     let (channel, facts) = (prepared.channel, prepared.facts);
     // A difference of a tenth of the noise does not count as another limit, and a rounded value stood up to half a step
@@ -129,7 +129,7 @@ fn saturation(of: &Findings, [low, high]: [f64; 2], off: &Off<'_>) -> Option<Nam
 }
 
 /// Reports samples that are sent again more or less often than the model states.
-pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
+pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Attribution> {
     let samples = found.samples as f64;
     let mut all = Vec::new();
     for of in &found.channels {
@@ -149,7 +149,7 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 "{channel}: {count:.0} samples are the one before them again, the model's {:.0}",
                 declared * samples
             );
-            all.push(named(channel, (place, effect), there, nats, evidence));
+            all.push(attribution(channel, (place, effect), there, nats, evidence));
         }
     }
     all
@@ -159,7 +159,7 @@ pub(crate) fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
 type Stated<'a> = (usize, &'a Arc<dyn Effect>, f64, f64);
 
 /// Reports noise that channels share, if it is more or less than the model states.
-pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
+pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Attribution> {
     /// If the shared part of a channel's white noise is larger than this, its size is not measured.
     const MOST: f64 = 0.9;
     let samples = found.samples as f64;
@@ -201,14 +201,14 @@ pub(crate) fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
             None => (None, expected, format!("{channel}: its noise is not shared with the model's other channels")),
         };
         if nats > OFF {
-            all.push(named(channel, (place, effect), there, nats, evidence));
+            all.push(attribution(channel, (place, effect), there, nats, evidence));
         }
     }
     all
 }
 
 /// Reports stamps and lost samples that differ from the model's statement.
-pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, sim: &SensorModel) -> Vec<Named> {
+pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, sim: &SensorModel) -> Vec<Attribution> {
     /// Part of a period that no stamp shows.
     const LEAST: f64 = 0.01;
     let own = sim.channels.iter().filter_map(|(channel, model)| {
@@ -248,5 +248,6 @@ pub(crate) fn of_stamps(stamps: Option<Stamps>, dropped: usize, samples: usize, 
     let part = nats / own.len() as f64;
     // The effect concerns the whole sensor.
     let all = own.into_iter();
-    all.map(|(channel, place, effect)| named(channel, (place, effect), found.clone(), part, evidence.clone())).collect()
+    all.map(|(channel, place, effect)| attribution(channel, (place, effect), found.clone(), part, evidence.clone()))
+        .collect()
 }

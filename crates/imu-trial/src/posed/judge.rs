@@ -17,17 +17,17 @@ use serde_json::Value;
 /// Judges a diagnosis: its JSON, or the reason for its absence. `own` is what the part shows untouched, `apart` what another part
 /// of the recording shows, if there is one.
 pub fn judge(key: &Key, report: Result<&Value, &str>, own: &Own, apart: Option<&Own>) -> Judgement {
-    let mut told = key.clone();
-    told.effects.retain(|of| of.kind != Kind::Misalignment);
+    let mut judged = key.clone();
+    judged.effects.retain(|of| of.kind != Kind::Misalignment);
     let new = report.map(|report| without(report, own));
-    let mut judgement = judge_moved(&told, new.as_ref().map_err(|reason| *reason), None);
+    let mut judgement = judge_moved(&judged, new.as_ref().map_err(|reason| *reason), None);
     // What the untouched part does not explain is not the case's either.
     if judgement.verdict == own.verdict && (judgement.causes.is_empty() || judgement.verdict == "unknown_effect") {
         judgement.verdict = AS_UNTOUCHED.to_owned();
     }
     let held = |about: &Own, is_apart: bool| -> Vec<bool> {
         let causes = new.as_ref().ok().and_then(|of| of["causes"].as_array());
-        let pairs = told.effects.iter().flat_map(|of| causes.into_iter().flatten().map(move |cause| (of, cause)));
+        let pairs = judged.effects.iter().flat_map(|of| causes.into_iter().flatten().map(move |cause| (of, cause)));
         pairs
             .filter(|(of, cause)| is(of, cause))
             .flat_map(|(of, cause)| intervals(of, cause, about, is_apart))

@@ -1,4 +1,4 @@
-//! Named effects: effects on channels, with their gains and the source of the evidence: the search, the values, or the
+//! Attributions: effects on channels, with their gains and the source of the evidence: the search, the values, or the
 //! stamps.
 
 use super::censored;
@@ -6,7 +6,7 @@ use super::confidence::confidence;
 use super::declared::{self, values};
 use super::evidence::Kind;
 use super::facts;
-use super::found::{Findings, Found, MATERIAL_STEP, Named};
+use super::found::{Attribution, Findings, Found, MATERIAL_STEP};
 use super::gated;
 use super::options::Options;
 use super::pairs;
@@ -21,32 +21,32 @@ use imu_model::simulator::{ChannelModel, SensorModel};
 use std::sync::Arc;
 
 /// Returns every effect that was found and is looked for.
-pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Named> {
-    let mut named: Vec<Named> = Vec::new();
+pub(super) fn all(found: &Found, real: &Recording, sim: &SensorModel, options: &Options<'_>) -> Vec<Attribution> {
+    let mut attributions: Vec<Attribution> = Vec::new();
     for of in &found.channels {
         if let Some(model) = sim.channels.get(&of.prepared.channel) {
-            named.extend(of_channel(of, found, sim, model, options.level));
-            named.extend(declared::of_lines(of, model));
-            named.extend(declared::of_courses(of, model));
-            named.extend(values::of_samples(of, model, sim.rate_hz));
+            attributions.extend(of_channel(of, found, sim, model, options.level));
+            attributions.extend(declared::of_lines(of, model));
+            attributions.extend(declared::of_courses(of, model));
+            attributions.extend(values::of_samples(of, model, sim.rate_hz));
         }
-        named.extend(of_facts(of));
+        attributions.extend(of_facts(of));
     }
-    declared::elsewhere(&mut named);
-    named.extend(of_repeats(found, sim));
-    named.extend(values::of_repeats(found, sim));
-    named.extend(of_shared(found, sim));
-    named.extend(values::of_shared(found, sim));
-    named.extend(of_stamps(real, sim));
-    named.retain(|of| options.wants(of.effect.kind()));
-    for of in &mut named {
+    declared::elsewhere(&mut attributions);
+    attributions.extend(of_repeats(found, sim));
+    attributions.extend(values::of_repeats(found, sim));
+    attributions.extend(of_shared(found, sim));
+    attributions.extend(values::of_shared(found, sim));
+    attributions.extend(of_stamps(real, sim));
+    attributions.retain(|of| options.wants(of.effect.kind()));
+    for of in &mut attributions {
         of.evidence.extend(pairs::of_line(of.channel, &*of.effect, real.rate_hz));
     }
-    named
+    attributions
 }
 
 /// Returns the findings of the search on a channel.
-fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Named> {
+fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelModel, level: f64) -> Vec<Attribution> {
     let effects = translate::effects(of, found.temperature_c, sim);
     // A level that follows the temperature other than along a line is the same effect.
     let is = |step: &super::steps::Step, kind: Kind| {
@@ -87,27 +87,31 @@ fn of_channel(of: &Findings, found: &Found, sim: &SensorModel, model: &ChannelMo
             if declared.as_ref().is_some_and(|(_, declared)| gated::is_as_declared(&**effect, ci95, &**declared)) {
                 return None;
             }
-            Some(Named {
+            Some(Attribution {
                 sense: if declared.is_some() { Sense::Size } else { Sense::Missing },
                 declared,
                 p_value: same(*kind).map(|step| step.chance(level)).fold(1.0, f64::min),
                 confidence: confidence(margin),
                 evidence,
                 ci95: ci95.clone(),
-                ..Named::missing(of.prepared.channel, effect.clone(), gain)
+                ..Attribution::missing(of.prepared.channel, effect.clone(), gain)
             })
         })
-        .collect::<Vec<Named>>();
+        .collect::<Vec<Attribution>>();
     found_here.into_iter().chain(superfluous).collect()
 }
 
 /// Returns the effects that the values show without inference.
-fn of_facts(of: &Findings) -> Vec<Named> {
-    let mut named = Vec::new();
+fn of_facts(of: &Findings) -> Vec<Attribution> {
+    let mut attributions = Vec::new();
     let channel = of.prepared.channel;
     let facts = of.prepared.facts;
     let mut add = |effect: Arc<dyn Effect>, gain: f64, evidence: String| {
-        named.push(Named { confidence: 0.999, evidence: vec![evidence], ..Named::missing(channel, effect, gain) });
+        attributions.push(Attribution {
+            confidence: 0.999,
+            evidence: vec![evidence],
+            ..Attribution::missing(channel, effect, gain)
+        });
     };
     if let Some(step) = facts.step
         && step > MATERIAL_STEP * of.white
@@ -133,7 +137,7 @@ fn of_facts(of: &Findings) -> Vec<Named> {
             format!("{channel}: {cut} samples stand exactly at the extreme value, apart from one another"),
         );
     }
-    named
+    attributions
 }
 
 fn has(model: &ChannelModel, kind: EffectKind) -> bool {
@@ -141,8 +145,8 @@ fn has(model: &ChannelModel, kind: EffectKind) -> bool {
 }
 
 /// Reports samples that are sent again.
-fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
-    let mut named = Vec::new();
+fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Attribution> {
+    let mut attributions = Vec::new();
     for (channels, repeats) in &found.repeats {
         if channels.iter().filter_map(|channel| sim.channels.get(channel)).any(|of| has(of, EffectKind::HeldSamples)) {
             continue;
@@ -155,20 +159,20 @@ fn of_repeats(found: &Found, sim: &SensorModel) -> Vec<Named> {
                 repeats.expected()
             );
             let gain = repeats.gain / channels.len() as f64;
-            named.push(Named {
+            attributions.push(Attribution {
                 confidence: 0.999,
                 evidence: vec![evidence],
                 ci95: vec![("probability", ci95)],
-                ..Named::missing(*channel, Arc::new(HeldSamples { probability }), gain)
+                ..Attribution::missing(*channel, Arc::new(HeldSamples { probability }), gain)
             });
         }
     }
-    named
+    attributions
 }
 
 /// Reports noise that channels share.
-fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
-    let mut named = Vec::new();
+fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Attribution> {
+    let mut attributions = Vec::new();
     for shared in &found.shared {
         for Part { index, size: part, ci95, .. } in shared.parts.iter().copied() {
             let of = &found.channels[index];
@@ -178,18 +182,18 @@ fn of_shared(found: &Found, sim: &SensorModel) -> Vec<Named> {
             let gain = shared.gain / shared.parts.len() as f64;
             let mut ends = ci95.map(|size| size * part.signum() * of.white);
             ends.sort_unstable_by(f64::total_cmp);
-            named.push(Named {
+            attributions.push(Attribution {
                 evidence: vec![format!(
                     "{}: {:.1} % of the white noise's variance is shared with other channels",
                     of.prepared.channel,
                     100.0 * part * part
                 )],
                 ci95: vec![("sigma", ends)],
-                ..Named::missing(of.prepared.channel, Arc::new(CommonMode { sigma: part * of.white }), gain)
+                ..Attribution::missing(of.prepared.channel, Arc::new(CommonMode { sigma: part * of.white }), gain)
             });
         }
     }
-    named
+    attributions
 }
 
 /// Returns the 95 % interval of a chance, given how often the event occurred in `samples` samples.
@@ -211,7 +215,7 @@ pub(super) fn stamps(real: &Recording) -> Option<facts::Stamps> {
 }
 
 /// Reports stamps that scatter, and samples that are missing one by one.
-fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
+fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Attribution> {
     /// Maximum length of a drop; longer runs are gaps.
     const LONGEST: usize = 3;
     /// Minimum jitter that is named, as a part of a period.
@@ -242,7 +246,7 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
         evidence.push(format!("{dropped} samples are missing, one by one"));
     }
     let gain = 10.0 * f64::from(runs) + if jitter_s > 0.0 { real.len() as f64 } else { 0.0 };
-    vec![Named {
+    vec![Attribution {
         evidence,
         ci95: [("jitter_s", jitter_s), ("drop_probability", drop_probability)]
             .into_iter()
@@ -253,6 +257,6 @@ fn of_stamps(real: &Recording, sim: &SensorModel) -> Vec<Named> {
                 (name, ends)
             })
             .collect(),
-        ..Named::missing(*first, Arc::new(Timing { jitter_s, drop_probability }), gain)
+        ..Attribution::missing(*first, Arc::new(Timing { jitter_s, drop_probability }), gain)
     }]
 }
