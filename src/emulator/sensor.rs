@@ -8,7 +8,7 @@
 //! bootloader and command prompt (error 04), SPI, the on-board filters.
 
 use super::instant::{Values, measure};
-pub use super::options::{SensorOptions, TICK_NS};
+use super::options::{SensorOptions, TICK_NS};
 use super::registers::RegisterFile;
 use std::collections::VecDeque;
 use std::ops::Range;

@@ -1,4 +1,5 @@
-//! The check before a database is opened for writing: whether its file, its log and its newest batches are intact.
+//! The check before a database is opened for writing: whether its file, its log and its newest batches are intact. Two
+//! of its parts also serve the running writer and `vn100d check`.
 
 use super::StoreError;
 use super::batch::{batch_row, is_intact};

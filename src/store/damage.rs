@@ -3,7 +3,8 @@
 //! Trying again does not repair damage, and further writes may make it worse. So the first damage ends the writing: it
 //! is recorded beside the database ([`super::lock::WriterLock::mark_damaged`]), and the connection is closed without
 //! copying the log. Every later command fails with one error that names the command to run. The next start refuses the
-//! file with the same error, even if its check of two seconds does not reach the damaged place.
+//! file with the same error, even if its check of two seconds does not reach the damaged place. `error.rs` turns damage into
+//! an error and back.
 
 use super::paths::lock_path;
 use std::path::Path;

@@ -1,6 +1,8 @@
 //! Checks that files import each other in no circle. A module and the modules inside it may use each other.
 //!
-//! An import counts for the file that defines the item, also if another file exports it again.
+//! An import counts for the file that defines the item, also if another file exports it again. A module uses the modules
+//! inside it to wire them, so these imports do not count; those in the other direction do. Calls of methods are no
+//! imports: an `impl` may stand in a file above that of its type.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -169,7 +171,7 @@ impl Crate {
         self.0.contains_key(&module).then_some(module)
     }
 
-    /// Returns the modules that a module uses, without those around it and inside it.
+    /// Returns the modules that a module uses, without those inside it.
     fn used(&self, module: &Segments, names: &Names) -> BTreeSet<Segments> {
         let imports = names.imports.iter().map(|(path, _)| path.clone());
         let paths = names.paths.iter().map(|path| {
@@ -177,7 +179,7 @@ impl Crate {
             import.map_or_else(|| path.clone(), |(import, _)| [&import[..], &path[1..]].concat())
         });
         let used = imports.chain(paths).filter_map(|path| self.defining(module, &path, 0));
-        used.filter(|other| !other.starts_with(module) && !module.starts_with(other)).collect()
+        used.filter(|other| !other.starts_with(module)).collect()
     }
 
     /// Returns the imports, as `one → other`, of which circles consist.

@@ -1,5 +1,5 @@
-//! Attributions: effects on channels, with their gains and the source of the evidence: the search, the values, or the
-//! stamps.
+//! Attributions ([`super::found::Attribution`]): effects on channels, with their gains and the source of the evidence:
+//! the search, the values, or the stamps.
 
 use super::censored;
 use super::confidence::confidence;

@@ -44,7 +44,7 @@ pub(super) fn notes(found: &Found, attributions: &[Attribution], real: &Recordin
     let lines = with(&[EffectKind::Tone, EffectKind::Comb, EffectKind::Resonance]);
     if !lines.is_empty() {
         notes.push(format!(
-            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one attributions here looks the same; \
+            "tone or folded tone: at {} Hz alone a line of higher frequency that folds down to one named here looks the same; \
              a record at another output rate tells: a true one stays, a folded one moves",
             (real.rate_hz * 1e4).round() / 1e4
         ));

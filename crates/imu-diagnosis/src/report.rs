@@ -1,4 +1,4 @@
-//! The report: the result of a diagnosis, in the form of docs/formats.md.
+//! The report: the result of a diagnosis, in the form of docs/formats.md. `sentence.rs` writes its summary.
 
 use super::written::numbers;
 use imu_core::sample::Channel;

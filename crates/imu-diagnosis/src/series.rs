@@ -1,4 +1,5 @@
-//! A series: one channel's samples, their explanation so far, and the residual, which should be white.
+//! A series: one channel's samples, their explanation so far, and the residual, which should be white. [`super::explained`]
+//! builds it and fits its law, [`super::censored`] and [`super::variances`] make what it keeps of limits and variances.
 
 use super::course::{Course, Courses};
 use super::equaliser::Equaliser;

@@ -10,7 +10,7 @@
 //! If the stretch has a resolution, rounding follows the imposed effects: each value is spread evenly over its step
 //! first, and rounding reverses this exactly if no effect was imposed.
 
-pub use super::setting::Own;
+use super::setting::Own;
 
 use super::columns::{Columns, around, scale};
 use super::draw::Draw;

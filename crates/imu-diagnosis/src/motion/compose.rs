@@ -8,10 +8,11 @@
 use super::align::Aligned;
 use super::groups::{Group, Member};
 use super::lateness::Delay;
+use super::noise::BLOCKS;
 use super::rounds::Found;
 use super::settle::{Settled, level};
 use super::together::{self, Driven, Sums};
-use super::{BLOCKS, FOLDS, places, residuals};
+use super::{FOLDS, places, residuals};
 use crate::options::Options;
 use crate::outcome::Outcome;
 use crate::recording::Recording;

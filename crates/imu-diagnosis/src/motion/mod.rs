@@ -60,8 +60,6 @@ use imu_model::simulator::SensorModel;
 
 /// If a clock's offset is off by more than this many samples, the reference is aligned again.
 const ALIGNED: f64 = 0.05;
-/// Number of blocks of time for held-out scores, and number of folds to which they are assigned in turn.
-pub(super) const BLOCKS: usize = 64;
 pub(super) const FOLDS: usize = 8;
 
 /// Compares a record with a model. It uses the reference if there is one, gravity if the sensor rests in several poses

@@ -6,6 +6,8 @@ use imu_model::effects::{At, Effect, EffectKind, Record, Stage, USUAL_TEMPERATUR
 use imu_model::simulator::SensorModel;
 use std::sync::Arc;
 
+/// Number of blocks of time for held-out scores, and number of folds to which they are assigned in turn.
+pub(super) const BLOCKS: usize = 64;
 /// Prior uncertainty of N, B and K if a model states no interval: standard deviations of ln of their squares.
 const PRIOR_SDS: [f64; 3] = [0.1, 0.6, 0.8];
 /// Standard error of a cutoff's logarithm if a model states no interval.

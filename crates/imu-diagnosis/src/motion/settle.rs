@@ -3,8 +3,8 @@
 use super::align::Aligned;
 use super::groups::{self, Foreign, Group, Member, Pricing};
 use super::lateness::Delay;
+use super::noise::{self, BLOCKS};
 use super::select::{Choice, Weighing};
-use super::{BLOCKS, noise};
 use crate::averages::scale_of;
 use crate::error::DiagnosisError;
 use crate::facts;

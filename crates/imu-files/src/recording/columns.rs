@@ -136,7 +136,7 @@ impl Columns {
                 continue;
             };
             if let Some((_, first)) = seen.iter().find(|(earlier, _)| *earlier == channel) {
-                let (first, second) = (short(&called(*first)), short(&called(index)));
+                let (first, second) = (shown_at(*first, called), shown_at(index, called));
                 return Err(RecordingError::DuplicateColumn { file: file.to_owned(), first, second, channel });
             }
             seen.push((channel, index));
@@ -167,7 +167,7 @@ impl Columns {
             .collect();
         let is_pair = matches!(parts[..], [(one, _), (other, _)] if one.max(other) == 9 && one.min(other) == 0);
         if by_user && !parts.is_empty() && !is_pair {
-            let columns = short(&parts.iter().map(|(_, index)| called(*index)).collect::<Vec<_>>().join(", "));
+            let columns = parts.iter().map(|(_, index)| shown_at(*index, called)).collect::<Vec<_>>().join(", ");
             return Err(RecordingError::Parts { file: file.to_owned(), columns });
         }
         let mut part_slot = None;
@@ -187,7 +187,7 @@ impl Columns {
                 Use::Time { places: Some(places), stated } => {
                     let first = if stated || known_time(name) { first_stated.replace(index) } else { None };
                     if let Some(first) = first {
-                        let (first, second) = (short(&called(first)), short(&called(index)));
+                        let (first, second) = (shown_at(first, called), shown_at(index, called));
                         return Err(RecordingError::DuplicateTime { file: file.to_owned(), first, second });
                     }
                     Some(places)
@@ -296,9 +296,19 @@ fn by_values(rows: &[Vec<String>], column: usize) -> Option<usize> {
     SINCE_1970.iter().find(|unit| fits(unit)).map(|(places, ..)| *places)
 }
 
+/// Returns a column's name as an error shows it: with its position if the name is cut.
+fn shown_at(index: usize, called: &dyn Fn(usize) -> String) -> String {
+    let name = called(index);
+    let short = short(&name);
+    if short == name { name } else { format!("#{} {short}", index + 1) }
+}
+
 fn shown(cells: &[String]) -> String {
-    let mut names: Vec<String> =
-        cells.iter().take(SHOWN.0).map(|name| clean(name).chars().take(SHOWN.1).collect::<String>()).collect();
+    let cut = |name: &str| match name.char_indices().nth(SHOWN.1) {
+        Some((end, _)) => format!("{}…", &name[..end]),
+        None => name.to_owned(),
+    };
+    let mut names: Vec<String> = cells.iter().take(SHOWN.0).map(|name| cut(clean(name))).collect();
     if cells.len() > SHOWN.0 {
         names.push(format!("and {} more", cells.len() - SHOWN.0));
     }

@@ -47,7 +47,7 @@ pub enum ColumnsError {
     /// The name is none of docs/formats.md.
     #[error(
         "columns: {pair:?}: {name:?} is no column's name; allowed are {}. (A name that has both a comma and a `=` is given \
-         by its position: '#3={name}')",
+         by its position: '#3=accel_x_g')",
         allowed_names()
     )]
     UnknownName {

@@ -211,7 +211,7 @@ impl Recording {
         let (conversions, ignored_columns) = source.about();
         let counts = conversions.iter().find(|of| of.original_unit == COUNTS);
         if let Some(counts) = counts.filter(|_| !input.takes_counts()) {
-            let (column, channel) = (counts.column.clone(), counts.channel);
+            let (column, channel) = (error::short(&counts.column), counts.channel);
             return Err(RecordingError::Counts { file: file.to_owned(), column, channel });
         }
         let findings = survey.findings(rate_hz, stamps, &conversions, source.decimals());

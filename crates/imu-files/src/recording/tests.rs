@@ -519,12 +519,11 @@ fn an_error_shows_the_beginnings_of_names_that_are_long() {
         ("a", format!("{long}=accel_x_g")),
         (&long, "#1=accel_x_g,#2=accel_x_g".to_owned()),
         (&long, "#1=time_s,#2=time_s".to_owned()),
+        (&long, "#1=accel_x_counts".to_owned()),
     ] {
         let error = table(name, &map);
         assert!(error.contains('…') && error.len() < 4_000, "{} bytes", error.len());
     }
-    let error = table(&long, "#2=accel_x_counts");
-    assert!(error.len() < 4_000, "{} bytes", error.len());
 }
 
 #[test]

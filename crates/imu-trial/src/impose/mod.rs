@@ -27,7 +27,7 @@ mod outside;
 mod sent;
 mod shared;
 
-pub use super::class::Role;
+use super::class::Role;
 
 use super::columns::Columns;
 use super::draw::Draw;

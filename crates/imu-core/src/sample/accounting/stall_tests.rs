@@ -15,14 +15,15 @@ fn changed_around_a_stall(
     const CHANGE_S: f64 = 20.0;
     let (mut accountant, mut out) = (Accountant::new(from_hz, timebase), Vec::new());
     let (before, after) = ((CHANGE_S * from_hz) as u64, (30.0 * to_hz) as u64);
-    let mut is_blamed = !blamed;
+    // Without blame there is nothing to report.
+    let mut is_reported = !blamed;
     for tick in 0..before + after {
         let at_s = match tick.checked_sub(before) {
             Some(tick) => CHANGE_S + tick as f64 / to_hz,
             None => tick as f64 / from_hz,
         };
         let arrived = START_NS + (1e9 * if stall_s.contains(&at_s) { stall_s.end } else { at_s }) as u64;
-        if at_s > stall_s.start && !std::mem::replace(&mut is_blamed, true) {
+        if at_s > stall_s.start && !std::mem::replace(&mut is_reported, true) {
             accountant.blame_host(GapCause::HostStall, START_NS + (1e9 * stall_s.end) as u64 + 3_000_000_000);
         }
         let mut sample = Sample::at(arrived, 1_800_000_000_000_000_000 + arrived as i64);

@@ -145,12 +145,11 @@ impl Candidate {
     }
 
     fn describe(&self) -> String {
-        let shown = |text: &str| text.chars().take(80).collect::<String>();
         let why = self.refused.as_ref().map_or_else(
             || counted(self.messages, "message", "messages"),
             |refused| if refused == NO_DATA { refused.clone() } else { format!("not read: {refused}") },
         );
-        format!("{} ({}, {why})", shown(&self.topic.name), shown(&self.topic.message_type))
+        format!("{} ({}, {why})", short(&self.topic.name), short(&self.topic.message_type))
     }
 }
 

@@ -7,7 +7,7 @@
 use super::super::error::RecordingError;
 use super::super::names::known_column;
 use super::super::vocabulary::{Meaning, meaning};
-use super::{Cell, Next, Table};
+use super::row::{Cell, Next, Table};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -275,7 +275,7 @@ impl Table for ArraysTable {
     }
 
     fn left_out(&self) -> Vec<String> {
-        super::left_out("arrays", &self.arrays.left_out).into_iter().collect()
+        super::row::left_out("arrays", &self.arrays.left_out).into_iter().collect()
     }
 
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {

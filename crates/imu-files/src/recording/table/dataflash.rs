@@ -11,7 +11,7 @@ use super::super::input::{Input, broken};
 use super::super::vocabulary::{Meaning, meaning};
 use super::arrays::{Form, Kind};
 use super::blocks::Blocks;
-use super::{Cell, Next, Table};
+use super::row::{Cell, Next, Table};
 use std::collections::{BTreeSet, HashMap};
 
 /// The first bytes of a message.
@@ -229,10 +229,10 @@ impl Table for DataflashTable {
         let others = self.messages.iter().filter(|(number, _)| **number != self.chosen && **number != FMT);
         let mut names: Vec<String> = others.map(|(_, message)| message.name.clone()).collect();
         names.sort();
-        let mut all: Vec<String> = super::left_out("messages", &names).into_iter().collect();
+        let mut all: Vec<String> = super::row::left_out("messages", &names).into_iter().collect();
         if let Some(message) = self.chosen_message(self.chosen).filter(|_| !self.further.is_empty()) {
             let sensors: Vec<String> = self.further.iter().map(i64::to_string).collect();
-            all.extend(super::left_out(&format!("further sensors of {}:", message.name), &sensors));
+            all.extend(super::row::left_out(&format!("further sensors of {}:", message.name), &sensors));
         }
         all
     }

@@ -11,6 +11,7 @@ mod hdf5;
 mod mat5;
 mod npy;
 mod parquet;
+mod row;
 mod ulog;
 
 pub(super) use arrays::{Arrays, BYTES_MAX as ARRAYS_MAX};
@@ -24,77 +25,13 @@ use super::kind::Kind;
 use super::rows::{Decimals, Rejected, Row, Rows};
 use super::stamps::{RowStamps, STAMPS_MAX};
 use imu_core::sample::{DiscardCause, Sample};
+use row::{Cell, Next, Table};
 
 /// Rows that are looked at to determine the unit of times, or to propose columns.
 const FIRST_ROWS: usize = 64;
 
-/// The content of a cell.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Cell {
-    /// No number, or one that is not finite.
-    Absent,
-    Number(f64),
-    Whole(i64),
-    /// A time since 1970, ns.
-    Date(i64),
-}
-
-impl Cell {
-    fn of(number: f64) -> Self {
-        if number.is_finite() { Self::Number(number) } else { Self::Absent }
-    }
-
-    fn text(self) -> String {
-        match self {
-            Self::Absent => String::new(),
-            Self::Number(number) => number.to_string(),
-            Self::Whole(whole) => whole.to_string(),
-            Self::Date(nanos) => chrono::DateTime::from_timestamp_nanos(nanos).to_rfc3339(),
-        }
-    }
-
-    /// Returns the time in a unit of which a nanosecond is the `places`th decimal, ns.
-    fn nanos(self, places: usize) -> Option<i64> {
-        let unit = 10_i64.pow(u32::try_from(places).ok()?);
-        match self {
-            Self::Absent => None,
-            Self::Date(nanos) => Some(nanos),
-            Self::Whole(whole) => whole.checked_mul(unit),
-            Self::Number(number) => {
-                let nanos = (number * unit as f64).round();
-                (nanos.abs() < i64::MAX as f64).then_some(nanos as i64)
-            }
-        }
-    }
-}
-
 /// A message of a log: its type and content, or what is wrong with the data.
 type Message = Result<(u8, Vec<u8>), String>;
-
-/// The outcome of reading a row.
-enum Next {
-    /// The cells hold it.
-    Row,
-    /// Data that cannot be read, and what is wrong with it. What follows is read.
-    Damaged(String),
-    End,
-}
-
-/// A table, row by row.
-trait Table {
-    /// Returns the columns' names.
-    fn names(&self) -> &[String];
-    /// Returns whether the names are only positions.
-    fn is_unnamed(&self) -> bool {
-        false
-    }
-    /// Returns what of the file is no column of it.
-    fn left_out(&self) -> Vec<String> {
-        Vec::new()
-    }
-    /// Reads the next row into `cells`, one for each name.
-    fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError>;
-}
 
 fn open(kind: Kind, input: &Input) -> Result<Box<dyn Table>, RecordingError> {
     let form: fn(Vec<u8>) -> Result<Arrays, String> = match kind {
@@ -107,19 +44,6 @@ fn open(kind: Kind, input: &Input) -> Result<Box<dyn Table>, RecordingError> {
         _ => |bytes| npy::npy(&bytes),
     };
     Ok(Box::new(arrays::ArraysTable::new(input.arrays(form)?)))
-}
-
-/// Names that are shown of what is left out.
-const SHOWN: usize = 20;
-
-/// Returns what is left out of one kind, as one text.
-fn left_out(kind: &str, names: &[String]) -> Option<String> {
-    let shown = names.iter().take(SHOWN).map(String::as_str).collect::<Vec<_>>().join(", ");
-    match names.len() {
-        0 => None,
-        all if all > SHOWN => Some(format!("{kind} {shown} and {} more", all - SHOWN)),
-        _ => Some(format!("{kind} {shown}")),
-    }
 }
 
 /// The rows of a table, one at a time.

@@ -6,7 +6,7 @@
 use super::super::error::{RecordingError, read_error, refused};
 use super::super::input::{Input, broken};
 use super::super::meter::Refusal;
-use super::{Cell, Next, Table};
+use super::row::{Cell, Next, Table};
 use arrow_array::cast::AsArray as _;
 use arrow_array::types::{
     Float32Type, Float64Type, Int8Type, Int16Type, Int32Type, Int64Type, TimestampMicrosecondType,
@@ -84,7 +84,7 @@ impl Table for ParquetTable {
     }
 
     fn left_out(&self) -> Vec<String> {
-        super::left_out("columns", &self.undecoded).into_iter().collect()
+        super::row::left_out("columns", &self.undecoded).into_iter().collect()
     }
 
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {

@@ -12,7 +12,7 @@ use super::super::mapping::Foreign;
 use super::super::vocabulary::{Meaning, meaning};
 use super::arrays::{Form, Kind};
 use super::blocks::Blocks;
-use super::{Cell, Next, Table};
+use super::row::{Cell, Next, Table};
 use std::collections::{HashMap, HashSet};
 
 /// The first bytes of a file.
@@ -252,7 +252,7 @@ impl Table for UlogTable {
     }
 
     fn left_out(&self) -> Vec<String> {
-        super::left_out("topics", &self.left_out).into_iter().collect()
+        super::row::left_out("topics", &self.left_out).into_iter().collect()
     }
 
     fn next_row(&mut self, cells: &mut Vec<Cell>) -> Result<Next, RecordingError> {
