@@ -64,7 +64,7 @@ pub enum RecordingError {
     /// A column has raw counts, which no factor makes SI.
     #[error(
         "{}: the column `{column}` is in counts, which have no unit: calibrate it with `vn100d calibrate`, or convert it and state its \
-         unit, such as --columns 'NAME={channel}_…'",
+         unit, such as --columns '{column}={channel}_…'",
         file.display()
     )]
     Counts {
