@@ -6,7 +6,7 @@
 //! without gravity). A time in a unit that its name does not state is taken if the program that wrote the file is known by
 //! its other columns, if it is a date, or if its values are times since 1970 in one unit only. Pure.
 
-use super::error::{RecordingError, short};
+use super::error::{RecordingError, cut, short};
 use super::info::Conversion;
 use super::mapping::{ColumnMap, Foreign};
 use super::names::{Target, clean, known_column, target};
@@ -304,11 +304,7 @@ fn shown_at(index: usize, called: &dyn Fn(usize) -> String) -> String {
 }
 
 fn shown(cells: &[String]) -> String {
-    let cut = |name: &str| match name.char_indices().nth(SHOWN.1) {
-        Some((end, _)) => format!("{}…", &name[..end]),
-        None => name.to_owned(),
-    };
-    let mut names: Vec<String> = cells.iter().take(SHOWN.0).map(|name| cut(clean(name))).collect();
+    let mut names: Vec<String> = cells.iter().take(SHOWN.0).map(|name| cut(clean(name), SHOWN.1)).collect();
     if cells.len() > SHOWN.0 {
         names.push(format!("and {} more", cells.len() - SHOWN.0));
     }

@@ -14,7 +14,12 @@ const SHOWN_CHARS: usize = 80;
 
 /// Returns the beginning of a text that the user or a file gives, which may be as long as a command line or a row.
 pub(super) fn short(text: &str) -> String {
-    match text.char_indices().nth(SHOWN_CHARS) {
+    cut(text, SHOWN_CHARS)
+}
+
+/// Returns the first `chars` characters of a text, with a mark if it has more.
+pub(super) fn cut(text: &str, chars: usize) -> String {
+    match text.char_indices().nth(chars) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.to_owned(),
     }
